@@ -1,0 +1,106 @@
+"""What a poke ends as."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeAlias
+
+from skincal.readings import FloatArray, IntArray
+
+
+class Reason(Enum):
+    """Why a poke does not count; the value is the word the operator reads."""
+
+    TOO_SOFT = "too soft"
+    TOO_HARD = "too hard"
+    NOT_STILL = "not still"
+    SLID = "slid"
+    TWO_CONTACTS = "two contacts or a torque"
+    NO_TAXEL = "no taxel answered"
+    TOO_MANY_TAXELS = "too many taxels"
+    NOT_CONNECTED = "taxels far apart answered"
+    SATURATED = "saturated"
+    READINGS_LOST = "readings lost"
+    NO_TARE = "no quiet time to tare"
+    TARE_CHANGED = "tare changed"
+    NO_POSE = "arm pose unknown"
+    ARM_MOVED = "arm moved"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """One accepted poke: the mean wrench of its still window and the taxels that answered.
+
+    A poke may be given twice: at its release, tared by the quiet time before it, and again once the quiet time after
+    it is known. The second replaces the first.
+    """
+
+    poke: int
+    """Number of the poke in the session, from 1."""
+    start_s: float
+    end_s: float
+    """Host's monotonic clock at the ends of the still window, seconds."""
+    force: FloatArray
+    """(3,) float, N, tared, sensor frame, force on the part."""
+    moment: FloatArray
+    """(3,) float, N m, tared, about the sensor's origin."""
+    channels: IntArray
+    """(k,) taxels that answered, ascending."""
+    responses: FloatArray
+    """(k,) float > 0, raw units above the baseline: t_j."""
+    link_from_sensor: FloatArray
+    """(4, 4) float, metres: pose of the arm during the poke."""
+    pose: str
+    """Name of the arm pose, or its angles in words; empty without an arm."""
+    tare_change: float
+    """N, difference of the tares before and after; NaN until the second is known."""
+    final: bool
+    """The tare after the poke is in, or will not come."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rejection:
+    """One poke that does not count, with the number that decided and the limit it met."""
+
+    poke: int
+    start_s: float
+    end_s: float
+    reason: Reason
+    value: float
+    """The number that decided, in the unit of `limit`."""
+    limit: float
+    unit: str
+    """SI unit of `value` and `limit`, such as `"N"`; empty for a count."""
+    channels: IntArray
+    """Taxels that answered, ascending; may be empty."""
+    final: bool
+
+
+Outcome: TypeAlias = Contact | Rejection
+
+
+class Phase(Enum):
+    """Where the poke in progress stands."""
+
+    NO_DATA = "no data"
+    TARING = "keep hands off"
+    READY = "ready"
+    PRESSING = "pressing"
+    STILL = "still"
+    HELD = "enough, release"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Progress:
+    """The poke in progress, for the views."""
+
+    phase: Phase
+    force: FloatArray
+    """(3,) float, N, tared, link frame; zeros when nothing presses."""
+    axis_point: FloatArray
+    """(3,) float, metres, link frame: a point of the force axis; meaningless unless pressing."""
+    channels: IntArray
+    responses: FloatArray
+    still: float
+    """Share of the still window that is filled, 0 to 1."""

@@ -1,0 +1,58 @@
+"""What a method says about one taxel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from skincal.readings import FloatArray
+
+
+class Method(Enum):
+    """A way to estimate a taxel's position; the value is its name in files."""
+
+    FREE = "free"
+    SURFACE = "surface"
+
+
+class State(Enum):
+    """What is known of a taxel."""
+
+    UNSEEN = "unseen"
+    """No accepted contact touched it."""
+    BLIND = "blind"
+    """Contacts do not determine its position: see `Estimate.reason`."""
+    ESTIMATED = "estimated"
+    DEAD = "dead"
+    """Stuck or always on: its answers are not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """One taxel by one method, link frame, metres.
+
+    The uncertainty carries the rig's noise (force, moment, place of the contact); it leaves out wrong frames, a wrong
+    arm chain, a wrong mesh and errors of the F/T matrix, which shift all taxels together.
+    """
+
+    channel: int
+    method: Method
+    state: State
+    contacts: int
+    """Contacts in which the taxel answered and that are not excluded."""
+    position: FloatArray | None = None
+    """(3,) float, metres, link frame; None unless `ESTIMATED`."""
+    normal: FloatArray | None = None
+    """(3,) float, unit, outward: of the surface, or against the mean push for the free method; None where unknown."""
+    covariance: FloatArray | None = None
+    """(3, 3) float, m^2; None unless `ESTIMATED`."""
+    weakest: FloatArray | None = None
+    """(3,) float, unit: the direction that is known worst; also for `BLIND` with at least one axis."""
+    sd: float | None = None
+    """m, standard deviation along `weakest`; None where it is not determined."""
+    rms: float | None = None
+    """m, square root of the covariance's trace: the predicted error."""
+    triangle: int | None = None
+    """Index of the surface's triangle that carries the position; None for the free method."""
+    reason: str = ""
+    """A sentence: why the state is what it is."""

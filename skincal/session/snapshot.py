@@ -1,0 +1,58 @@
+"""A frozen picture of a session: everything a view may show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from skincal.contacts.outcome import Outcome, Progress
+from skincal.estimate.result import Estimate, Method
+from skincal.readings import FloatArray, IntArray, LinkHealth
+
+
+@dataclass(frozen=True, slots=True)
+class PokeRecord:
+    """One poke as it stands."""
+
+    outcome: Outcome
+    excluded: bool
+    """The operator took it out; it stays in the journal and can be restored."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """What a session holds at one moment. Two snapshots with the same generation are the same."""
+
+    generation: int
+    pokes: tuple[PokeRecord, ...]
+    """In the order of their numbers."""
+    estimates: Mapping[Method, tuple[Estimate, ...]]
+    """For each method of the scene one estimate a taxel, in the order of `Session.channels`."""
+    touched: IntArray
+    """Channels whose estimates changed with the last poke or action."""
+    pose: str
+    """Name of the current arm pose, its streamed angles in words, or empty."""
+    link_from_sensor: FloatArray | None
+    """(4, 4) float of the current arm pose; None while unknown."""
+    dead: Mapping[int, str]
+    """Channels that are not used, with the reason."""
+    can_undo: str
+    """What undo would take back, in words; empty if nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveView:
+    """The newest readings, for curves and maps; kept out of the session since nothing depends on it."""
+
+    wrench_s: FloatArray
+    """(n,) float, host's monotonic clock, seconds: the last ten seconds."""
+    wrench: FloatArray
+    """(n, 6) float, N and N m, sensor frame, as the device says it."""
+    skin: FloatArray
+    """(channels,) float: the last frame's responses above their baselines, raw units; NaN where unusable."""
+    skin_s: float
+    """Host's monotonic clock of that frame, seconds; 0 before the first."""
+    progress: Progress
+    links: tuple[LinkHealth, ...]
+    losses_unpaired: int
+    """Skin frames that found no wrench."""
