@@ -7,6 +7,7 @@ The file's lengths are metres and its angles degrees unless the key ends in a un
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ import numpy as np
 from skincal.arm import Arm, DhLink
 from skincal.errors import InputError
 from skincal.readings import FloatArray
-from skincal.skin import Anchor, Layout, load_layout, read_anchor, read_toml
+from skincal.skin import Anchor, Layout, load_layout, read_anchor
+from skincal.tables import Table, check_metres, read_toml
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
@@ -65,7 +67,9 @@ class ContactSettings:
     slide_max: float = 0.0015
     """m. Largest travel of the force axis inside the still window, measured where the contact is."""
     pitch_max: float = 0.008
-    """m. Largest |f . m|/|f|^2 (eq. 3): the 99th percentile of single contacts is 7.5 mm in simulation."""
+    """m. Largest |f . m|/|f|^2 (eq. 3): the 99th percentile of single contacts is 7.5 mm in simulation with sensor noise alone.
+    Widen it where the sensor's matrix is off: an error of 2 % with cross-talk at a lever of 0.2 m alone makes a pitch of
+    sd 6 mm, so that good pokes end as "two contacts or a torque"; three times that is 20 mm."""
     taxels_max: int = 6
     """Most taxels that may answer one poke: the default of the authors' own module (`skinCalibration`)."""
     response_min: float = 10.0
@@ -85,9 +89,9 @@ class NoiseSettings:
     """The rig's noise per averaged poke, for predicted uncertainty; SI units."""
 
     force: float = 0.10
-    """N, sd of each force component: the standard case of the guidance study."""
+    """N, sd of each force component: a good rig's, see `docs/noise.md`."""
     moment: float = 0.010
-    """N m, sd of each moment component: same source; the FT45 resolves 0.005 N m."""
+    """N m, sd of each moment component: likewise; the FT45 resolves 0.005 N m."""
     contact: float = 0.002
     """m, sd of the contact about the taxel in each tangent direction: half the 4 mm tip."""
 
@@ -125,60 +129,6 @@ class Scene:
     """The file's text, kept in every session."""
 
 
-class _Table:
-    """A TOML table that names what it misses and what it does not know."""
-
-    def __init__(self, values: dict[str, Any], where: str) -> None:
-        self.values = dict(values)
-        self.where = where
-
-    def take(self, key: str, kind: type, default: Any = ...) -> Any:
-        if key not in self.values:
-            if default is ...:
-                raise InputError(f"{self.where}: {key} is missing; expected {_name(kind)}.")
-            return default
-        value = self.values.pop(key)
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise InputError(f"{self.where}: {key} is {value!r}; expected {_name(kind)}.")
-        return value
-
-    def array(self, key: str, shape: tuple[int | None, ...], default: Any = ...) -> Any:
-        value = self.take(key, list, default)
-        if value is default:
-            return default
-        wanted = " x ".join("n" if size is None else str(size) for size in shape)
-        try:
-            array = np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
-        if not fits or not np.isfinite(array).all():
-            raise InputError(f"{self.where}: {key} is {value!r}; expected {wanted} finite numbers.")
-        return array
-
-    def choice(self, key: str, known: dict[str, Any], default: Any = ...) -> Any:
-        value = self.take(key, str, default)
-        if value is default:
-            return default
-        if value not in known:
-            raise InputError(f"{self.where}: {key} is {value!r}; expected one of {', '.join(known)}.")
-        return known[value]
-
-    def table(self, key: str) -> _Table | None:
-        values = self.take(key, dict, None)
-        return None if values is None else _Table(values, f"{self.where}: [{key}]")
-
-    def done(self) -> None:
-        if self.values:
-            raise InputError(f"{self.where}: unknown name {sorted(self.values)[0]!r}; check its spelling.")
-
-
-def _name(kind: type) -> str:
-    return {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}[kind]
-
-
 def load_scene(path: Path) -> Scene:
     """Read a scene file and the layout it names; the mesh is left to `skincal.surface`, which costs more.
 
@@ -191,7 +141,7 @@ def load_scene(path: Path) -> Scene:
     InputError
         Names the file, the key, what was seen and what was expected.
     """
-    root = _Table(read_toml(path), str(path))
+    root = Table(read_toml(path), str(path))
     text = path.read_text(encoding="utf-8")
     skin = root.table("skin")
     if skin is None:
@@ -208,7 +158,7 @@ def load_scene(path: Path) -> Scene:
         arm=None if arm is None else _read_arm(arm),
         sensor_pose=np.eye(4) if sensor is None else _read_pose(sensor, "pose"),
         wrench_sign=1 if wrench is None else _read_sign(wrench),
-        contacts=_read_settings(contacts, ContactSettings),
+        contacts=_read_contacts(contacts),
         noise=_read_settings(noise, NoiseSettings),
         path=path,
         text=text,
@@ -219,24 +169,26 @@ def load_scene(path: Path) -> Scene:
     return scene
 
 
-def _read_skin(table: _Table, path: Path) -> SkinSpec:
+def _read_skin(table: Table, path: Path) -> SkinSpec:
     channels = table.take("channels", int)
     if not 1 <= channels <= 100_000:
         raise InputError(f"{table.where}: channels is {channels}; expected 1 to 100000.")
     modules = table.take("modules", str, None)
     layout = None if modules is None else load_layout(path.parent / modules, channels)
-    anchor = table.take("anchor", dict, None)
+    anchor = table.table("anchor")
     limits = table.array("range", (2,), None)
+    if limits is not None and not limits[0] < limits[1]:
+        raise InputError(f"{table.where}: range is {limits.tolist()}; expected the lowest raw value, then the highest.")
     return SkinSpec(
         channels=channels,
         polarity=table.choice("polarity", {"up": 1, "down": -1}, 1),
         layout=layout,
-        anchor=None if anchor is None else read_anchor(anchor, table.where),
+        anchor=None if anchor is None else read_anchor(anchor),
         range=None if limits is None else (float(limits[0]), float(limits[1])),
     )
 
 
-def _read_surface(table: _Table, path: Path) -> SurfaceSpec:
+def _read_surface(table: Table, path: Path) -> SurfaceSpec:
     return SurfaceSpec(
         path=path.parent / table.take("mesh", str),
         scale=table.choice("unit", UNITS),
@@ -244,46 +196,73 @@ def _read_surface(table: _Table, path: Path) -> SurfaceSpec:
     )
 
 
-def _read_pose(table: _Table, key: str, default: Any = ...) -> FloatArray:
+def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:
     pose: FloatArray = table.array(key, (4, 4), default)
     rotation = pose[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
-        raise InputError(f"{table.where}: {key} is not a rigid pose; expected a right-handed rotation, metres, last row 0 0 0 1.")
+    if (
+        np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
+        or np.linalg.det(rotation) < 0
+        or pose[3].tolist() != [0, 0, 0, 1]
+    ):
+        raise InputError(
+            f"{table.where}: {key} is not a rigid pose; expected a right-handed rotation, metres, last row 0 0 0 1."
+        )
+    check_metres(pose[:3, 3], f"{table.where}: {key}")
     return pose
 
 
-def _read_arm(table: _Table) -> ArmSpec:
-    joints = tuple(int(j) for j in table.array("joints", (None,)))
-    rows = table.array("dh", (len(joints), 4))
+def _read_arm(table: Table) -> ArmSpec:
+    columns: FloatArray = table.array("joints", (None,))
+    if not len(columns) or (columns < 0).any() or (columns != np.rint(columns)).any():
+        raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns of the joint stream, counted from 0.")
+    joints = tuple(int(j) for j in columns)
+    rows: FloatArray = table.array("dh", (len(joints), 4))
+    check_metres(rows[:, :2], f"{table.where}: dh")
     chain = tuple(DhLink(float(a), float(d), float(np.radians(al)), float(np.radians(of))) for a, d, al, of in rows)
     arm = Arm(joints, chain, _read_pose(table, "base_from_sensor"))
     poses = table.table("poses")
     named: dict[str, FloatArray] = {}
     if poses is not None:
-        for name in list(poses.values):
+        for name in poses.keys:
             named[name] = np.radians(poses.array(name, (len(joints),)))
     tolerance = table.take("tolerance_deg", float, 0.5)
+    if not tolerance > 0:
+        raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")
     return ArmSpec(arm, named, float(np.radians(tolerance)))
 
 
-def _read_sign(table: _Table) -> int:
+def _read_sign(table: Table) -> int:
     sign = table.take("sign", int, 1)
     if sign not in (1, -1):
         raise InputError(f"{table.where}: sign is {sign}; expected 1, or -1 where the sensor reports the reaction.")
     return sign
 
 
-def _read_settings(table: _Table | None, kind: type[Any]) -> Any:
+def _read_settings(table: Table | None, kind: type[Any]) -> Any:
     if table is None:
         return kind()
     given: dict[str, Any] = {}
     for item in fields(kind):
-        default = item.default
-        value = table.take(item.name, type(default), default)
-        if not (np.isfinite(value) and value > 0):
+        default: Any = item.default
+        wanted: type = int if isinstance(default, int) else float
+        value = table.take(item.name, wanted, default)
+        if not value > 0:
             raise InputError(f"{table.where}: {item.name} is {value}; expected a number above 0.")
         given[item.name] = value
     return kind(**given)
+
+
+def _read_contacts(table: Table | None) -> ContactSettings:
+    settings: ContactSettings = _read_settings(table, ContactSettings)
+    rising = ("release_force", "touch_force", "force_min", "force_max")
+    for low, high in pairwise(rising):
+        if not getattr(settings, low) < getattr(settings, high):
+            where = "" if table is None else table.where
+            raise InputError(
+                f"{where}: {low} is {getattr(settings, low):g} and {high} is {getattr(settings, high):g} (N); "
+                f"they were expected to rise: {' < '.join(rising)}."
+            )
+    return settings
 
 
 def resource(name: str) -> Path:
@@ -298,4 +277,20 @@ def resource(name: str) -> Path:
     for folder in (here / "resources", here.parent / "resources"):
         if (folder / name).exists():
             return folder / name
-    raise InputError(f"{name}: no such resource ships with skincal; see `skincal --help`.")
+    raise InputError(f"{name}: no such file ships with skincal; install it again.")
+
+
+def scene_file(given: Path) -> Path:
+    """Return a scene's file: the path itself, or that of the shipped scene of this name, such as `icub-forearm`.
+
+    Raises
+    ------
+    InputError
+        No scene of this name ships.
+    """
+    if given.suffix == ".toml" or given.exists() or len(given.parts) != 1:
+        return given
+    shipped = sorted(file.parent.name for file in resource("scenes").glob("*/scene.toml"))
+    if str(given) not in shipped:
+        raise InputError(f"{given}: no scene of this name ships; name a scene file (*.toml), or one of {', '.join(shipped)}.")
+    return resource(f"scenes/{given}/scene.toml")

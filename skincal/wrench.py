@@ -61,14 +61,19 @@ def move_wrench(link_from_sensor: FloatArray, force: FloatArray, moment: FloatAr
 
     Parameters
     ----------
-    link_from_sensor : (4, 4) float, metres, p_w = link_from_sensor p_s
+    link_from_sensor : (..., 4, 4) float, metres, p_w = link_from_sensor p_s; one, or one a wrench
     force, moment : (..., 3) float, sensor frame, N and N m
 
     Returns
     -------
     force, moment : (..., 3) float, link frame, moment about the link's origin
     """
-    rotation, shift = link_from_sensor[:3, :3], link_from_sensor[:3, 3]
-    force_link = force @ rotation.T
+    rotation, shift = link_from_sensor[..., :3, :3], link_from_sensor[..., :3, 3]
+    force_link = _turn(rotation, force)
     # p_w = Q p_s + t with Q = R', t = -R' o, so R'(m - o x f) = Q m + t x (Q f).
-    return force_link, moment @ rotation.T + np.cross(np.broadcast_to(shift, force_link.shape), force_link)
+    return force_link, _turn(rotation, moment) + np.cross(np.broadcast_to(shift, force_link.shape), force_link)
+
+
+def _turn(rotation: FloatArray, v: FloatArray) -> FloatArray:
+    """Return Q v for each of many: no matrix product, whose rounding may depend on how many are turned at once."""
+    return rotation[..., 0] * v[..., 0:1] + rotation[..., 1] * v[..., 1:2] + rotation[..., 2] * v[..., 2:3]

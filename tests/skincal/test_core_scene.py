@@ -1,0 +1,204 @@
+"""Scene files: read whole, and every fault named with what was seen and what was expected."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.errors import InputError
+from skincal.scene import load_scene
+
+GOOD = """
+name = "bench"
+link = "plate"
+[skin]
+channels = 24
+polarity = "down"
+modules = "m.toml"
+[arm]
+joints = [3, 4]
+dh = [[0.015, 0.0, 90.0, 0.0], [0.0, -0.1373, 90.0, -90.0]]
+base_from_sensor = [[-1,0,0,0],[0,0,1,-0.08428],[0,1,0,0],[0,0,0,1]]
+[arm.poses]
+"1" = [94.0, 0.0]
+[surface]
+mesh = "part.obj"
+unit = "mm"
+[contacts]
+force_min = 3
+[noise]
+force = 0.2
+"""
+MODULES = '[[modules]]\nid = 5\nkind = "triangle_12"\nfirst_channel = 12\nplace_mm = [1, 2]\nangle_deg = 30\n'
+
+
+def write(folder: Path, scene: str = GOOD, modules: str = MODULES) -> Path:
+    (folder / "m.toml").write_text(modules, encoding="utf-8")
+    path = folder / "scene.toml"
+    path.write_text(scene, encoding="utf-8")
+    return path
+
+
+def test_a_scene_is_read_whole(tmp_path):
+    scene = load_scene(write(tmp_path))
+    assert scene.skin.polarity == -1
+    assert scene.skin.layout is not None
+    assert scene.skin.layout.channels.tolist() == list(range(12, 24))
+    assert scene.surface is not None
+    assert scene.surface.scale == 1e-3
+    assert scene.surface.path == tmp_path / "part.obj"
+    assert scene.arm is not None
+    assert np.allclose(scene.arm.poses["1"], np.radians([94, 0]))
+    assert scene.contacts.force_min == 3.0
+    assert scene.contacts.force_max == 15.0
+    assert scene.noise.force == 0.2
+
+
+def test_what_a_scene_does_not_have_is_none(tmp_path):
+    scene = load_scene(write(tmp_path, 'name = "a"\nlink = "b"\n[skin]\nchannels = 4\n'))
+    assert scene.surface is None
+    assert scene.arm is None
+    assert scene.skin.layout is None
+    assert np.array_equal(scene.sensor_pose, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name = "bench"', "", ["name is missing", "text"]),
+        ("channels = 24", "", ["channels is missing", "whole number"]),
+        ("channels = 24", 'channels = "24"', ["channels is '24'", "whole number"]),
+        ("channels = 24", "channels = 20", ["takes channels 12 to 23", "a skin frame has 20"]),
+        ('polarity = "down"', 'polarity = "left"', ["'left'", "up, down"]),
+        ('unit = "mm"', 'unit = "furlong"', ["'furlong'", "m, cm, mm, in"]),
+        ('unit = "mm"', "", ["unit is missing"]),
+        ('polarity = "down"', 'polarty = "down"', ["unknown name 'polarty'"]),
+        ("force_min = 3", "force_minimum = 3", ["unknown name 'force_minimum'"]),
+        ("force_min = 3", "force_min = -3", ["force_min is -3", "above 0"]),
+        ("force = 0.2", "force = nan", ["force is nan"]),
+        ("[-1,0,0,0]", "[1,0,0,0]", ["not a rigid pose", "right-handed"]),
+        ("[94.0, 0.0]", "[94.0]", ["2 finite numbers", "[94.0]"]),
+        ('modules = "m.toml"', 'modules = "n.toml"', ["n.toml", "no such file"]),
+        ("[skin]", "[skin", ["not a TOML file", "line"]),
+        ("channels = 24", "channels = 24\nrange = [255, 0]", ["range is [255.0, 0.0]", "the lowest raw value"]),
+        ("joints = [3, 4]", "joints = [3.5, 4]", ["joints is [3.5, 4.0]", "columns"]),
+        ("joints = [3, 4]", "joints = [-3, 4]", ["joints is [-3.0, 4.0]", "columns"]),
+        ("joints = [3, 4]", "joints = []", ["joints is []", "columns"]),
+        ("joints = [3, 4]", "joints = [3, 4]\ntolerance_deg = -1", ["tolerance_deg is -1", "above 0"]),
+        ("-0.1373", "-137.3", ["dh has a length of 137.3", "divide millimetres by 1000"]),
+        ("-0.08428", "-84.28", ["base_from_sensor has a length of 84.28", "divide millimetres by 1000"]),
+        ("force_min = 3", "force_min = 20", ["force_min is 20 and force_max is 15", "expected to rise"]),
+        ("force_min = 3", "release_force = 2", ["release_force is 2 and touch_force is 1", "expected to rise"]),
+        ("[noise]", "[sensor]\npose=[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]\n[noise]", ["exclude each other"]),
+    ],
+)
+def test_a_fault_is_named(tmp_path, old, new, words):
+    assert old in GOOD
+    with pytest.raises(InputError) as caught:
+        load_scene(write(tmp_path, GOOD.replace(old, new, 1)))
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('kind = "triangle_12"', 'kind = "hexagon"', ["kind is 'hexagon'", "one of triangle_12, triangle_10pad"]),
+        ('kind = "triangle_12"', 'kind = ["triangle_12"]', ["kind is ['triangle_12']", "text"]),
+        ("id = 5\n", "", ["number 1", "id is missing", "whole number"]),
+        ("id = 5", 'id = "five"', ["id is 'five'", "whole number"]),
+        ("first_channel = 12", "first_channel = 1.5", ["(id 5)", "first_channel is 1.5", "whole number"]),
+        ("first_channel = 12", 'first_channel = "12"', ["first_channel is '12'", "whole number"]),
+        ("angle_deg", "angle_rad", ["unknown name 'angle_rad'"]),
+        ("angle_deg = 30", 'angle_deg = "right"', ["angle_deg is 'right'", "a number"]),
+        ("angle_deg = 30", "angle_deg = nan", ["angle_deg is nan", "finite"]),
+        ("angle_deg = 30", 'mirror = "no"', ["mirror is 'no'", "true or false"]),
+        ("place_mm = [1, 2]", "place_mm = [1]", ["place_mm is [1]", "2 finite numbers"]),
+        ("place_mm = [1, 2]", "place_mm = [1, nan]", ["place_mm is [1, nan]", "2 finite numbers"]),
+        (MODULES, "modules = 3\n", ["modules is 3", "a list"]),
+        (MODULES, "modules = [3]\n", ["modules holds 3", "[[modules]]"]),
+        (MODULES, "", ["list at least one module"]),
+        (MODULES, MODULES + "[colour]\n", ["unknown name 'colour'"]),
+        (MODULES, MODULES + MODULES.replace("= 12", "= 0"), ["two modules have the id 5"]),
+    ],
+)
+def test_a_fault_of_the_layout_is_named(tmp_path, old, new, words):
+    assert old in MODULES
+    with pytest.raises(InputError) as caught:
+        load_scene(write(tmp_path, GOOD, MODULES.replace(old, new, 1)))
+    assert str(tmp_path / "m.toml") in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+KIND = """
+[kinds.bar]
+pads_mm = [[0, 0], [nan, nan], [4, 0]]
+outline_mm = [[-2, -2], [6, -2], [6, 2], [-2, 2]]
+centre_pad = 2
+"""
+
+
+def test_an_own_kind_of_module_has_gaps_where_there_is_no_taxel(tmp_path):
+    layout = load_scene(write(tmp_path, GOOD, MODULES.replace("triangle_12", "bar") + KIND)).skin.layout
+    assert layout is not None
+    assert layout.channels.tolist() == [12, 14]
+    assert layout.modules[0].centre_channel == 14
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("centre_pad = 2", "centre_pad = 1", ["centre_pad is 1", "[0, 2]"]),
+        ("centre_pad = 2", 'centre_pad = "2"', ["centre_pad is '2'", "whole number"]),
+        ("[4, 0]]", "[4, 0, 1]]", ["pads_mm", "n x 2"]),
+        ("[nan, nan]", "[inf, 0]", ["pads_mm", "n x 2"]),
+        ("centre_pad = 2", "centre_pad = 2\ncolor = 3", ["unknown name 'color'"]),
+        (KIND, "[kinds]\nbar = 3\n", ["bar is 3", "a table"]),
+    ],
+)
+def test_a_fault_of_an_own_kind_is_named(tmp_path, old, new, words):
+    with pytest.raises(InputError) as caught:
+        load_scene(write(tmp_path, GOOD, MODULES + KIND.replace(old, new, 1)))
+    for word in words:
+        assert word in str(caught.value)
+
+
+ANCHOR = "[skin.anchor]\nat_mm = [0, 0]\npoint_mm = [1, 2, 3]\nx = [2, 0, 0]\nnormal = [0, 0, 1]\n"
+
+
+def test_an_anchors_directions_are_unit_vectors(tmp_path):
+    anchor = load_scene(write(tmp_path, GOOD.replace("[arm]", ANCHOR + "[arm]"))).skin.anchor
+    assert anchor is not None
+    assert anchor.x.tolist() == [1, 0, 0]
+    np.testing.assert_allclose(anchor.point, [1e-3, 2e-3, 3e-3])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("normal = [0, 0, 1]", "normal = [0, 0, 0]", ["normal is [0.0, 0.0, 0.0]", "not zero"]),
+        ("normal = [0, 0, 1]", "normal = [1, 0, 1]", ["perpendicular"]),
+        ("normal = [0, 0, 1]", "", ["normal is missing"]),
+        ("at_mm = [0, 0]", "at_mm = [nan, 0]", ["at_mm is [nan, 0]", "2 finite numbers"]),
+        ("at_mm = [0, 0]", "at_mm = [0, 0]\ncolor = 3", ["unknown name 'color'"]),
+    ],
+)
+def test_a_fault_of_an_anchor_is_named(tmp_path, old, new, words):
+    with pytest.raises(InputError) as caught:
+        load_scene(write(tmp_path, GOOD.replace("[arm]", ANCHOR.replace(old, new) + "[arm]")))
+    for word in ["[anchor]", *words]:
+        assert word in str(caught.value)
+
+
+def test_the_spacing_is_that_of_the_whole_layout_and_not_of_its_first_module(tmp_path):
+    wide = KIND.replace("[4, 0]", "[40, 0]")
+    bars = MODULES.replace("triangle_12", "bar").replace("first_channel = 12", "first_channel = 0")
+    first = load_scene(write(tmp_path, GOOD, bars + MODULES.replace("id = 5", "id = 6").replace("[1, 2]", "[90, 2]") + wide))
+    assert first.skin.layout is not None
+    assert first.skin.layout.spacing == pytest.approx(5.0e-3, abs=1e-5)
+
+
+def test_a_channel_has_one_place(tmp_path):
+    with pytest.raises(InputError, match="channel 12 belongs to modules 5 and 6"):
+        load_scene(write(tmp_path, GOOD, MODULES + MODULES.replace("id = 5", "id = 6")))
