@@ -1,0 +1,194 @@
+"""Gathers decoded readings into batches: sequence gaps, wrapped clocks, widths, and numbers that are none."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.readings import Batch, JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+
+SEQ_MODULUS = 1 << 16
+"""The counters of SKT/1 and SKB/1 are 16 bits wide."""
+TIME_MODULUS_US = 1 << 32
+"""Their clocks are 32 bits of microseconds: they wrap every 71.6 minutes."""
+MICROSECONDS = 1e6
+"""In a second."""
+NO_SEQ = -1
+SATURATED_BIT = 1
+INVALID_BIT = 2
+WRENCH_WIDTH = 6
+PERIOD_WEIGHT = 1 / 16
+"""Weight of the newest interval in the mean interval of a record: settles within some 16 records."""
+GAP_SLACK = 2.0
+GAP_SLACK_SHARE = 0.25
+"""A gap of s numbers fits a time of s intervals to within `GAP_SLACK + GAP_SLACK_SHARE * s`: boards keep no exact pace.
+Numbers and time that do not fit mean that the board started anew, and then nothing is known to be missing."""
+
+
+class DeviceTime:
+    """Unwraps a 32-bit clock of microseconds, shared by all records of one board.
+
+    A record may be stamped a little earlier than the one before it (a skin frame is stamped when its scan begins), so
+    the step from one stamp to the next is taken as the nearer way round the circle.
+    """
+
+    def __init__(self) -> None:
+        self._raw: int | None = None
+        self._total_us = 0
+
+    def unwrap(self, raw_us: int) -> float:
+        """Return the device's clock, seconds; NaN from a board without a clock, which sends 0 always."""
+        last = self._raw
+        self._raw = raw_us
+        if last is None:
+            self._total_us = raw_us
+            return raw_us / MICROSECONDS if raw_us else math.nan
+        if raw_us == 0 and last == 0:
+            return math.nan
+        half = TIME_MODULUS_US // 2
+        self._total_us += (raw_us - last + half) % TIME_MODULUS_US - half
+        return self._total_us / MICROSECONDS
+
+
+class Sequence:
+    """Unwraps a 16-bit counter of one kind of record and counts the numbers that are missing."""
+
+    def __init__(self) -> None:
+        self._raw = NO_SEQ
+        self._total = 0
+        self._device_s = math.nan
+        self._period = math.nan
+
+    def step(self, raw: int, device_s: float) -> tuple[int, int]:
+        """Return the unwrapped number and how many numbers are missing before it."""
+        last, elapsed = self._raw, device_s - self._device_s
+        self._raw, self._device_s = raw, device_s
+        if last == NO_SEQ:
+            self._total = raw
+            return raw, 0
+        step = (raw - last) % SEQ_MODULUS
+        if step == 1:
+            self._note_period(elapsed)
+        elif step > 1 and not self._fits(step, elapsed):
+            self._period = math.nan
+            step = 1
+        self._total += step
+        return self._total, max(step - 1, 0)
+
+    def _note_period(self, elapsed: float) -> None:
+        if elapsed > 0:
+            known = elapsed if math.isnan(self._period) else self._period
+            self._period = known + (elapsed - known) * PERIOD_WEIGHT
+
+    def _fits(self, step: int, elapsed: float) -> bool:
+        if step >= SEQ_MODULUS // 2:
+            return False
+        if math.isnan(self._period) or math.isnan(elapsed):
+            return True
+        return abs(elapsed / self._period - step) <= GAP_SLACK + GAP_SLACK_SHARE * step
+
+
+@dataclass(slots=True)
+class _Pending:
+    """Readings of one stream since the last batch."""
+
+    width: int | None
+    seq: list[int] = field(default_factory=list[int])
+    device_s: list[float] = field(default_factory=list[float])
+    values: list[list[float] | NDArray[Any]] = field(default_factory=list["list[float] | NDArray[Any]"])
+    status: list[int] = field(default_factory=list[int])
+
+    def clear(self) -> None:
+        self.seq.clear()
+        self.device_s.clear()
+        self.values.clear()
+        self.status.clear()
+
+
+class Collector:
+    """Readings of one link on their way into batches.
+
+    Readings of a stream that the link does not carry are left out without a count: they were not asked for.
+    """
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...], counts: Counter[Loss]) -> None:
+        self.note = ""
+        """What was last wrong with the board's records, a sentence; empty if nothing was."""
+        self._counts = counts
+        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None}
+        self._pending = {stream: _Pending(widths[stream]) for stream in Stream if stream in carries}
+
+    def width(self, stream: Stream) -> int | None:
+        """Return the number of values of a reading; None while unknown, and for a stream that is not carried."""
+        pending = self._pending.get(stream)
+        return None if pending is None else pending.width
+
+    def add(
+        self, stream: Stream, seq: int, device_s: float, values: list[float] | NDArray[Any], status: int = 0
+    ) -> Loss | None:
+        """Take one reading; return what is wrong with its width.
+
+        Parameters
+        ----------
+        seq : unwrapped number, or `NO_SEQ`
+        device_s : device's clock, seconds, or NaN
+        values : one reading, in the units of `skincal.readings`
+        status : `SATURATED_BIT` and `INVALID_BIT`
+        """
+        pending = self._pending.get(stream)
+        if pending is None:
+            return None
+        if pending.width is None:
+            pending.width = len(values)
+        if len(values) != pending.width:
+            self.note = (
+                f"{stream.value} readings of {len(values)} values arrive where {pending.width} are expected; {_MEND[stream]}"
+            )
+            return Loss.BAD_WIDTH
+        pending.seq.append(seq)
+        pending.device_s.append(device_s)
+        pending.values.append(values)
+        pending.status.append(status & (SATURATED_BIT | INVALID_BIT))
+        return None
+
+    def take(self) -> list[Batch]:
+        """Return the readings since the last call, one batch a stream; count those that are not numbers."""
+        return [self._batch(stream, pending) for stream, pending in self._pending.items() if pending.seq]
+
+    def _batch(self, stream: Stream, pending: _Pending) -> Batch:
+        seq = np.array(pending.seq, np.int64)
+        device_s = np.array(pending.device_s, np.float64)
+        values = np.array(pending.values, np.float64)
+        saturated, invalid = _flags(pending.status)
+        pending.clear()
+        finite = np.isfinite(values)
+        if not finite.all():
+            self._counts[Loss.NOT_A_NUMBER] += int(np.count_nonzero(~finite.all(axis=1)))
+        if stream is Stream.SKIN:
+            return SkinBatch(seq, device_s, np.where(finite, values, np.nan))
+        if stream is Stream.JOINTS:
+            return JointsBatch(seq, device_s, values)
+        for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
+            if flags.any():
+                self._counts[loss] += int(np.count_nonzero(flags))
+        return WrenchBatch(seq, device_s, values, saturated, invalid)
+
+
+def _flags(status: list[int]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which readings are saturated and which invalid."""
+    if not any(status):
+        return np.zeros(len(status), np.bool_), np.zeros(len(status), np.bool_)
+    bits = np.array(status)
+    return (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
+
+
+_MEND = {
+    Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
+    Stream.WRENCH: "a wrench is fx fy fz mx my mz",
+    Stream.JOINTS: "the number of joints changed",
+}

@@ -1,0 +1,85 @@
+"""Which format a link speaks, from the bytes and the host's stamps of its chunks alone, so that a replay decides alike.
+
+SKB/1 and SKT/1 prove themselves: one record with a good checksum decides. Until then both are tried side by side, and
+delimited text with them; 300 ms after the first bytes the readings of the text are let through. A board that sends words
+first and records later is still found: text is final only when it has given a reading.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from skincal.readings import Batch, Loss, Stream
+from skincal.streams.formats import AUTO, Format, make_format
+from skincal.streams.formats.skb import Skb
+from skincal.streams.formats.skt import Skt
+from skincal.streams.formats.text import Text
+
+TEXT_AFTER_NS = 300_000_000
+"""Nanoseconds of bytes without a good checksum before text is believed: six frames at 20 Hz, ten at 35 Hz."""
+TEXT_AFTER_BYTES = 65536
+"""Bytes after which text is believed at once: a file is read faster than it was recorded."""
+
+
+class Decoder:
+    """Decodes a link's bytes, in a format that is given or found."""
+
+    def __init__(self, format_name: str, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        self._chosen: Format | None = None
+        self._probes: tuple[Skb, Skt] | None = None
+        self._text = Text(channels, carries)
+        self._held: list[tuple[int, Batch]] = []
+        self._first_ns: int | None = None
+        self._bytes = 0
+        if format_name == AUTO:
+            self._probes = Skb(channels, carries), Skt(channels, carries)
+        else:
+            self._chosen = make_format(format_name, channels, carries)
+
+    @property
+    def name(self) -> str:
+        """Name of the format; empty while unknown."""
+        return "" if self._chosen is None else self._chosen.name
+
+    @property
+    def counts(self) -> Counter[Loss]:
+        """What the decoder lost; nothing while the format is unknown."""
+        return Counter() if self._chosen is None else self._chosen.counts
+
+    @property
+    def note(self) -> str:
+        """What the board got wrong or said last, a sentence; empty if nothing."""
+        note = getattr(self._chosen, "note", "")
+        return note if isinstance(note, str) else ""
+
+    def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:
+        """Return the readings that `data` completes, each batch with the arrival of its last bytes."""
+        if self._probes is None:
+            return [] if self._chosen is None else [(host_ns, batch) for batch in self._chosen.feed(data)]
+        for probe in self._probes:
+            batches = probe.feed(data)
+            if probe.good:
+                self._settle(probe)
+                return [(host_ns, batch) for batch in batches]
+        self._held += [(host_ns, batch) for batch in self._text.feed(data)]
+        self._bytes += len(data)
+        if self._first_ns is None:
+            self._first_ns = host_ns
+        if host_ns - self._first_ns >= TEXT_AFTER_NS or self._bytes >= TEXT_AFTER_BYTES:
+            return self.finish()
+        return []
+
+    def finish(self) -> list[tuple[int, Batch]]:
+        """Settle for text where nothing was found yet: no more bytes come, or enough came."""
+        if self._probes is None:
+            return []
+        self._chosen = self._text
+        held, self._held = self._held, []
+        if held:
+            self._settle(self._text)
+        return held
+
+    def _settle(self, chosen: Format) -> None:
+        self._chosen = chosen
+        self._probes = None
+        self._held = []

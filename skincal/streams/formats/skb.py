@@ -1,0 +1,106 @@
+"""SKB/1: binary records of makers' boards.
+
+A frame is COBS(body + CRC) and a 0. The body is little-endian: u8 type, u8 source, u16 seq, u32 t_us, payload, at most
+1024 bytes; the CRC-16/CCITT-FALSE of the body follows as u16. Types: 1 skin u16[n], 2 wrench float32[6] and u32 status
+(bit 0 saturated, bit 1 invalid), 3 skin u8[n], 4 skin float32[n], 5 joints float32[n] in degrees, 16 header, the UTF-8
+text `key=value,...`. Other types are skipped. `seq` counts each type of each source alone; `source` is not told apart
+otherwise.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from typing import ClassVar
+
+import numpy as np
+
+from skincal.readings import Loss, Stream
+from skincal.streams.formats import cobs
+from skincal.streams.formats.collector import DeviceTime, Sequence
+from skincal.streams.formats.header import header_problem, parse_header
+from skincal.streams.formats.pieces import PieceFormat
+
+CRC_START = 0xFFFF
+HEAD = struct.Struct("<BBHI")
+CRC_BYTES = 2
+MAX_BODY = 1024
+"""Bytes. The longest body of the protocol."""
+WRENCH = struct.Struct("<6fI")
+WRENCH_TYPE = 2
+JOINTS_TYPE = 5
+HEADER_TYPE = 16
+SKIN_TYPES = {1: np.dtype("<u2"), 3: np.dtype("u1"), 4: np.dtype("<f4")}
+ANGLE = np.dtype("<f4")
+
+
+class Skb(PieceFormat):
+    """Decodes SKB/1."""
+
+    name: ClassVar[str] = "SKB/1"
+    mark: ClassVar[bytes] = b"\x00"
+    limit: ClassVar[int] = MAX_BODY + CRC_BYTES + -(-(MAX_BODY + CRC_BYTES) // 254)
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        super().__init__(channels, carries)
+        self._times: dict[int, DeviceTime] = {}
+        self._counters: dict[int, tuple[DeviceTime, Sequence]] = {}
+        """By type and source, in one number: the clock of the source and the counter of its type."""
+
+    def _decode(self, piece: bytes) -> Loss | None:
+        if not piece:
+            return None
+        frame = cobs.decode(piece)
+        if frame is None or len(frame) < HEAD.size + CRC_BYTES:
+            return Loss.UNREADABLE
+        body = frame[:-CRC_BYTES]
+        if binascii.crc_hqx(body, CRC_START) != frame[-2] | frame[-1] << 8:
+            return Loss.BAD_CHECKSUM
+        return self._record(body)
+
+    def _record(self, body: bytes) -> Loss | None:
+        kind, source, raw_seq, raw_us = HEAD.unpack_from(body)
+        if kind == HEADER_TYPE:
+            return self._header(body)
+        if kind != WRENCH_TYPE and kind != JOINTS_TYPE and kind not in SKIN_TYPES:
+            return None
+        time, sequence = self._counters.get(kind << 8 | source) or self._new_counters(kind, source)
+        device_s = time.unwrap(raw_us)
+        seq, missing = sequence.step(raw_seq, device_s)
+        if missing:
+            self.counts[Loss.MISSING] += missing
+        if kind == WRENCH_TYPE:
+            return self._wrench(body, seq, device_s)
+        if kind == JOINTS_TYPE:
+            return self._values(Stream.JOINTS, ANGLE, body, seq, device_s)
+        return self._values(Stream.SKIN, SKIN_TYPES[kind], body, seq, device_s)
+
+    def _new_counters(self, kind: int, source: int) -> tuple[DeviceTime, Sequence]:
+        counters = self._times.setdefault(source, DeviceTime()), Sequence()
+        self._counters[kind << 8 | source] = counters
+        return counters
+
+    def _wrench(self, body: bytes, seq: int, device_s: float) -> Loss | None:
+        if len(body) != HEAD.size + WRENCH.size:
+            return Loss.BAD_WIDTH
+        *wrench, status = WRENCH.unpack_from(body, HEAD.size)
+        self.good += 1
+        return self._collector.add(Stream.WRENCH, seq, device_s, wrench, status)
+
+    def _values(self, stream: Stream, dtype: np.dtype[np.generic], body: bytes, seq: int, device_s: float) -> Loss | None:
+        if (len(body) - HEAD.size) % dtype.itemsize:
+            return Loss.BAD_WIDTH
+        values = np.frombuffer(body, dtype, offset=HEAD.size)
+        self.good += 1
+        return self._collector.add(
+            stream, seq, device_s, np.radians(values, dtype=np.float64) if stream is Stream.JOINTS else values
+        )
+
+    def _header(self, body: bytes) -> Loss | None:
+        try:
+            header = parse_header(body[HEAD.size :].decode())
+        except UnicodeDecodeError:
+            return Loss.UNREADABLE
+        self.good += 1
+        self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
+        return None

@@ -1,0 +1,88 @@
+"""SKT/1: text records of makers' boards.
+
+One record a line, LF or CRLF, at most 4096 bytes, each ending with `*` and four upper-case hex digits, the
+CRC-16/CCITT-FALSE of every byte before the `*`; lines that start with `#` are comments:
+
+    H,skt1,key=value,...                                header
+    T,<seq>,<t_us>,<v0>,...,<v(n-1)>                    skin, `nan` where a taxel is dead
+    F,<seq>,<t_us>,<fx>,<fy>,<fz>,<tx>,<ty>,<tz>,<status>   wrench, N and N m; status bit 0 saturated, bit 1 invalid
+    J,<seq>,<t_us>,<a0>,...                             joint angles, degrees
+    E,<code>,<text>                                     an error of the board
+
+Other records are skipped. `seq` counts each letter alone.
+"""
+
+from __future__ import annotations
+
+import binascii
+import math
+from typing import ClassVar
+
+from skincal.readings import Loss, Stream
+from skincal.streams.formats.collector import SEQ_MODULUS, TIME_MODULUS_US, WRENCH_WIDTH, DeviceTime, Sequence
+from skincal.streams.formats.header import header_problem, parse_header
+from skincal.streams.formats.pieces import PieceFormat
+
+CRC_START = 0xFFFF
+MAX_LINE = 4096
+"""Bytes. The longest line of the protocol."""
+TAIL = 5
+"""Bytes of `*` and the checksum."""
+STREAMS = {b"T": Stream.SKIN, b"F": Stream.WRENCH, b"J": Stream.JOINTS}
+LEADING = 3
+"""Fields before the values: letter, seq, t_us."""
+
+
+class Skt(PieceFormat):
+    """Decodes SKT/1."""
+
+    name: ClassVar[str] = "SKT/1"
+    mark: ClassVar[bytes] = b"\n"
+    limit: ClassVar[int] = MAX_LINE
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        super().__init__(channels, carries)
+        self._time = DeviceTime()
+        self._sequences = {stream: Sequence() for stream in Stream}
+
+    def _decode(self, piece: bytes) -> Loss | None:
+        line = piece.removesuffix(b"\r")
+        if not line or line.startswith(b"#"):
+            return None
+        text, tail = line[:-TAIL], line[-TAIL:]
+        if tail != b"*%04X" % binascii.crc_hqx(text, CRC_START):
+            return Loss.BAD_CHECKSUM
+        self.good += 1
+        return self._record(text)
+
+    def _record(self, text: bytes) -> Loss | None:
+        letter, _, rest = text.partition(b",")
+        stream = STREAMS.get(letter)
+        if stream is not None:
+            return self._reading(stream, text.split(b","))
+        if letter == b"H":
+            header = parse_header(rest.decode(errors="replace"))
+            self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
+        elif letter == b"E":
+            self._collector.note = f"The board reports error {rest.decode(errors='replace')}"
+        return None
+
+    def _reading(self, stream: Stream, fields: list[bytes]) -> Loss | None:
+        try:
+            raw_seq, raw_us = int(fields[1]), int(fields[2])
+            values = [float(field) for field in fields[LEADING:]]
+            status = 0
+            if stream is Stream.WRENCH and len(values) == WRENCH_WIDTH + 1:
+                values.pop()
+                status = int(fields[-1])
+        except (ValueError, IndexError):
+            return Loss.UNREADABLE
+        if not (0 <= raw_seq < SEQ_MODULUS and 0 <= raw_us < TIME_MODULUS_US):
+            return Loss.UNREADABLE
+        device_s = self._time.unwrap(raw_us)
+        seq, missing = self._sequences[stream].step(raw_seq, device_s)
+        if missing:
+            self.counts[Loss.MISSING] += missing
+        if stream is Stream.JOINTS:
+            values = [math.radians(value) for value in values]
+        return self._collector.add(stream, seq, device_s, values, status)

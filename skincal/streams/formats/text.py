@@ -1,0 +1,188 @@
+"""Delimited lines as makers' sketches send them, without a checksum: lenient, and so the last choice.
+
+One frame a line, or one row a line and a blank line after each frame. Fields are separated by comma, semicolon (then a
+comma is a decimal point), tab or spaces. A line's number of values says what it is: six of a wrench where the link
+carries wrenches, the width of the skin where it carries skin, anything constant for joints (degrees). Words, such as a
+banner at boot, are passed over. A header line that names leading columns (`seq`, `t`, `time`, `t_s`, `t_ms`, `t_us`;
+seconds unless the name says otherwise) makes them the number and the device's clock.
+
+What it cannot do: a line that lost a digit, or two lines that ran into one with the right count, are taken as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+from skincal.readings import Loss, Stream
+from skincal.streams.formats.collector import NO_SEQ, TIME_MODULUS_US, Collector
+from skincal.streams.formats.pieces import PieceFormat
+
+MAX_LINE = 65536
+"""Bytes. Some 4,200 values of 12 characters fit."""
+COLUMN_UNITS_S = {"t": 1.0, "time": 1.0, "t_s": 1.0, "t_ms": 1e-3, "t_us": 1e-6}
+SEQ_COLUMN = "seq"
+NUMBER_MAX = 1e18
+"""Largest number or clock that is taken for one: what a batch's integers hold."""
+
+
+class Text(PieceFormat):
+    """Decodes delimited lines."""
+
+    name: ClassVar[str] = "text"
+    mark: ClassVar[bytes] = b"\n"
+    limit: ClassVar[int] = MAX_LINE
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        super().__init__(channels, carries)
+        self._carries = carries
+        self._columns = LeadingColumns()
+        self._rows = Rows(self._collector if Stream.SKIN in carries else None)
+
+    def _decode(self, piece: bytes) -> Loss | None:
+        line = piece.strip()
+        if not line:
+            return None if self._first else self._rows.end(NO_SEQ)
+        if not line.isascii() or not line.decode().replace("\t", " ").isprintable():
+            return Loss.UNREADABLE
+        fields = split_fields(line.decode())
+        # Python takes 1_0 for ten; nobody who writes numbers does.
+        numbers = None if b"_" in line else to_numbers(fields)
+        if numbers is None:
+            return self._words(fields)
+        return None if self._first else self._numbers(numbers)
+
+    def _words(self, fields: list[str]) -> Loss | None:
+        """Read a header line or pass over a banner; a line that is mostly numbers is a damaged reading."""
+        names = [field.strip("\"' ").lower() for field in fields]
+        if self._columns.named_by(names, self._stream_of):
+            return None
+        readable = sum(to_numbers([field]) is not None for field in fields)
+        return Loss.UNREADABLE if 2 * readable >= len(fields) else None
+
+    def _numbers(self, numbers: list[float]) -> Loss | None:
+        lead = self._columns.count
+        stream = self._stream_of(len(numbers) - lead)
+        if stream is None:
+            if not lead and self._rows.takes(numbers):
+                return None
+            self._collector.note = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
+            return Loss.BAD_WIDTH
+        torn = self._rows.drop()
+        if torn:
+            self.counts[Loss.BAD_WIDTH] += torn
+        seq, device_s, missing = self._columns.read(numbers[:lead])
+        if missing:
+            self.counts[Loss.MISSING] += missing
+        values = numbers[lead:]
+        if stream is Stream.JOINTS:
+            values = [math.radians(value) for value in values]
+        return self._collector.add(stream, seq, device_s, values)
+
+    def _stream_of(self, count: int) -> Stream | None:
+        """Say what a line of this many values is, by the widths known and then by one unknown."""
+        widths = {stream: self._collector.width(stream) for stream in self._carries}
+        for stream, width in widths.items():
+            if width == count:
+                return stream
+        if count > 0:
+            for stream, width in widths.items():
+                if width is None:
+                    return stream
+        return None
+
+    def _expected(self, lead: int) -> str:
+        widths = (self._collector.width(stream) for stream in self._carries)
+        return " or ".join(str(width + lead) for width in widths if width is not None)
+
+
+class LeadingColumns:
+    """The columns before the values, once a header line named them."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._names: list[str] = []
+        self._seq: int | None = None
+        self._last_us = math.nan
+        self._wraps_us = 0
+
+    def named_by(self, names: list[str], stream_of: Callable[[int], Stream | None]) -> bool:
+        """Take the names of a header line; return False if it is none."""
+        lead = 0
+        while lead < len(names) and (names[lead] == SEQ_COLUMN or names[lead] in COLUMN_UNITS_S):
+            lead += 1
+        if not lead or stream_of(len(names) - lead) is None:
+            return False
+        self._names = names[:lead]
+        self.count = lead
+        return True
+
+    def read(self, numbers: Sequence[float]) -> tuple[int, float, int]:
+        """Return number, device's clock in seconds, and how many numbers are missing before this one."""
+        seq, device_s, missing = NO_SEQ, math.nan, 0
+        for name, number in zip(self._names, numbers, strict=True):
+            if not math.isfinite(number) or abs(number) > NUMBER_MAX:
+                continue
+            if name == SEQ_COLUMN:
+                seq = int(number)
+                missing = max(seq - self._seq - 1, 0) if self._seq is not None else 0
+                self._seq = seq
+            else:
+                device_s = (self._unwrap_us(number) if name == "t_us" else number) * COLUMN_UNITS_S[name]
+        return seq, device_s, missing
+
+    def _unwrap_us(self, number: float) -> float:
+        """Continue a 32-bit clock of microseconds over its wrap."""
+        if number < self._last_us - TIME_MODULUS_US / 2:
+            self._wraps_us += TIME_MODULUS_US
+        self._last_us = number
+        return number + self._wraps_us
+
+
+class Rows:
+    """Rows of one frame, until the blank line that ends it."""
+
+    def __init__(self, collector: Collector | None) -> None:
+        self._collector = collector
+        self._values: list[float] = []
+        self._count = 0
+
+    def takes(self, numbers: list[float]) -> bool:
+        """Keep a row; return False if it cannot be one."""
+        width = None if self._collector is None else self._collector.width(Stream.SKIN)
+        if width is None or len(self._values) + len(numbers) > width:
+            return False
+        self._values += numbers
+        self._count += 1
+        return True
+
+    def drop(self) -> int:
+        """Forget the rows of an unfinished frame; return their number."""
+        count, self._count = self._count, 0
+        self._values = []
+        return count
+
+    def end(self, seq: int) -> Loss | None:
+        """Hand the frame on at its blank line."""
+        values = self._values
+        if not self.drop() or self._collector is None:
+            return None
+        return self._collector.add(Stream.SKIN, seq, math.nan, values)
+
+
+def split_fields(line: str) -> list[str]:
+    """Split a stripped line at its separator; one separator at the end is allowed."""
+    if ";" in line:
+        return line.replace(",", ".").removesuffix(";").split(";")
+    if "," in line:
+        return line.removesuffix(",").split(",")
+    return line.split()
+
+
+def to_numbers(fields: list[str]) -> list[float] | None:
+    """Return all fields as numbers, `nan` and `inf` included; None if one is no number."""
+    try:
+        return [float(field) for field in fields]
+    except ValueError:
+        return None

@@ -1,0 +1,245 @@
+"""Lines of a `yarpdatadumper` log to readings: `<seq> <stamp> <bottle>` or `<seq> <tx> <rx> <bottle>`.
+
+The payload is a YARP bottle in text form: numbers, strings, and lists in parentheses, which may be nested. Three shapes
+are read: a plain vector, a vector wrapped in one list, and the structure of `/FT/measures:o`, whose sixth list holds the
+six-axis sensors as `((fx fy fz mx my mz) stamp)`. Joint angles are degrees in YARP and become radians here.
+
+Sources: robotology/yarp `src/yarpdatadumper/main.cpp` and `BottleImpl.cpp`; the text form of `measures:o` is derived
+from its serialiser (12 lists, 10 in older versions), not observed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite, radians
+from typing import TypeAlias
+
+from skincal.errors import InputError
+from skincal.readings import Loss, Stream
+from skincal.streams.formats.pieces import PieceFormat
+
+Item: TypeAlias = "float | str | list[Item]"
+"""One value of a bottle."""
+
+LINE_MAX = 1 << 20
+"""bytes. A longer line is no record: 4,200 channels of 20 digits take 84,000."""
+MEASURES_WRENCH = 5
+"""Index of the six-axis force/torque sensors in the lists of `measures:o`."""
+MEASURES_LISTS = 10
+"""Fewest lists of `measures:o`: 10 in older versions of YARP, 12 now."""
+STAMP_MAX = 5e9
+"""s. Times of any clock are nearer to 0 (the year 2128); beyond, a digit is wrong."""
+SEQ_MAX = 1 << 62
+"""Largest counter that a batch can hold."""
+HEADER_WORDS = (b"Type:", b"Source:", b"Stamp:")
+"""Old dumpers wrote what is now `info.log` into the log itself."""
+
+_CLOSING = {"[": "]", "{": "}"}
+_NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
+"""What no payload of plain numbers has."""
+
+
+class BottleError(ValueError):
+    """Text is not a bottle: a list or a string has no end."""
+
+
+def parse_bottle(text: str) -> list[Item]:
+    """Read a YARP bottle in text form; a number becomes a float, any other word a string.
+
+    Raises
+    ------
+    BottleError
+        A parenthesis, bracket or quote has no partner.
+    """
+    top: list[Item] = []
+    open_lists: list[list[Item]] = [top]
+    at = 0
+    while at < len(text):
+        char = text[at]
+        if char == "(":
+            inner: list[Item] = []
+            open_lists[-1].append(inner)
+            open_lists.append(inner)
+            at += 1
+        elif char == ")":
+            if len(open_lists) == 1:
+                raise BottleError("a list ends that never began")
+            open_lists.pop()
+            at += 1
+        elif char in " \t,\r\n":
+            at += 1
+        else:
+            item, at = _parse_word(text, at)
+            open_lists[-1].append(item)
+    if len(open_lists) > 1:
+        raise BottleError("a list has no end")
+    return top
+
+
+def _parse_word(text: str, start: int) -> tuple[Item, int]:
+    """Return the word that begins at `start` and the index after it."""
+    if text[start] == '"':
+        return _parse_string(text, start + 1)
+    if text[start] in _CLOSING:
+        end = text.find(_CLOSING[text[start]], start)
+        if end < 0:
+            raise BottleError("a bracket has no end")
+        return text[start + 1 : end], end + 1
+    end = start
+    while end < len(text) and text[end] not in " \t,\r\n()":
+        end += 1
+    return _number_or_word(text[start:end]), end
+
+
+def _parse_string(text: str, start: int) -> tuple[str, int]:
+    """Return the quoted string whose first character is at `start`; a backslash keeps the next character."""
+    out: list[str] = []
+    at = start
+    while at < len(text):
+        if text[at] == "\\" and at + 1 < len(text):
+            out.append(text[at + 1])
+            at += 2
+        elif text[at] == '"':
+            return "".join(out), at + 1
+        else:
+            out.append(text[at])
+            at += 1
+    raise BottleError("a string has no end")
+
+
+def _number_or_word(word: str) -> Item:
+    if "_" in word:
+        # Python takes 1_0 for ten; nobody who writes numbers does.
+        return word
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
+def find_vector(bottle: list[Item]) -> list[Item]:
+    """Return the list of numbers that a bottle carries: the bottle itself, or the only list in it."""
+    if len(bottle) == 1 and isinstance(bottle[0], list):
+        return bottle[0]
+    return bottle
+
+
+def find_wrench(bottle: list[Item]) -> list[Item]:
+    """Return the six numbers of the first force/torque sensor, from a vector or from `measures:o`.
+
+    Returns
+    -------
+    Empty where `measures:o` carries no such sensor.
+    """
+    if len(bottle) < MEASURES_LISTS or not all(isinstance(item, list) for item in bottle):
+        return find_vector(bottle)
+    sensors = bottle[MEASURES_WRENCH]
+    while isinstance(sensors, list) and sensors:
+        if isinstance(sensors[0], float):
+            return sensors
+        sensors = sensors[0]
+    return []
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """A log line, its payload unread."""
+
+    seq: int
+    stamps: tuple[float, ...]
+    """seconds: one, or sender's and receiver's."""
+    payload: bytes
+
+
+def split_line(line: bytes, stamps: int) -> LogLine | None:
+    """Split a log line into number, stamps and payload; None where it does not begin with them."""
+    words = line.split(None, 1 + stamps)
+    if len(words) < 1 + stamps:
+        return None
+    try:
+        seq = int(words[0])
+        times = tuple(float(word) for word in words[1 : 1 + stamps])
+    except ValueError:
+        return None
+    if not all(isfinite(time) and abs(time) <= STAMP_MAX for time in times) or abs(seq) > SEQ_MAX:
+        return None
+    return LogLine(seq, times, words[1 + stamps] if len(words) > 1 + stamps else b"")
+
+
+def is_header(line: bytes) -> bool:
+    """Tell whether a line holds no record: it is blank, or says what now stands in `info.log`."""
+    return not line.strip() or line.lstrip().startswith(HEADER_WORDS)
+
+
+class _Steps:
+    """Counts the numbers missing in a sequence whose usual step is not 1 where the sender publishes on many ports."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._step = 0
+        self._usual = 0
+
+    def missing(self, seq: int) -> int:
+        """Return how many numbers are missing before `seq`; the usual step is the last that came twice in a row."""
+        step = 0 if self._last is None else seq - self._last
+        self._last = seq
+        if step > 0 and step == self._step:
+            self._usual = step
+        self._step = step
+        if self._usual and step > self._usual and step % self._usual == 0:
+            return step // self._usual - 1
+        return 0
+
+
+class Yarp(PieceFormat):
+    """Decode log lines with one stamp, of one stream."""
+
+    name = "YARP log"
+    mark = b"\n"
+    limit = LINE_MAX
+    stamps = 1
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        super().__init__(channels, carries)
+        if len(carries) != 1:
+            raise InputError("A YARP log carries one stream; expected one log each for wrench, skin and joints.")
+        self._first = False  # A log is read from its first line on: nothing of it is lost.
+        self._stream = carries[0]
+        self._steps = _Steps()
+
+    def _decode(self, piece: bytes) -> Loss | None:
+        line = split_line(piece, self.stamps)
+        if line is None:
+            return None if is_header(piece) else Loss.UNREADABLE
+        missing = self._steps.missing(line.seq)
+        if missing:
+            self.counts[Loss.MISSING] += missing
+        try:
+            values = self._numbers(line.payload)
+        except ValueError:
+            return Loss.UNREADABLE
+        if not values:
+            return Loss.BAD_WIDTH
+        self.good += 1
+        if self._stream is Stream.JOINTS:
+            values = [radians(value) for value in values]
+        # The sender's stamp says when the reading was taken.
+        return self._collector.add(self._stream, line.seq, line.stamps[0], values)
+
+    def _numbers(self, payload: bytes) -> list[float]:
+        if not any(mark in payload for mark in _NOT_PLAIN):
+            # The usual line, ten times faster than the bottle's grammar.
+            return [float(word) for word in payload.replace(b",", b" ").split()]
+        bottle = parse_bottle(payload.decode("utf-8", "strict"))
+        found = find_wrench(bottle) if self._stream is Stream.WRENCH else find_vector(bottle)
+        numbers = [item for item in found if isinstance(item, float)]
+        if len(numbers) != len(found):
+            raise BottleError("a word stands among the numbers")
+        return numbers
+
+
+class YarpTxRx(Yarp):
+    """Decode log lines with the sender's and the receiver's stamp (`--txTime --rxTime`)."""
+
+    name = "YARP log, two stamps"
+    stamps = 2

@@ -1,0 +1,272 @@
+"""Links: where a device's bytes come from. Serial ports, TCP and files behind one small interface.
+
+pyserial is imported here only, and only when a serial port is opened. Every failure ends as one `LinkFailure` with a
+sentence that says what was seen and what to do.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import sys
+from dataclasses import dataclass
+from enum import Enum
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+from skincal.readings import Stream
+
+DEFAULT_BAUD = 115200
+FILE_PREFIX = "file:"
+SOCKET_PREFIX = "socket://"
+READ_BYTES = 65536
+"""Most bytes of one read: more than a second of any serial port."""
+CONNECT_S = 1.0
+"""s. A host in the same room answers in milliseconds; a reader must be able to stop."""
+WRITE_S = 0.5
+"""s. A command is a few bytes; a port that takes none for so long is stuck."""
+
+
+class FailureKind(Enum):
+    """Why a link cannot be opened or read."""
+
+    ADDRESS = "address not understood"
+    ABSENT = "not there"
+    IN_USE = "in use"
+    DENIED = "permission denied"
+    REFUSED = "refused"
+    VANISHED = "vanished"
+    ENDED = "ended"
+    OTHER = "other"
+
+
+class LinkFailure(Exception):  # noqa: N818 - most are no error: a port is unplugged, a file ends
+    """A link cannot be opened, read or written; the message is a sentence for the operator."""
+
+    def __init__(self, kind: FailureKind, sentence: str) -> None:
+        super().__init__(sentence)
+        self.kind = kind
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSpec:
+    """A link as the operator describes it."""
+
+    name: str
+    """Unique in a session, such as `"wrench"`."""
+    address: str
+    """`/dev/ttyUSB0`, `COM3`, either with `@921600` for its baud rate; `socket://host:port`; `file:PATH` or a file's path."""
+    carries: tuple[Stream, ...]
+    format: str = "auto"
+    """One of `skincal.streams.formats.NAMES`."""
+
+
+class Link(Protocol):
+    """An open link."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes at hand, waiting at most `timeout_s` for the first; empty if none came. Raises LinkFailure."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the device. Raises LinkFailure."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back. Raises nothing."""
+        ...
+
+
+def open_link(spec: LinkSpec) -> Link:
+    """Open what a link's address names.
+
+    Raises
+    ------
+    LinkFailure : with a sentence: not there, in use, permission denied, refused, address not understood
+    """
+    path, baud = split_baud(spec.address)
+    if spec.address.startswith(SOCKET_PREFIX):
+        return TcpLink(spec.address)
+    if path.startswith(FILE_PREFIX) or Path(path).is_file():
+        from skincal.streams.playback import PlaybackLink
+
+        return PlaybackLink(Path(path.removeprefix(FILE_PREFIX)), spec, baud)
+    return SerialLink(path, baud)
+
+
+def split_baud(address: str) -> tuple[str, int]:
+    """Split `PORT@BAUD`; an address without a number after its last `@` has the default rate."""
+    path, at, baud = address.rpartition("@")
+    if at and baud.isascii() and baud.isdigit() and int(baud) > 0:
+        return path, int(baud)
+    return address, DEFAULT_BAUD
+
+
+class SerialLink:
+    """A serial port, a pty, or any other URL that pyserial knows."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        import serial
+
+        self._name = port
+        self._errors = _serial_errors()
+        if not port:
+            raise LinkFailure(FailureKind.ADDRESS, "The address is empty; expected a port such as /dev/ttyUSB0 or COM3.")
+        try:
+            self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
+        except ValueError as error:
+            raise LinkFailure(
+                FailureKind.ADDRESS, f"{port} does not open at {baud} baud ({error}); check the address and its @BAUD."
+            ) from error
+        except self._errors as error:
+            raise _open_failure(port, error) from error
+        self._ask_for_low_latency()
+
+    def _ask_for_low_latency(self) -> None:
+        """Have a USB adapter hand bytes on after 1 ms instead of 16; ptys and many drivers cannot, which is no error."""
+        ask: Any = getattr(self._port, "set_low_latency_mode", None)
+        if ask is None:
+            return
+        try:
+            ask(True)
+        except (ValueError, NotImplementedError, AttributeError, *self._errors):
+            return
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        try:
+            if self._port.timeout != timeout_s:
+                # Each assignment sets up the whole port again.
+                self._port.timeout = timeout_s
+            first: bytes = self._port.read(1)
+            waiting: int = self._port.in_waiting if first else 0
+            return first + self._port.read(min(waiting, READ_BYTES)) if waiting else first
+        except self._errors as error:
+            raise LinkFailure(FailureKind.VANISHED, _vanished(self._name)) from error
+
+    def write(self, data: bytes) -> None:
+        """See `Link`."""
+        try:
+            self._port.write(data)
+        except self._errors as error:
+            raise LinkFailure(FailureKind.VANISHED, f"{self._name} takes no bytes: {error}.") from error
+
+    def close(self) -> None:
+        """See `Link`."""
+        try:
+            self._port.close()
+        except self._errors:
+            return
+
+
+class TcpLink:
+    """A TCP server that sends what a serial port would."""
+
+    def __init__(self, address: str) -> None:
+        host, port = _host_and_port(address)
+        self._name = address
+        try:
+            self._socket = socket.create_connection((host, port), CONNECT_S)
+        except OSError as error:
+            raise _connect_failure(address, error) from error
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        self._socket.settimeout(timeout_s)
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except TimeoutError:
+            return b""
+        except OSError as error:
+            raise LinkFailure(FailureKind.VANISHED, _hung_up(self._name)) from error
+        if not data:
+            raise LinkFailure(FailureKind.VANISHED, _hung_up(self._name))
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See `Link`."""
+        self._socket.settimeout(WRITE_S)
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise LinkFailure(FailureKind.VANISHED, _hung_up(self._name)) from error
+
+    def close(self) -> None:
+        """See `Link`."""
+        self._socket.close()
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if not host or not port:
+        raise LinkFailure(
+            FailureKind.ADDRESS, f"{address} is no TCP address; expected socket://HOST:PORT, such as socket://127.0.0.1:7000."
+        )
+    return host, port
+
+
+def _serial_errors() -> tuple[type[Exception], ...]:
+    """Return what pyserial raises: its own errors, bare OSError from a lost port, termios.error where there is termios."""
+    import serial
+
+    try:
+        termios: Any = import_module("termios")
+    except ImportError:
+        return serial.SerialException, OSError
+    return serial.SerialException, OSError, termios.error
+
+
+def _open_failure(port: str, error: Exception) -> LinkFailure:
+    """Turn what the system said of a port into a sentence.
+
+    pyserial keeps the error number on POSIX; on Windows only the name of the system's exception is left in its text, and
+    there a port in use is a PermissionError.
+    """
+    number = getattr(error, "errno", None)
+    text = str(error)
+    windows = sys.platform == "win32"
+    if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK) or (windows and "PermissionError" in text):
+        sentence = f"{port}: port is used by another program; close that program, or choose another port."
+        return LinkFailure(FailureKind.IN_USE, sentence)
+    if number in (errno.EACCES, errno.EPERM):
+        return LinkFailure(FailureKind.DENIED, _denied(port))
+    if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.ENOTDIR, errno.EIO) or "FileNotFoundError" in text:
+        return LinkFailure(FailureKind.ABSENT, f"There is no port {port}; plug the device in, or check the name.")
+    if number == errno.EISDIR or "Could not configure port" in text:
+        return LinkFailure(FailureKind.ADDRESS, f"{port} is not a serial port; expected a port such as /dev/ttyUSB0 or COM3.")
+    return LinkFailure(FailureKind.OTHER, f"{port} cannot be opened: {text}.")
+
+
+def _denied(port: str) -> str:
+    if sys.platform.startswith("linux"):
+        return (
+            f"{port}: permission denied; add yourself to the group that owns it, on most systems dialout "
+            "(sudo usermod -aG dialout $USER), and log in again."
+        )
+    return f"{port}: permission denied; the port belongs to another user."
+
+
+def _vanished(port: str) -> str:
+    return f"{port} vanished; plug the device in again, it is then taken up by itself."
+
+
+def _hung_up(address: str) -> str:
+    return f"{address}: the other side closed the connection; it is taken up again when the server is back."
+
+
+def _connect_failure(address: str, error: OSError) -> LinkFailure:
+    if isinstance(error, ConnectionRefusedError):
+        sentence = f"{address}: connection refused; no program listens there, start it or check the port number."
+        return LinkFailure(FailureKind.REFUSED, sentence)
+    if isinstance(error, socket.gaierror):
+        return LinkFailure(FailureKind.ABSENT, f"{address}: no host of this name is known; check the name, or give its number.")
+    if isinstance(error, TimeoutError):
+        return LinkFailure(FailureKind.ABSENT, f"{address}: no answer within {CONNECT_S:g} s; check the cable and the number.")
+    return LinkFailure(FailureKind.OTHER, f"{address}: cannot connect: {error.strerror or error}.")

@@ -1,0 +1,192 @@
+"""Device time to host time: against the truth of simulated arrivals, and for clocks that jump."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from skincal.readings import Stream
+from skincal.streams.clock import BEHIND_S, WINDOW_S, HullClock, IndexClock, Stamper, supporting_line
+
+SETTLED_S = 10.0
+
+
+def arrivals(made_s, least_s, timer_s, rng, *, stalls=False):
+    """Arrival stamps: a constant least delay, an adapter that hands on when its timer runs out, and a busy program."""
+    ready = made_s + least_s
+    if timer_s:
+        ticks = np.cumsum(timer_s + np.abs(rng.normal(0, 50e-6, int(2 * (made_s[-1] - made_s[0]) / timer_s))))
+        ticks += made_s[0] - timer_s
+        ready = ticks[np.searchsorted(ticks, ready)]
+    if stalls:
+        for begin, length in zip(rng.uniform(made_s[0], made_s[-1], 120), rng.exponential(0.04, 120), strict=True):
+            ready = np.where((ready > begin) & (ready < begin + length), begin + length, ready)
+    return np.maximum.accumulate(ready + rng.exponential(30e-6, len(ready)))
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "timer_s", "drift", "least_s", "stalls"),
+    [
+        ("F/T 1 kHz, adapter's timer 16 ms", 1000, 0.016, 20e-6, 0.0005, False),
+        ("F/T 1 kHz, adapter's timer 1 ms, stalls", 1000, 0.001, 20e-6, 0.0005, True),
+        ("F/T 100 Hz, timer 16 ms", 100, 0.016, -50e-6, 0.009, False),
+        ("skin 50 Hz, clock off by 2000 ppm, stalls", 50, 0.0, -2000e-6, 0.004, True),
+    ],
+)
+def test_jitter_is_removed_and_the_least_delay_remains(name, rate, timer_s, drift, least_s, stalls):
+    """Bias beyond the least delay < 1 ms and sd < 0.1 ms, where arrival has a sd of milliseconds."""
+    rng = np.random.default_rng(7)
+    made = 5000.0 + np.arange(60 * rate) / rate + rng.uniform(0, 1e-5, 60 * rate)
+    device = 3.0 + (made - made[0]) * (1 + drift)
+    arrival = arrivals(made, least_s, timer_s, rng, stalls=stalls)
+    clock = HullClock()
+    mapped = np.array([clock.map(x, y) for x, y in zip(device.tolist(), arrival.tolist(), strict=True)])
+    assert (mapped <= arrival + 1e-9).all()
+    settled = made > made[0] + SETTLED_S
+    error = (mapped - made - least_s)[settled]
+    raw = (arrival - made - least_s)[settled]
+    assert raw.std() > 4e-3, name
+    assert 0 <= error.mean() < 1e-3, name
+    assert error.std() < 1e-4, name
+
+
+def test_device_without_a_clock_is_dated_by_its_count():
+    rng = np.random.default_rng(3)
+    made = 100 + np.arange(60 * 50) * 0.02
+    arrival = arrivals(made, 0.002, 0.016, rng)
+    clock = IndexClock()
+    mapped = np.array([clock.map(y) for y in arrival.tolist()])
+    error = (mapped - made)[made > 100 + SETTLED_S]
+    assert 0.002 <= error.mean() < 0.0035
+    assert error.std() < 2e-4
+
+
+def test_count_without_a_clock_recovers_from_a_lost_reading():
+    rng = np.random.default_rng(4)
+    made = np.delete(100 + np.arange(60 * 50) * 0.02, [900, 901, 902, 1500])
+    arrival = arrivals(made, 0.002, 0.0, rng)
+    clock = IndexClock()
+    mapped = np.array([clock.map(y) for y in arrival.tolist()])
+    error = np.abs(mapped - made - 0.002)[150:]
+    assert np.count_nonzero(error > 0.003) < 60  # a bucket of early stamps after each loss, no more
+    assert np.median(error) < 5e-4
+    assert np.max(error[-500:]) < 5e-4
+
+
+def test_reported_loss_is_taken_up_at_once():
+    made = np.delete(100 + np.arange(60 * 50) * 0.02, [900])
+    clock = IndexClock()
+    mapped = []
+    for i, y in enumerate((made + 0.002).tolist()):
+        if i == 900:
+            clock.lost()
+        mapped.append(clock.map(y))
+    np.testing.assert_allclose(mapped[200:], made[200:] + 0.002, atol=1e-3)
+
+
+def test_device_that_keeps_no_pace_is_dated_by_arrival():
+    rng = np.random.default_rng(5)
+    made = 100 + np.cumsum(rng.exponential(0.02, 3000))
+    clock = IndexClock()
+    mapped = np.array([clock.map(y) for y in (made + 0.001).tolist()])
+    assert np.quantile(np.abs(mapped - made - 0.001), 0.9) < 0.25
+    assert (mapped <= made + 0.001 + 1e-9).all()
+
+
+def run(clock, device, arrival):
+    return np.array([clock.map(x, y) for x, y in zip(device, arrival, strict=True)])
+
+
+def test_restart_of_the_device_is_followed_at_once():
+    host = 10 + np.arange(4000) * 0.01
+    device = np.where(np.arange(4000) < 2000, 500 + host, host - host[2000] + 0.3)
+    np.testing.assert_allclose(run(HullClock(), device, host), host, atol=1e-9)
+
+
+def test_clock_set_forward_is_followed_at_once():
+    host = 10 + np.arange(4000) * 0.01
+    device = host + np.where(np.arange(4000) < 2000, 0, 700.0)
+    np.testing.assert_allclose(run(HullClock(), device, host), host, atol=1e-9)
+
+
+def test_clock_that_lost_time_is_followed_after_a_while():
+    """The device slept for 5 s of which its clock knows nothing: its stamps run on."""
+    device = 10 + np.arange(4000) * 0.01
+    host = device + np.where(np.arange(4000) < 2000, 0, 5.0)
+    mapped = run(HullClock(), device, host)
+    late = host[2000:] > host[2000] + BEHIND_S + 0.1
+    np.testing.assert_allclose(mapped[2000:][late], host[2000:][late], atol=1e-9)
+
+
+def test_stall_of_the_program_is_not_a_jump_of_the_clock():
+    host = 10 + np.arange(4000) * 0.01
+    arrival = host.copy()
+    arrival[2000:2150] = host[2150]  # 1.5 s of bytes read at once
+    np.testing.assert_allclose(run(HullClock(), host, arrival), host, atol=1e-9)
+
+
+def test_records_of_one_board_may_step_back_a_little():
+    host = 10 + np.arange(4000) * 0.01
+    device = host.copy()
+    device[1::20] -= 0.015
+    np.testing.assert_allclose(run(HullClock(), device, host), device, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 60), st.floats(0, 0.05)), min_size=2, max_size=40))
+def test_supporting_line_is_the_optimum_of_the_linear_program(points):
+    """Minimise sum(y - a - b x) with a + b x <= y and the slope held: solved by another route."""
+    xy = sorted((x, x + d) for x, d in points)
+    x, y = np.array(xy).T
+    offset, slope = supporting_line(xy, 0.02)
+    assert (offset + slope * x <= y + 1e-9).all()
+    best = linprog([-len(x), -x.sum()], np.column_stack([np.ones_like(x), x]), y, bounds=[(None, None), (0.98, 1.02)])
+    if best.success:
+        assert offset + slope * x.mean() >= -best.fun / len(x) - 1e-6
+
+
+def test_memory_and_work_stay_flat():
+    clock = HullClock()
+    for i in range(30_000):
+        clock.map(i * 0.01, i * 0.01 + 0.001 * (i % 7))
+    assert len(clock._points) <= WINDOW_S / 0.25 + 2
+
+
+def test_stamps_of_a_stream_always_rise():
+    rng = np.random.default_rng(1)
+    stamper = Stamper()
+    last = -np.inf
+    for i in range(2000):
+        device = i * 0.02 + np.array([0.0, 0.005, 0.004])
+        if i % 500 == 499:
+            stamper.reopened()
+        stamps = stamper.stamp(Stream.SKIN, device, i * 0.02 + rng.exponential(0.05))
+        assert stamps[0] > last
+        assert (np.diff(stamps) > 0).all()
+        last = stamps[-1]
+
+
+def test_streams_of_one_board_share_its_clock():
+    """The wrench arrives promptly, the skin through a slow queue: both stamps are of the same line."""
+    stamper = Stamper()
+    for i in range(2000):
+        t = i * 0.01
+        (wrench,) = stamper.stamp(Stream.WRENCH, np.array([t]), t + 0.001)
+        (skin,) = stamper.stamp(Stream.SKIN, np.array([t]), t + 0.031)
+    assert wrench == pytest.approx(t + 0.001, abs=1e-9)
+    assert skin == pytest.approx(t + 0.001, abs=1e-9)
+
+
+@pytest.mark.parametrize("delay_after", [0.0, 0.004, 0.02])
+@pytest.mark.parametrize("pause", [59.9, 61.0, 4000.0])
+def test_a_device_that_was_silent_for_longer_than_the_window_is_dated_on(pause, delay_after):
+    clock = HullClock()
+    for k in range(100):
+        clock.map(k * 0.02, 10.0 + k * 0.02)
+    later = 2.0 + pause
+    first = clock.map(later, 10.0 + later + delay_after)
+    assert 10.0 + later - 1e-9 <= first <= 10.0 + later + delay_after + 1e-9
+    for k in range(1, 200):
+        made = clock.map(later + k * 0.02, 10.0 + later + k * 0.02)
+    assert made == pytest.approx(10.0 + later + 199 * 0.02, abs=1e-6)

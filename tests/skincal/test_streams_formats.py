@@ -1,0 +1,396 @@
+"""SKT/1 and SKB/1: published vectors, any cuts, garbage, damage, and what is counted.
+
+The published example records are those of the formats' description: `origin: built`, `source: this document`.
+"""
+
+import binascii
+import struct
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from cobs import cobs as reference_cobs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skincal.errors import InputError
+from skincal.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.streams.formats import NAMES, cobs, make_format
+from skincal.streams.formats.collector import DeviceTime, Sequence
+from skincal.streams.formats.skb import Skb
+from skincal.streams.formats.skt import Skt
+from skincal.streams.formats.text import Text
+
+ALL = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
+SKB_TAXELS = bytes.fromhex("020102110420300502C902C7040609C803F32E00")
+SKB_WRENCH = bytes.fromhex("020206D20450D412010103C03F010310C00103F0410101023E010102BF0103803D0101010366EC00")
+SKT_TAXELS = b"T,17,340000,201,199,2310,200*E4DB\n"
+SKT_WRENCH = b"F,1234,1234000,1.50,-2.25,30.00,0.1250,-0.5000,0.0625,0*512C\n"
+SKT_HEADER = b"H,skt1,board=left-forearm-A,n=84,rate=50,unit=raw,bits=12*C2AD\n"
+
+
+def skb(kind, seq, t_us, payload, source=0):
+    body = struct.pack("<BBHI", kind, source, seq & 0xFFFF, t_us & 0xFFFFFFFF) + payload
+    return reference_cobs.encode(body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")) + b"\x00"
+
+
+def skb_skin(seq, t_us, values, dtype="<u2"):
+    return skb({"<u2": 1, "u1": 3, "<f4": 4}[dtype], seq, t_us, np.array(values, dtype).tobytes())
+
+
+def skb_wrench(seq, t_us, wrench, status=0):
+    return skb(2, seq, t_us, struct.pack("<6fI", *wrench, status))
+
+
+def skt(text):
+    raw = text.encode()
+    return raw + f"*{binascii.crc_hqx(raw, 0xFFFF):04X}\n".encode()
+
+
+def readings(batches):
+    """All readings as (stream, seq, device time, values, flags), in the order of each stream."""
+    out = {WrenchBatch: [], SkinBatch: [], JointsBatch: []}
+    for batch in batches:
+        rows = {WrenchBatch: "wrench", SkinBatch: "values", JointsBatch: "angles"}[type(batch)]
+        for i, row in enumerate(getattr(batch, rows)):
+            flags = (bool(batch.saturated[i]), bool(batch.invalid[i])) if isinstance(batch, WrenchBatch) else ()
+            stamp = None if np.isnan(batch.device_s[i]) else round(float(batch.device_s[i]), 9)
+            out[type(batch)].append((int(batch.seq[i]), stamp, tuple(map(str, row.tolist())), flags))
+    return out
+
+
+def fed_in_pieces(decoder, data, cuts):
+    edges = [0, *sorted(cuts), len(data)]
+    return [batch for a, b in pairwise(edges) for batch in decoder.feed(data[a:b])]
+
+
+def fed_bytewise(decoder, data):
+    return [batch for byte in data for batch in decoder.feed(bytes([byte]))]
+
+
+# ------------------------------------------------------------------ published vectors
+
+
+@pytest.mark.parametrize(("cls", "record"), [(Skb, SKB_TAXELS), (Skt, SKT_TAXELS)])
+def test_published_taxel_record(cls, record):
+    for batches in (cls(4, ALL).feed(record), fed_bytewise(cls(4, ALL), record)):
+        (batch,) = batches
+        assert isinstance(batch, SkinBatch)
+        assert batch.seq.tolist() == [17]
+        assert batch.device_s.tolist() == [0.34]
+        assert batch.values.tolist() == [[201, 199, 2310, 200]]
+
+
+@pytest.mark.parametrize(("cls", "record"), [(Skb, SKB_WRENCH), (Skt, SKT_WRENCH)])
+def test_published_wrench_record(cls, record):
+    for batches in (cls(4, ALL).feed(record), fed_bytewise(cls(4, ALL), record)):
+        (batch,) = batches
+        assert isinstance(batch, WrenchBatch)
+        assert batch.seq.tolist() == [1234]
+        assert batch.device_s.tolist() == pytest.approx([1.234], abs=1e-12)
+        assert batch.wrench.tolist() == [[1.5, -2.25, 30, 0.125, -0.5, 0.0625]]
+        assert not batch.saturated.any()
+        assert not batch.invalid.any()
+
+
+def test_published_header_record_is_compared_with_the_scene():
+    agreeing, other = Skt(84, ALL), Skt(384, ALL)
+    assert agreeing.feed(SKT_HEADER) == []
+    assert agreeing.good == 1
+    assert agreeing.note == ""
+    other.feed(SKT_HEADER)
+    assert "left-forearm-A" in other.note
+    assert "84" in other.note
+    assert "384" in other.note
+
+
+# ------------------------------------------------------------------ cuts, garbage, damage
+
+
+@st.composite
+def streams(draw):
+    """A byte stream of records of one format with garbage between them; and the records."""
+    cls = draw(st.sampled_from([Skb, Skt]))
+    records = []
+    for seq in range(draw(st.integers(1, 8))):
+        if draw(st.booleans()):
+            values = draw(st.lists(st.integers(0, 65535), min_size=5, max_size=5))
+            text = f"T,{seq},{1000 + seq},{','.join(map(str, values))}"
+            records.append(skb_skin(seq, 1000 + seq, values) if cls is Skb else skt(text))
+        else:
+            wrench = draw(st.lists(st.floats(-1e3, 1e3, width=32), min_size=6, max_size=6))
+            text = f"F,{seq},{1000 + seq},{','.join(map(repr, wrench))},0"
+            records.append(skb_wrench(seq, 1000 + seq, wrench) if cls is Skb else skt(text))
+    return cls, records
+
+
+@settings(max_examples=60, deadline=None)
+@given(streams(), st.data())
+def test_how_the_bytes_are_cut_never_matters(stream, data):
+    cls, records = stream
+    raw = b"".join(records) + data.draw(st.binary(max_size=30))
+    whole = cls(5, ALL)
+    expected = readings(whole.feed(raw))
+    cuts = data.draw(st.lists(st.integers(0, len(raw)), max_size=12))
+    for decoder, batches in ((d := cls(5, ALL), fed_in_pieces(d, raw, cuts)), (d := cls(5, ALL), fed_bytewise(d, raw))):
+        assert readings(batches) == expected
+        assert decoder.counts == whole.counts
+    assert sum(map(len, expected.values())) == len(records)
+
+
+@settings(max_examples=60, deadline=None)
+@given(streams(), st.data())
+def test_garbage_between_records_costs_no_record_that_is_delimited(stream, data):
+    cls, records = stream
+    mark = cls.mark
+    garbage = st.binary(max_size=60).filter(lambda b: mark not in b)
+    raw = mark + b"".join(data.draw(garbage) + mark + record for record in records)
+    clean = readings(cls(5, ALL).feed(mark + b"".join(records)))
+    assert readings(cls(5, ALL).feed(raw)) == clean
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.binary(max_size=400), st.sampled_from([Skb, Skt]))
+def test_random_bytes_never_raise_and_never_fill_the_memory(data, cls):
+    decoder = cls(None, ALL)
+    for _ in range(30):
+        decoder.feed(data)
+    assert len(decoder._splitter._rest) <= cls.limit
+
+
+@pytest.mark.parametrize(("cls", "record"), [(Skb, SKB_TAXELS), (Skb, SKB_WRENCH), (Skt, SKT_TAXELS), (Skt, SKT_WRENCH)])
+def test_no_flipped_bit_gives_a_wrong_reading(cls, record):
+    """Every single bit, and every pair of neighbouring bytes inverted: the original reading or none."""
+    good = readings(cls(4, ALL).feed(cls.mark + record))
+    for bit in range(8 * len(record)):
+        damaged = bytearray(record)
+        damaged[bit // 8] ^= 1 << bit % 8
+        decoder = cls(4, ALL)
+        found = readings(decoder.feed(cls.mark + bytes(damaged) + cls.mark))
+        for kind, rows in found.items():
+            assert all(row in good[kind] for row in rows), f"bit {bit}"
+        assert not any(found.values()) or bytes(damaged)[:-1] == record[:-1], f"bit {bit}"
+        if damaged[-1] == record[-1] and cls.mark not in damaged[:-1]:
+            assert sum(decoder.counts[loss] for loss in (Loss.BAD_CHECKSUM, Loss.UNREADABLE, Loss.BAD_WIDTH)) == 1
+    for at in range(len(record) - 2):
+        damaged = bytearray(record)
+        damaged[at] ^= 0xFF
+        damaged[at + 1] ^= 0xFF
+        assert not any(readings(cls(4, ALL).feed(cls.mark + bytes(damaged) + cls.mark)).values())
+
+
+def test_lost_byte_costs_its_own_record_only():
+    records = [skb_skin(i, 1000 * i + 1, [1, 2, 3, 400 + i]) for i in range(6)]
+    for at in range(1, len(records[2]) - 1):
+        decoder = Skb(4, ALL)
+        raw = b"".join(records[:2]) + records[2][:at] + records[2][at + 1 :] + b"".join(records[3:])
+        (batch,) = decoder.feed(raw)
+        assert batch.seq.tolist() == [0, 1, 3, 4, 5]
+        assert decoder.counts[Loss.MISSING] == 1
+        assert decoder.counts[Loss.BAD_CHECKSUM] + decoder.counts[Loss.UNREADABLE] == 1
+
+
+@pytest.mark.parametrize(("cls", "record"), [(Skb, SKB_TAXELS), (Skt, SKT_TAXELS)])
+def test_first_partial_record_after_opening_is_no_error(cls, record):
+    for start in range(1, len(record)):
+        decoder = cls(4, ALL)
+        (batch,) = decoder.feed(record[start:] + record)
+        assert batch.seq.tolist() == [17]
+        assert not decoder.counts
+
+
+# ------------------------------------------------------------------ what is counted
+
+
+def test_record_over_the_size_limit_is_dropped_and_counted_once():
+    for cls, record in ((Skb, SKB_TAXELS), (Skt, SKT_TAXELS)):
+        filler = b"\x05" * (5 * cls.limit)
+        for feed in (lambda d, b: d.feed(b), fed_bytewise):
+            decoder = cls(4, ALL)
+            (batch,) = feed(decoder, cls.mark + filler + cls.mark + record)
+            assert batch.seq.tolist() == [17]
+            assert decoder.counts == Counter({Loss.UNREADABLE: 1})
+
+
+def test_longest_allowed_body_is_read():
+    values = list(range(1, (1024 - 8) // 2 + 1))
+    decoder = Skb(None, ALL)
+    (batch,) = decoder.feed(skb_skin(1, 1, values))
+    assert batch.values.tolist() == [values]
+
+
+def test_unknown_types_are_skipped_without_a_count():
+    decoder = Skb(4, ALL)
+    (batch,) = decoder.feed(skb(99, 0, 5, b"whatever") + SKB_TAXELS + skb(7, 1, 6, b""))
+    assert isinstance(batch, SkinBatch)
+    assert not decoder.counts
+    decoder = Skt(4, ALL)
+    (batch,) = decoder.feed(skt("Q,1,2,3") + b"# a comment\r\n" + SKT_TAXELS)
+    assert isinstance(batch, SkinBatch)
+    assert not decoder.counts
+
+
+def test_all_ways_to_send_skin_and_joints():
+    decoder = Skb(3, ALL)
+    skin, joints = decoder.feed(
+        skb_skin(0, 10, [1, 2, 3], "u1")
+        + skb_skin(0, 20, [300, 2, 3], "<u2")
+        + skb_skin(0, 30, [1.5, 2, np.nan], "<f4")
+        + skb(5, 0, 40, np.array([90, -45], "<f4").tobytes())
+    )
+    np.testing.assert_array_equal(skin.values, [[1, 2, 3], [300, 2, 3], [1.5, 2, np.nan]])
+    np.testing.assert_allclose(joints.angles, [[np.pi / 2, -np.pi / 4]], rtol=1e-15)
+    skin, joints = Skt(3, ALL).feed(skt("T,0,10,1,2.5,nan") + skt("J,0,40,90,-45").replace(b"\n", b"\r\n"))
+    np.testing.assert_array_equal(skin.values, [[1, 2.5, np.nan]])
+    np.testing.assert_allclose(joints.angles, [[np.pi / 2, -np.pi / 4]], rtol=1e-15)
+
+
+def test_wrong_width_is_an_error_of_the_board_with_a_sentence():
+    for decoder, record in ((Skb(5, ALL), SKB_TAXELS), (Skt(5, ALL), SKT_TAXELS)):
+        assert decoder.feed(record + record) == []
+        assert decoder.counts[Loss.BAD_WIDTH] == 1  # the first record after opening is not counted
+        assert "4 values" in decoder.note
+        assert "5 are expected" in decoder.note
+
+
+def test_width_without_a_scene_is_that_of_the_first_frame():
+    decoder = Skb(None, ALL)
+    (batch,) = decoder.feed(SKB_TAXELS + skb_skin(18, 360000, [1, 2, 3]))
+    assert batch.values.shape == (1, 4)
+    assert decoder.counts[Loss.BAD_WIDTH] == 1
+
+
+def test_status_bits_and_numbers_that_are_none_are_kept_marked_and_counted():
+    decoder = Skb(4, ALL)
+    (batch,) = decoder.feed(
+        skb_wrench(0, 1000, [1] * 6, 0)
+        + skb_wrench(1, 2000, [1] * 6, 1)
+        + skb_wrench(2, 3000, [1] * 6, 2)
+        + skb_wrench(3, 4000, [1] * 6, 3)
+        + skb_wrench(4, 5000, [np.nan] + [1] * 5)
+        + skb_wrench(5, 6000, [np.inf] + [1] * 5)
+    )
+    assert batch.saturated.tolist() == [False, True, False, True, False, False]
+    assert batch.invalid.tolist() == [False, False, True, True, False, False]
+    assert decoder.counts == Counter({Loss.SATURATED: 2, Loss.INVALID: 2, Loss.NOT_A_NUMBER: 2})
+    (skin,) = Skt(2, ALL).feed(skt("T,0,1,inf,5"))
+    np.testing.assert_array_equal(skin.values, [[np.nan, 5]])
+
+
+def test_streams_that_the_link_does_not_carry_are_left_out():
+    decoder = Skt(4, (Stream.WRENCH,))
+    (batch,) = decoder.feed(SKT_TAXELS + SKT_WRENCH)
+    assert isinstance(batch, WrenchBatch)
+    assert not decoder.counts
+
+
+def test_good_checksum_around_nonsense_is_unreadable():
+    decoder = Skt(4, ALL)
+    decoder.feed(b"\n")
+    for text in ("T,1", "T,x,1,1,2,3,4", "T,1,2,3,four,5,6", "T,70000,1,1,2,3,4", "T,-1,1,1,2,3,4", "F,1,1,1,2,3,4,5,6,status"):
+        assert decoder.feed(skt(text)) == []
+    assert decoder.counts == Counter({Loss.UNREADABLE: 6})
+    decoder.feed(skt("F,1,1,1,2,3"))
+    assert decoder.counts[Loss.BAD_WIDTH] == 1
+
+
+def test_numbers_beyond_every_integer_are_no_fault():
+    (batch,) = Skt(4, ALL).feed(skt("F,1,1,1e999,2,3,4,5,6," + "3" * 40))
+    assert batch.saturated.tolist() == [True]
+    (batch,) = Text(1, ALL).feed(b"seq,t,a\n1e300,1e300,5\n")
+    assert batch.seq.tolist() == [-1]
+    assert np.isnan(batch.device_s).all()
+
+
+def test_error_record_is_a_sentence():
+    decoder = Skt(4, ALL)
+    decoder.feed(skt("E,3,mux stuck"))
+    assert decoder.note == "The board reports error 3,mux stuck"
+
+
+# ------------------------------------------------------------------ sequences and clocks
+
+
+def test_sequence_wraps_and_counts_what_is_missing():
+    decoder = Skb(1, ALL)
+    numbers = [65533, 65534, 65535, 0, 1, 5, 6]
+    raw = b"".join(skb_skin(n, 20_000 * (i + 1) + (60_000 if i > 4 else 0), [i]) for i, n in enumerate(numbers))
+    (batch,) = decoder.feed(raw)
+    assert batch.seq.tolist() == [65533, 65534, 65535, 65536, 65537, 65541, 65542]
+    assert decoder.counts == Counter({Loss.MISSING: 3})
+
+
+def test_each_kind_of_record_has_its_own_counter():
+    decoder = Skb(1, ALL)
+    raw = b"".join(
+        skb_wrench(i, 1000 * i + 1, [0] * 6) + (skb_skin(i // 20, 1000 * i + 1, [i]) if i % 20 == 0 else b"")
+        for i in range(100)
+    )
+    decoder.feed(raw)
+    assert not decoder.counts
+
+
+@pytest.mark.parametrize("last", [100, 40_000, 65_000])
+@pytest.mark.parametrize("uptime_min", [1, 30, 60])
+def test_board_that_starts_anew_is_no_gap(last, uptime_min):
+    sequence, clock = Sequence(), DeviceTime()
+    start_us = uptime_min * 60_000_000
+    for i in range(50):
+        sequence.step(last - 49 + i, clock.unwrap(start_us + 20_000 * i))
+    total, missing = sequence.step(0, clock.unwrap(500_000))
+    assert missing == 0
+    assert total == last + 1
+
+
+def test_long_outage_is_counted_in_full():
+    sequence = Sequence()
+    for i in range(100):
+        sequence.step(i, 0.001 * i)
+    total, missing = sequence.step(20_099, 20.099)
+    assert (total, missing) == (20_099, 19_999)
+
+
+def test_device_clock_wraps_once_for_all_records():
+    clock = DeviceTime()
+    top = 1 << 32
+    stamps = [clock.unwrap(raw % top) for raw in (top - 1_000, top + 1_000, top - 500, top + 2_000)]
+    np.testing.assert_allclose(np.diff(stamps), [0.002, -0.0015, 0.0025], atol=1e-9)
+
+
+def test_board_without_clock_or_counter():
+    decoder = Skt(1, ALL)
+    (batch,) = decoder.feed(b"".join(skt(f"T,0,0,{i}") for i in range(5)))
+    assert np.isnan(batch.device_s).all()
+    assert len(batch.values) == 5
+    assert not decoder.counts
+
+
+# ------------------------------------------------------------------ stuffing and registry
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.sampled_from([b"\x00", b"\x01" * 253, b"\x02" * 254, b"\x03" * 255, b"\xff" * 7, b"abc"]), max_size=8))
+def test_stuffing_agrees_with_the_reference_library(parts):
+    body = b"".join(parts)
+    assert cobs.encode(body) == reference_cobs.encode(body)
+    if body:
+        assert cobs.decode(reference_cobs.encode(body)) == body
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=600))
+def test_unstuffing_accepts_what_the_reference_library_accepts(piece):
+    try:
+        expected = reference_cobs.decode(piece)
+    except reference_cobs.DecodeError:
+        expected = None
+    assert cobs.decode(piece) == (expected if piece else None)
+
+
+def test_unknown_format_is_named_with_the_known_ones():
+    with pytest.raises(InputError, match=r"'csv'.*skb, skt, text"):
+        make_format("csv", 4, ALL)
+    for name in ("skb", "skt", "text"):
+        assert name in NAMES
+        assert make_format(name, 4, ALL).feed(b"") == []

@@ -1,0 +1,381 @@
+"""Pairing of wrench and skin, and the facade: truth from exact clocks, losses counted, the same items give the same samples."""
+
+import binascii
+import struct
+import tracemalloc
+from collections import Counter
+
+import numpy as np
+import pytest
+from cobs import cobs as reference_cobs
+
+from skincal.errors import InputError
+from skincal.readings import Chunk, LinkEvent, LinkState, Loss, Stream, WrenchBatch
+from skincal.streams.intake import Intake
+from skincal.streams.links import LinkSpec
+from skincal.streams.pairing import INTERPOLATE_S, RING_READINGS, WAIT_S, Pairing
+from skincal.streams.ring import WrenchRing
+
+LINKS = (LinkSpec("wrench", "a", (Stream.WRENCH,)), LinkSpec("skin", "b", (Stream.SKIN,)))
+SLOPE = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
+START = 100.0
+
+
+def ramp(host_s):
+    return np.multiply.outer(host_s, SLOPE) + 3.0
+
+
+def wrench_batch(host_s, wrench=None, saturated=None, invalid=None):
+    n = len(host_s)
+    none = np.zeros(n, bool)
+    wrench = ramp(host_s) if wrench is None else wrench
+    return WrenchBatch(
+        np.full(n, -1),
+        np.full(n, np.nan),
+        wrench,
+        none if saturated is None else saturated,
+        none if invalid is None else invalid,
+    )
+
+
+def paired(wrench_s, frame_s, **flags):
+    pairing = Pairing()
+    pairing.add_wrench(np.asarray(wrench_s), wrench_batch(np.asarray(wrench_s), **flags))
+    for t in frame_s:
+        pairing.add_frame(t, t, np.array([t]))
+    return pairing, pairing.advance(max(wrench_s[-1], frame_s[-1]))
+
+
+# ------------------------------------------------------------------ the mean over a frame's interval
+
+
+def test_mean_over_the_interval_that_ends_at_the_frame():
+    """Readings at 1 kHz, frames at 50 Hz: 20 readings each, the mean of a ramp is its value at their middle."""
+    wrench_s = START + np.arange(2000) * 0.001
+    frames = START + 0.1 + np.arange(80) * 0.02
+    _, samples = paired(wrench_s, frames)
+    assert len(samples) == 80
+    for sample, t in zip(samples, frames, strict=True):
+        assert sample.readings == 20
+        assert sample.host_s == t
+        assert sample.skin.tolist() == [t]
+        np.testing.assert_allclose(sample.wrench, ramp(t - 0.0095), atol=1e-9)
+        assert not sample.saturated
+
+
+def test_means_of_neighbouring_frames_share_no_reading_and_leave_none_out():
+    wrench_s = START + np.arange(1000) * 0.001 + 0.00037
+    _, samples = paired(wrench_s, START + 0.1 + np.arange(40) * 0.02)
+    assert sum(sample.readings for sample in samples) == 40 * 20
+
+
+def test_lost_frame_does_not_stretch_the_interval():
+    frames = np.delete(START + 0.1 + np.arange(40) * 0.02, [20, 21])
+    _, samples = paired(START + np.arange(1000) * 0.001, frames)
+    assert [sample.readings for sample in samples] == [20] * 38
+
+
+def test_slower_wrench_is_interpolated_at_the_middle_of_the_interval():
+    wrench_s = START + np.arange(100) * 0.01
+    frames = START + 0.1 + np.arange(180) * 0.004 + 0.001
+    _, samples = paired(wrench_s, frames)
+    lone = [sample for sample in samples if sample.readings == 2]
+    assert len(lone) > 50
+    for sample in lone[5:]:
+        np.testing.assert_allclose(sample.wrench, ramp(sample.host_s - 0.002), atol=1e-9)
+
+
+@pytest.mark.parametrize(("gap", "found"), [(INTERPOLATE_S - 0.002, True), (INTERPOLATE_S + 0.002, False)])
+def test_wider_gaps_are_not_interpolated(gap, found):
+    pairing = Pairing()
+    wrench_s = np.array([START, START + gap, START + 0.2])
+    pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
+    pairing.add_frame(START + 0.03, START + 0.03, np.zeros(1))
+    samples = pairing.advance(START + 0.2)
+    assert len(samples) == (1 if found else 0)
+
+
+# ------------------------------------------------------------------ readings that cannot be used
+
+
+def test_not_finite_and_invalid_readings_are_kept_out_of_the_mean():
+    wrench_s = START + np.arange(400) * 0.001
+    wrench = ramp(wrench_s)
+    bad = np.arange(400) % 4 == 1
+    wrench[bad, 2] = np.nan
+    invalid = np.arange(400) % 4 == 3
+    wrench[invalid] = 1e6
+    _, samples = paired(wrench_s, START + 0.1 + np.arange(10) * 0.02, wrench=wrench, invalid=invalid)
+    for sample in samples:
+        assert sample.readings == 10
+        np.testing.assert_allclose(sample.wrench, ramp(sample.host_s - 0.009), atol=1e-9)
+        assert sample.saturated  # the device flagged readings of the interval
+
+
+def test_a_wrench_between_two_readings_is_saturated_where_one_of_them_is():
+    wrench_s = START + np.arange(20) * 0.04
+    saturated = np.arange(20) == 8
+    _, samples = paired(wrench_s, START + 0.1 + np.arange(20) * 0.02 + 0.005, saturated=saturated)
+    # One reading in the interval is the wrench; with none, two about its middle are interpolated.
+    reach = {1: 0.01, 2: 0.04}
+    touched = [abs(sample.host_s - 0.01 - wrench_s[8]) < reach[sample.readings] for sample in samples]
+    assert sum(touched) >= 3
+    assert [sample.saturated for sample in samples] == touched
+
+
+def test_saturated_readings_mark_their_frames_and_no_others():
+    wrench_s = START + np.arange(400) * 0.001
+    saturated = (wrench_s > START + 0.21) & (wrench_s < START + 0.215)
+    _, samples = paired(wrench_s, START + 0.1 + np.arange(10) * 0.02, saturated=saturated)
+    assert [sample.saturated for sample in samples] == [False] * 6 + [True] + [False] * 3
+    np.testing.assert_allclose(samples[6].wrench, ramp(samples[6].host_s - 0.0095), atol=1e-9)
+
+
+# ------------------------------------------------------------------ waiting, late, unpaired
+
+
+def test_frame_waits_for_its_wrench():
+    pairing = Pairing()
+    pairing.add_frame(START, START, np.zeros(1))
+    assert pairing.advance(START + 0.2) == []
+    wrench_s = START - 0.02 + np.arange(40) * 0.001
+    pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
+    (sample,) = pairing.advance(START + 0.2)
+    np.testing.assert_allclose(sample.wrench, ramp(START - 0.0095), atol=1e-9)
+    assert not pairing.counts
+
+
+def test_frame_without_a_wrench_is_counted_after_its_wait_and_holds_up_none():
+    pairing = Pairing()
+    pairing.add_frame(START, START, np.zeros(1))
+    assert pairing.advance(START + WAIT_S) == []
+    assert not pairing.counts
+    assert pairing.advance(START + WAIT_S + 0.001) == []
+    assert pairing.counts == Counter({Loss.UNPAIRED: 1})
+    wrench_s = START + 0.3 + np.arange(40) * 0.001
+    pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
+    pairing.add_frame(START + 0.33, START + 0.33, np.zeros(1))
+    assert len(pairing.advance(START + 0.34)) == 1
+
+
+def test_wait_counts_from_the_arrival_of_a_frame_that_came_late():
+    """A stalled program reads both links late: the skin's bytes are not given up before the wrench's are read."""
+    pairing = Pairing()
+    pairing.add_frame(START, START + 0.4, np.zeros(1))
+    assert pairing.advance(START + 0.41) == []
+    wrench_s = START - 0.02 + np.arange(40) * 0.001
+    pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
+    assert len(pairing.advance(START + 0.42)) == 1
+
+
+def test_frame_older_than_every_reading_kept_is_late():
+    pairing = Pairing()
+    for k in range(5):
+        wrench_s = START + (k * RING_READINGS + np.arange(RING_READINGS)) * 0.001
+        pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
+    pairing.add_frame(START + 1.0, START + 1.0, np.zeros(1))
+    assert pairing.advance(START + 1.0) == []
+    assert pairing.counts == Counter({Loss.LATE: 1})
+
+
+def test_joint_angles_are_the_last_at_or_before_the_frame():
+    pairing = Pairing()
+    wrench_s = START + np.arange(300) * 0.001
+    pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
+    for t, angle in ((0.12, 1.0), (0.16, 2.0), (0.17, 3.0), (0.9, 4.0)):
+        pairing.add_joints(START + t, np.array([angle]))
+    for t in (0.1, 0.12, 0.14, 0.16, 0.18, 0.2):
+        pairing.add_frame(START + t, START + t, np.zeros(1))
+    angles = [None if s.angles is None else float(s.angles[0]) for s in pairing.advance(START + 0.3)]
+    assert angles == [None, 1.0, 1.0, 2.0, 3.0, 3.0]
+
+
+def test_ring_keeps_the_newest_in_order_however_it_is_filled():
+    rng = np.random.default_rng(0)
+    ring = WrenchRing(50)
+    told = np.zeros(0)
+    for _ in range(200):
+        host_s = (told[-1] if len(told) else 0.0) + 0.1 + np.arange(rng.integers(1, 70))
+        n = len(host_s)
+        ring.append(host_s, np.outer(host_s, np.ones(6)), np.ones(n, bool), np.zeros(n, bool))
+        told = np.append(told, host_s)
+        found, wrench = ring.since(-np.inf)
+        assert 50 <= len(found) <= 100 or len(found) == len(told)
+        np.testing.assert_array_equal(found, told[-len(found) :])
+        np.testing.assert_array_equal(wrench[:, 3], found)
+        assert ring.newest_s == told[-1]
+        assert ring.forgot(told[0] - 1) == (len(found) < len(told))
+
+
+# ------------------------------------------------------------------ the facade
+
+
+def frame(kind, seq, t_us, payload):
+    body = struct.pack("<BBHI", kind, 0, seq & 0xFFFF, t_us & 0xFFFFFFFF) + payload
+    return reference_cobs.encode(body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")) + b"\x00"
+
+
+def rig(seconds, channels=4, *, broken=False):
+    """Items of a wrench sensor at 1 kHz and a skin at 50 Hz, each with its own clock; a press every second."""
+    rng = np.random.default_rng(5)
+    items = [LinkEvent(name, int(START * 1e9), LinkState.OPEN) for name in ("wrench", "skin")]
+    for k in range(0, int(seconds * 1000), 10):
+        t_s = (k + np.arange(10)) * 0.001
+        data = b"".join(
+            frame(2, k + i, 5_000_000 + round(t * 1e6), struct.pack("<6fI", *np.float32(ramp(t)), 0)) for i, t in enumerate(t_s)
+        )
+        if broken and k % 500 == 100:
+            data = data[:50] + b"\x07" + data[51:]
+        items.append(Chunk("wrench", int((START + t_s[-1] + 0.001 + rng.exponential(0.002)) * 1e9), data))
+    for n in range(int(seconds * 50)):
+        t = n * 0.02 + 0.0005
+        payload = np.full(channels, n % 200, "<u2").tobytes()
+        data = frame(1, n, 77_000 + round(t * 1e6), payload)
+        if broken and n % 40 == 7:
+            data = data[:-3] + data[-2:]
+        items.append(Chunk("skin", int((START + t + 0.001 + rng.exponential(0.002)) * 1e9), data))
+    return sorted(items, key=lambda item: item.host_ns)
+
+
+def feed_all(intake, items):
+    return [sample for item in items for sample in intake.feed(item)]
+
+
+def test_two_devices_with_their_own_clocks_are_brought_together():
+    intake = Intake(4, LINKS)
+    samples = feed_all(intake, rig(8))
+    assert len(samples) >= 8 * 50 - 3
+    settled = samples[150:]
+    for sample in settled:
+        made_s = (sample.host_s - START) - 0.001
+        # Both least delays are about 1 ms; a difference of 0.5 ms of the two lines is half a reading.
+        np.testing.assert_allclose(sample.wrench, ramp(made_s - 0.0095), atol=2.2e-3)
+        assert 19 <= sample.readings <= 21
+    assert np.diff([s.host_s for s in settled]) == pytest.approx(0.02, abs=1e-3)
+    assert intake.last_skin is not None
+    assert intake.last_skin[1].tolist() == [199] * 4
+    stamps, wrench = intake.recent_wrench()
+    assert len(stamps) == len(wrench) == 8000
+    assert (np.diff(stamps) > 0).all()
+
+
+def test_same_items_give_the_same_samples_bit_for_bit():
+    items = rig(4, broken=True)
+    one, two = Intake(4, LINKS), Intake(4, LINKS)
+    a, b = feed_all(one, items), feed_all(two, items)
+    assert len(a) == len(b) > 150
+    for x, y in zip(a, b, strict=True):
+        assert (x.host_s, x.readings, x.saturated) == (y.host_s, y.readings, y.saturated)
+        assert x.wrench.tobytes() == y.wrench.tobytes()
+        assert x.skin.tobytes() == y.skin.tobytes()
+    now = items[-1].host_ns
+    assert one.health(now) == two.health(now)
+
+
+def test_health_counts_rates_and_losses():
+    intake = Intake(4, LINKS)
+    assert [(h.state, h.rate, h.format) for h in intake.health(0)] == [(LinkState.LOST, 0.0, "")] * 2
+    items = rig(4, broken=True)
+    feed_all(intake, items)
+    now = items[-1].host_ns
+    wrench, skin = intake.health(now)
+    assert (wrench.link, wrench.state, wrench.format, wrench.carries) == ("wrench", LinkState.OPEN, "SKB/1", (Stream.WRENCH,))
+    assert wrench.rate == pytest.approx(1000, rel=0.03)
+    assert skin.rate == pytest.approx(50, rel=0.06)
+    assert wrench.last_host_ns == max(i.host_ns for i in items if i.link == "wrench")
+    assert wrench.losses[Loss.BAD_CHECKSUM] + wrench.losses[Loss.UNREADABLE] == 8
+    assert wrench.losses[Loss.MISSING] == 8
+    assert wrench.readings == 4000 - 8
+    assert skin.losses[Loss.MISSING] == 5
+    assert skin.readings == 200 - 5
+    assert intake.health(now + 1_000_000_000)[0].rate == pytest.approx(500, rel=0.06)
+    assert intake.health(now + 10_000_000_000)[0].rate == 0
+
+
+def test_frame_of_the_wrong_width_is_said_with_both_numbers():
+    intake = Intake(5, LINKS)
+    assert feed_all(intake, rig(1)) == []
+    _, skin = intake.health(0)
+    assert skin.losses[Loss.BAD_WIDTH] == 49
+    assert "4 values" in skin.text
+    assert "5 are expected" in skin.text
+
+
+def test_skin_alone_is_counted_as_unpaired():
+    intake = Intake(4, LINKS)
+    items = [item for item in rig(2) if item.link == "skin"]
+    assert feed_all(intake, items) == []
+    assert 80 <= intake.unpaired < 100
+    assert intake.health(0)[1].losses[Loss.UNPAIRED] == intake.unpaired
+    assert intake.last_skin is not None
+
+
+def test_link_that_went_away_and_came_back_goes_on_with_all_counts():
+    items = rig(4, broken=True)
+    half = len(items) // 2
+    now = items[half].host_ns
+    intake = Intake(4, LINKS)
+    before = feed_all(intake, items[:half])
+    counted = intake.health(now)
+    feed_all(intake, [LinkEvent("skin", now, LinkState.LOST, "unplugged")])
+    assert (intake.health(now)[1].state, intake.health(now)[1].text) == (LinkState.LOST, "unplugged")
+    feed_all(intake, [LinkEvent("skin", now, LinkState.OPEN)])
+    after = feed_all(intake, items[half:])
+    _, skin = intake.health(now)
+    assert (skin.state, skin.text) == (LinkState.OPEN, "")
+    assert skin.readings > counted[1].readings
+    assert skin.losses[Loss.MISSING] >= counted[1].losses[Loss.MISSING] > 0
+    assert after[0].host_s > before[-1].host_s
+    assert len(after) > 90
+
+
+def test_board_with_wrench_and_skin_on_one_link():
+    intake = Intake(4, (LinkSpec("board", "a", (Stream.WRENCH, Stream.SKIN)),))
+    items = []
+    for k in range(100):
+        t_us = 1000 + k * 20_000
+        data = b"".join(
+            frame(2, 20 * k + i, t_us + 1000 * i, struct.pack("<6fI", *ramp((t_us + 1000 * i) * 1e-6), 0)) for i in range(20)
+        )
+        items.append(Chunk("board", t_us * 1000 + 25_000_000, data + frame(1, k, t_us + 19_000, bytes(8))))
+    samples = feed_all(intake, items)
+    assert len(samples) == 100
+    for k, sample in enumerate(samples[2:], 2):
+        assert sample.readings == 20
+        middle_s = (1000 + k * 20_000 + 9_500) * 1e-6
+        np.testing.assert_allclose(sample.wrench, ramp(middle_s), rtol=1e-6)
+
+
+def test_memory_stays_flat():
+    items = rig(12)
+    half = len(items) // 2
+    intake = Intake(4, LINKS)
+    for item in items[:half]:
+        intake.feed(item)
+    tracemalloc.start()
+    try:
+        for item in items[half:]:
+            intake.feed(item)
+        grown, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert grown < 100_000
+
+
+def test_text_held_back_is_let_through_at_the_end():
+    intake = Intake(2, LINKS)
+    intake.feed(Chunk("skin", 1_000_000, b"1,1\n2,2\n3,3\n"))
+    assert intake.last_skin is None
+    intake.feed(LinkEvent("skin", 2_000_000, LinkState.ENDED))
+    assert intake.last_skin is not None
+    assert intake.last_skin[1].tolist() == [3, 3]
+    assert intake.health(0)[1].format == "text"
+
+
+def test_unknown_links_and_formats_are_named():
+    with pytest.raises(InputError, match=r"'other'.*wrench, skin"):
+        Intake(4, LINKS).feed(Chunk("other", 0, b""))
+    with pytest.raises(InputError, match="same name"):
+        Intake(4, (LINKS[0], LINKS[0]))
+    with pytest.raises(InputError, match="'csv'"):
+        Intake(4, (LinkSpec("wrench", "a", (Stream.WRENCH,), "csv"),))

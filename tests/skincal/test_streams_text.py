@@ -1,0 +1,228 @@
+"""Delimited text without a checksum, and which format a link is found to speak."""
+
+from collections import Counter
+from itertools import chain, pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skincal.readings import Loss, Stream
+from skincal.streams.formats.detect import TEXT_AFTER_BYTES, TEXT_AFTER_NS, Decoder
+from skincal.streams.formats.text import Text
+
+SKIN = (Stream.SKIN,)
+WRENCH = (Stream.WRENCH,)
+MS = 1_000_000
+SKB_TAXELS = bytes.fromhex("020102110420300502C902C7040609C803F32E00")
+SKT_TAXELS = b"T,17,340000,201,199,2310,200*E4DB\n"
+LOSSES = (Loss.BAD_WIDTH, Loss.UNREADABLE)
+
+
+def values(batches):
+    return [row for batch in batches for row in (batch.values if hasattr(batch, "values") else batch.wrench).tolist()]
+
+
+# ------------------------------------------------------------------ separators, words, counts
+
+
+@pytest.mark.parametrize(
+    "line", ["1,2,3", "1, 2, 3", "1;2;3", "1\t2\t3", "1 2 3", "  1  2   3 ", "1,2,3,", "1;2;3;", "1.0,2e0,+3", "1,0;2,0;3,0"]
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_separators_are_found(line, end):
+    decoder = Text(3, SKIN)
+    assert values(decoder.feed(("0\n" + line + end).encode())) == [[1, 2, 3]]
+    assert not decoder.counts
+
+
+def test_first_line_after_opening_may_be_cut_and_is_thrown_away_uncounted():
+    decoder = Text(3, SKIN)
+    assert values(decoder.feed(b"1,2,3\n4,5,6\n7,8,9\n")) == [[4, 5, 6], [7, 8, 9]]
+    assert not decoder.counts
+
+
+def test_words_are_passed_over_and_wrong_counts_are_counted():
+    decoder = Text(3, SKIN)
+    raw = b"\nTactile board v2 ready\nCFG,8,8\nflag\n1,2,3\n1,2\n4,5,6\n1,2,3,4\n1,,3\n1,x,3\n7,8,9\n\x80\x00\xff\xfe12,\x07\n"
+    assert values(decoder.feed(raw)) == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+    # 1,2 · 1,2,3,4 · CFG,8,8 is mostly numbers · 1,,3 · 1,x,3 · the bytes that are no text
+    assert decoder.counts == Counter({Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 4})
+    assert "Lines of 4 values" in decoder.note
+    assert "3 are expected" in decoder.note
+
+
+def test_not_a_number_is_kept_as_such_and_counted():
+    decoder = Text(3, SKIN)
+    (batch,) = decoder.feed(b"\n1,nan,inf\n")
+    np.testing.assert_array_equal(batch.values, [[1, np.nan, np.nan]])
+    assert decoder.counts == Counter({Loss.NOT_A_NUMBER: 1})
+
+
+def test_endless_line_is_dropped_once():
+    decoder = Text(3, SKIN)
+    for _ in range(40):
+        decoder.feed(b"1," * 10_000)
+    assert values(decoder.feed(b"\n1,2,3\n4,5,6\n")) == [[1, 2, 3], [4, 5, 6]]
+    assert not decoder.counts  # it began before the first line end, as after opening
+
+
+# ------------------------------------------------------------------ a row a line
+
+
+def rows_of(frames, blank="\n"):
+    return "".join("".join(" ".join(map(str, row)) + "\n" for row in frame) + blank for frame in frames).encode()
+
+
+def test_row_a_line_with_a_blank_line_after_each_frame():
+    frames = np.arange(3 * 4 * 4).reshape(3, 4, 4)
+    for raw in (b"\n" + rows_of(frames), b"\n" + rows_of(frames, "\r\n")):
+        decoder = Text(16, SKIN)
+        assert values(decoder.feed(raw)) == frames.reshape(3, 16).tolist()
+        assert not decoder.counts
+
+
+def test_frame_with_a_row_lost_is_counted_and_the_next_is_whole():
+    frames = np.arange(3 * 4 * 4).reshape(3, 4, 4).tolist()
+    del frames[1][2]
+    decoder = Text(16, SKIN)
+    found = values(decoder.feed(b"\n" + rows_of(frames)))
+    assert found == [list(chain(*frames[0])), list(chain(*frames[2]))]
+    assert decoder.counts == Counter({Loss.BAD_WIDTH: 1})
+
+
+def test_opening_in_the_middle_of_a_frame_of_rows_gives_no_wrong_frame():
+    frames = np.arange(4 * 4 * 4).reshape(4, 4, 4)
+    raw = rows_of(frames)
+    for start in range(1, len(rows_of(frames[:1]))):
+        for row in values(Text(16, SKIN).feed(raw[start:])):
+            assert row in frames.reshape(4, 16).tolist()
+
+
+# ------------------------------------------------------------------ several streams, named columns
+
+
+def test_count_of_values_says_what_a_line_is():
+    decoder = Text(4, (Stream.WRENCH, Stream.SKIN))
+    wrench, skin = decoder.feed(b"\n1,2,3,4,5,6\n1,2,3,4\n7,8,9,10,11,12\n")
+    assert wrench.wrench.tolist() == [[1, 2, 3, 4, 5, 6], [7, 8, 9, 10, 11, 12]]
+    assert skin.values.tolist() == [[1, 2, 3, 4]]
+    assert wrench.seq.tolist() == [-1, -1]
+    assert np.isnan(wrench.device_s).all()
+
+
+def test_joints_are_degrees_and_of_the_first_width():
+    decoder = Text(4, (Stream.JOINTS,))
+    (batch,) = decoder.feed(b"\n90 180\n0 -90\n1 2 3\n")
+    np.testing.assert_allclose(batch.angles, [[np.pi / 2, np.pi], [0, -np.pi / 2]], rtol=1e-15)
+    assert decoder.counts[Loss.BAD_WIDTH] == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "line", "seq", "device_s"),
+    [
+        ("t,a,b", "1.5,7,8", -1, 1.5),
+        ("Time,a,b", "1.5,7,8", -1, 1.5),
+        ("seq,t_us,a,b", "5,250000,7,8", 5, 0.25),
+        ('"t_ms";"a";"b"', "20;7;8", -1, 0.02),
+        ("t_s seq a b", "3 9 7 8", 9, 3.0),
+    ],
+)
+def test_header_line_names_leading_columns(header, line, seq, device_s):
+    decoder = Text(2, SKIN)
+    (batch,) = decoder.feed(f"{header}\n{line}\n".encode())
+    assert batch.values.tolist() == [[7, 8]]
+    assert batch.seq.tolist() == [seq]
+    assert batch.device_s.tolist() == [device_s]
+
+
+def test_without_a_header_a_leading_column_is_a_wrong_count():
+    decoder = Text(2, SKIN)
+    assert decoder.feed(b"\n0.5,7,8\n") == []
+    assert decoder.counts == Counter({Loss.BAD_WIDTH: 1})
+
+
+def test_named_numbers_and_microseconds():
+    decoder = Text(1, SKIN)
+    top = 1 << 32
+    (batch,) = decoder.feed(f"seq,t_us,a\n1,{top - 20_000},0\n2,0,0\n6,80000,0\n".encode())
+    assert decoder.counts == Counter({Loss.MISSING: 3})
+    np.testing.assert_allclose(np.diff(batch.device_s), [0.02, 0.08], atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=300).map(lambda b: b.replace(b"\x07", b"\n1,2,3\n").replace(b"\x08", b"\n\n")), st.data())
+def test_how_the_bytes_are_cut_never_matters(raw, data):
+    whole = Text(3, SKIN)
+    expected = str(values(whole.feed(raw)))
+    cuts = [0, *sorted(data.draw(st.lists(st.integers(0, len(raw)), max_size=10))), len(raw)]
+    for edges in (cuts, range(len(raw) + 1)):
+        decoder = Text(3, SKIN)
+        pieces = [b for a, z in pairwise(edges) for b in decoder.feed(raw[a:z])]
+        assert str(values(pieces)) == expected
+        assert decoder.counts == whole.counts
+
+
+# ------------------------------------------------------------------ detection
+
+
+def feed_all(decoder, chunks):
+    return [item for host_ns, data in chunks for item in decoder.feed(data, host_ns)]
+
+
+def test_one_good_checksum_decides_and_keeps_what_came_with_it():
+    for mark, record, name in ((b"\x00", SKB_TAXELS, "SKB/1"), (b"\n", SKT_TAXELS, "SKT/1")):
+        decoder = Decoder("auto", 4, SKIN)
+        assert decoder.name == ""
+        found = feed_all(decoder, [(5, b"boot junk 1,2,3,4" + mark), (6, record[:7]), (7, record[7:])])
+        assert decoder.name == name
+        assert [(host_ns, batch.seq.tolist()) for host_ns, batch in found] == [(7, [17])]
+
+
+def test_text_is_believed_after_300_ms_and_nothing_is_lost_or_dated_late():
+    decoder = Decoder("auto", 2, SKIN)
+    chunks = [(1000 * MS + i * 20 * MS, f"{i},{i}\n".encode()) for i in range(30)]
+    found = feed_all(decoder, chunks)
+    assert decoder.name == "text"
+    assert [batch.values[0, 0] for _, batch in found] == list(range(1, 30))
+    assert [host_ns for host_ns, _ in found] == [host_ns for host_ns, _ in chunks[1:]]
+
+
+def test_text_waits_its_time():
+    decoder = Decoder("auto", 2, SKIN)
+    assert decoder.feed(b"1,1\n2,2\n", 0) == []
+    assert decoder.feed(b"3,3\n", TEXT_AFTER_NS - 1) == []
+    assert len(decoder.feed(b"4,4\n", TEXT_AFTER_NS)) == 3
+
+
+def test_binary_after_a_long_banner_is_still_found():
+    decoder = Decoder("auto", 4, SKIN)
+    assert feed_all(decoder, [(i * 100 * MS, b"waiting for the sensor...\n") for i in range(50)]) == []
+    found = feed_all(decoder, [(6000 * MS, b"\x00" + SKB_TAXELS)])
+    assert decoder.name == "SKB/1"
+    assert len(found) == 1
+
+
+def test_file_read_at_once_and_end_of_a_short_one():
+    fast = Decoder("auto", 2, SKIN)
+    assert fast.feed(b"1,2\n" * TEXT_AFTER_BYTES, 7)
+    short = Decoder("auto", 2, SKIN)
+    assert short.feed(b"1,2\n3,4\n", 7) == []
+    ((host_ns, batch),) = short.finish()
+    assert host_ns == 7
+    assert batch.values.tolist() == [[3, 4]]
+    assert short.finish() == []
+
+
+def test_given_format_is_not_questioned():
+    decoder = Decoder("skt", 4, SKIN)
+    assert decoder.name == "SKT/1"
+    assert decoder.feed(SKB_TAXELS, 0) == []
+    assert len(decoder.feed(b"\n" + SKT_TAXELS, 1)) == 1
+
+
+def test_detection_depends_on_bytes_and_stamps_alone():
+    chunks = [(i * 50 * MS, f"{i},{i}\n".encode()) for i in range(20)]
+    one, two = Decoder("auto", 2, SKIN), Decoder("auto", 2, SKIN)
+    assert str(feed_all(one, chunks)) == str(feed_all(two, chunks))

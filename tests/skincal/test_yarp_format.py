@@ -1,0 +1,235 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skincal.errors import InputError
+from skincal.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.streams.formats import make_format
+from skincal.streams.formats.yarp import BottleError, Yarp, YarpTxRx, parse_bottle
+
+WRENCH = (1.5, -2.25, 30.0, 0.125, -0.5, 0.0625)
+WORDS = " ".join(map(str, WRENCH))
+START = 1_400_000_000.25
+
+
+def first(batches):
+    assert len(batches) == 1
+    return batches[0]
+
+
+def wrench(data: bytes, decoder: Yarp | None = None) -> WrenchBatch:
+    batch = first((decoder or Yarp(None, (Stream.WRENCH,))).feed(data))
+    assert isinstance(batch, WrenchBatch)
+    return batch
+
+
+def test_one_stamp():
+    batch = wrench(f"7 {START:.6f} {WORDS}\n".encode())
+    np.testing.assert_array_equal(batch.wrench, [WRENCH])
+    assert (batch.seq.tolist(), batch.device_s.tolist()) == ([7], [START])
+    assert not batch.saturated.any()
+    assert not batch.invalid.any()
+
+
+def test_two_stamps_take_the_senders_as_the_time_of_the_reading():
+    line = f"7 {START:.6f} {START + 0.004:.6f} {WORDS}\n".encode()
+    batch = wrench(line, YarpTxRx(None, (Stream.WRENCH,)))
+    assert batch.device_s.tolist() == [START]
+    np.testing.assert_array_equal(batch.wrench, [WRENCH])
+    # Read with the wrong grammar, the receiver's stamp would be a seventh value.
+    wrong = Yarp(None, (Stream.WRENCH,))
+    assert wrong.feed(b"\n" + line) == []
+    assert wrong.counts == {Loss.BAD_WIDTH: 1}
+
+
+@pytest.mark.parametrize("name", ["yarp", "yarp-tx-rx"])
+def test_the_registry_knows_both_grammars(name):
+    assert isinstance(make_format(name, 4, (Stream.SKIN,)), YarpTxRx if name == "yarp-tx-rx" else Yarp)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        WORDS,
+        f"({WORDS})",
+        WORDS.replace(" ", ", "),
+        f"() () () () () ((({WORDS}) 12.5)) () () () () () ()",
+        f"() () () () (((36.5) 12.5)) ((({WORDS}) 12.5)) () () () ()",
+        f"() () () () () ((({WORDS}) 12.5) ((9 9 9 9 9 9) 12.5)) () () () () () ()",
+    ],
+    ids=["plain", "in a list", "commas", "12 lists", "10 lists", "two sensors"],
+)
+def test_shapes_of_a_wrench(payload):
+    np.testing.assert_array_equal(wrench(f"1 2.5 {payload}\r\n".encode()).wrench, [WRENCH])
+
+
+@pytest.mark.parametrize(
+    ("payload", "loss"),
+    [
+        ("", Loss.BAD_WIDTH),
+        ("1 2 3 4 5", Loss.BAD_WIDTH),
+        ("1 2 3 4 5 6 7", Loss.BAD_WIDTH),
+        ("() () () () () () () () () () () ()", Loss.BAD_WIDTH),
+        ("1 2 3 4 5 (6", Loss.UNREADABLE),
+        ("1 2 3 4 5 6)", Loss.UNREADABLE),
+        ("1 2 3 4 5 up", Loss.UNREADABLE),
+        ('1 2 3 4 5 "up', Loss.UNREADABLE),
+        ("1 2 3 4 5 6_0", Loss.UNREADABLE),
+        ("00000000.ppm", Loss.UNREADABLE),
+        ("(1 2 3 4 5 up)", Loss.UNREADABLE),
+        ("1 2 3 4 5 \xff(", Loss.UNREADABLE),
+    ],
+)
+def test_a_bad_payload_is_counted_and_the_next_line_read(payload, loss):
+    decoder = Yarp(None, (Stream.WRENCH,))
+    good = f"1 2.5 {WORDS}\n".encode()
+    batch = wrench(good + f"2 2.6 {payload}\n".encode("latin-1") + good.replace(b"1 2.5", b"3 2.7"), decoder)
+    assert batch.seq.tolist() == [1, 3]
+    assert decoder.counts == {loss: 1}
+
+
+@pytest.mark.parametrize("line", ["x", "1", "1 2.5x 3", "one 2.5 3", "1 nan 3", f"{10**30} 2.5 {WORDS}"])
+def test_a_line_that_is_no_record_is_counted(line):
+    decoder = Yarp(None, (Stream.WRENCH,))
+    wrench(f"1 2.5 {WORDS}\n{line}\n".encode(), decoder)
+    assert decoder.counts == {Loss.UNREADABLE: 1}
+
+
+def test_blank_lines_and_what_old_dumpers_wrote_into_the_log_are_no_loss():
+    decoder = Yarp(None, (Stream.WRENCH,))
+    wrench(f"Type: Bottle;\n\nSource: /icub/right_arm [connected]\n1 2.5 {WORDS}\n   \n".encode(), decoder)
+    assert not decoder.counts
+
+
+def test_a_cut_last_line_waits_for_its_end():
+    decoder = Yarp(None, (Stream.WRENCH,))
+    wrench(f"1 2.5 {WORDS}\n2 2.6 {WORDS[:-3]}".encode(), decoder)
+    assert not decoder.counts
+    assert first(decoder.feed(WORDS[-3:].encode() + b"\n")).seq.tolist() == [2]
+
+
+def test_nan_in_a_wrench_is_counted_and_never_hidden():
+    decoder = Yarp(None, (Stream.WRENCH,))
+    batch = wrench(b"1 2.5 1 2 nan 4 5 -inf\n", decoder)
+    assert decoder.counts == {Loss.NOT_A_NUMBER: 1}
+    assert not np.isfinite(batch.wrench).all()
+
+
+def test_a_skin_frame_has_the_width_of_the_scene():
+    decoder = Yarp(4, (Stream.SKIN,))
+    batch = first(decoder.feed(b"1 2.5 244 240 0 12\n2 2.52 (1 2 3 nan)\n3 2.54 1 2 3\n"))
+    assert isinstance(batch, SkinBatch)
+    np.testing.assert_array_equal(batch.values, [[244, 240, 0, 12], [1, 2, 3, np.nan]])
+    assert decoder.counts == {Loss.NOT_A_NUMBER: 1, Loss.BAD_WIDTH: 1}
+
+
+def test_joints_are_degrees_in_yarp_and_radians_here():
+    batch = first(Yarp(None, (Stream.JOINTS,)).feed(b"1 2.5 0 90 -45 94\n"))
+    assert isinstance(batch, JointsBatch)
+    np.testing.assert_allclose(batch.angles, [[0, math.pi / 2, -math.pi / 4, 94 * math.pi / 180]], rtol=1e-15)
+
+
+def test_a_log_carries_one_stream():
+    with pytest.raises(InputError, match="one log each"):
+        Yarp(4, (Stream.WRENCH, Stream.SKIN))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "missing"),
+    [
+        ([1, 2, 3, 4, 7, 8], 2),
+        ([0, 9, 18, 27, 45, 54], 1),
+        ([0, 0, 0, 0], 0),
+        ([-1, -1, -1], 0),
+        ([5, 6, 7, 1, 2, 3], 0),
+        ([0, 9, 18, 28, 37], 0),
+    ],
+    ids=["steps of one", "steps of nine", "no envelope", "no stamp", "sender started anew", "odd steps"],
+)
+def test_numbers_missing_in_the_sequence_are_counted(numbers, missing):
+    decoder = Yarp(None, (Stream.WRENCH,))
+    for number in numbers:
+        decoder.feed(f"{number} 2.5 {WORDS}\n".encode())
+    assert decoder.counts[Loss.MISSING] == missing
+
+
+def test_an_endless_line_is_counted_once_and_left():
+    decoder = Yarp(None, (Stream.WRENCH,))
+    wrench(f"1 2.5 {WORDS}\n".encode(), decoder)
+    for _ in range(5):
+        assert decoder.feed(b"7" * 600_000) == []
+    assert first(decoder.feed(f"\n2 2.6 {WORDS}\n".encode())).seq.tolist() == [2]
+    assert decoder.counts == {Loss.UNREADABLE: 1}
+
+
+PIECES = st.one_of(
+    st.just(f"4 2.5 {WORDS}\n".encode()),
+    st.just(f"5 2.6 () () () () () ((({WORDS}) 1)) () () () ()\n".encode()),
+    st.just(b"6 2.7 \n"),
+    st.just(b"6 2.7 1 2 3\n"),
+    st.just(b"7 2.7 (1 2\n"),
+    st.binary(max_size=12),
+)
+
+
+@given(st.lists(PIECES, max_size=8), st.data())
+def test_how_the_bytes_are_cut_never_matters(pieces, data):
+    stream = b"".join(pieces)
+    whole, cut = Yarp(None, (Stream.WRENCH,)), Yarp(None, (Stream.WRENCH,))
+    at_once = whole.feed(stream)
+    marks = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
+    by_parts = [b for i, j in zip([0, *marks], [*marks, len(stream)], strict=True) for b in cut.feed(stream[i:j])]
+    assert whole.counts == cut.counts
+    rows = [np.vstack([batch.wrench for batch in batches]) if batches else np.empty((0, 6)) for batches in (at_once, by_parts)]
+    np.testing.assert_array_equal(rows[0], rows[1])
+
+
+def as_text(item: object) -> str:
+    if isinstance(item, list):
+        return "(" + " ".join(map(as_text, item)) + ")"
+    if isinstance(item, str):
+        return '"' + item.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return repr(item)
+
+
+ITEMS = st.recursive(
+    st.one_of(st.floats(allow_nan=False), st.text(alphabet='ab ()"\\\t,[{é', max_size=6)),
+    lambda inner: st.lists(inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@given(st.lists(ITEMS, max_size=5))
+def test_a_bottle_reads_back_what_was_written(bottle):
+    text = " ".join(map(as_text, bottle))
+    assert parse_bottle(text) == bottle
+
+
+@given(st.lists(ITEMS, min_size=1, max_size=3))
+def test_a_bottle_with_half_a_pair_is_refused(bottle):
+    text = " ".join(map(as_text, [bottle]))
+    with pytest.raises(BottleError):
+        parse_bottle(text[:-1])
+    with pytest.raises(BottleError):
+        parse_bottle(text + ")")
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_a_bottle_or_refused(text):
+    try:
+        parse_bottle(text)
+    except BottleError:
+        return
+
+
+def test_words_vocabs_and_blobs_are_no_numbers():
+    assert parse_bottle("[set] {1 2} up 1e3 -0.5") == ["set", "1 2", "up", 1000.0, -0.5]
+
+
+def test_the_first_line_counts_too():
+    decoder = Yarp(24, (Stream.SKIN,))
+    decoder.feed(b"0 1.0 1 2 3\n1 1.1 1 2 3\nwords\n")
+    assert decoder.counts == {Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 1}
