@@ -1,0 +1,383 @@
+"""From samples to pokes: when one begins and ends, and what it ends as.
+
+Theory of operation. The detector is in one of three situations.
+
+* *Untared*: it waits for a quiet window (phase TARING). No force is known, so no poke can begin.
+* *Idle*: tared, nothing presses (READY). Every quiet window renews the tare, so slow drift never builds up.
+* *Press*: the tared force rose above `touch_force` and has not yet fallen below `release_force` (PRESSING, STILL, HELD).
+
+A release ends the press in the very sample that shows it: the poke is judged with the tare before it and emitted
+(`final=False`). It then waits for the next quiet window, which gives the tare after it, and is emitted once more
+(`final=True`). Pokes without quiet between them share the tares around them: the baseline is linear in time between
+two quiet windows, whatever happened in between. Where the second tare cannot come (the arm moved, a device vanished, nothing
+was quiet for `TARE_AGE_MAX_S`) the first judgement is made final.
+
+The force that never falls is the dangerous case, since the load may have changed for good: an arm that moved, a sensor
+that came back with another offset. A turn of the arm drops the tare at once. A press that lasts for
+`TARE_AGE_MAX_S` and is steady ends as "no quiet time to tare", and the tare is dropped too. While untared, skin that
+answers against its last known rest says that something still leans there; that holds for `TARE_AGE_MAX_S` at most. At the start
+no rest is known: something that pressed from the first sample on is tared away, and shows when it leaves, by skin that falls
+below its baseline. Until a taxel has answered a poke, that drops the tare.
+
+Everything depends on the sequence of samples alone, never on a clock.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from skincal.contacts.gates import GAP_PERIODS
+from skincal.contacts.health import ChannelHealth
+from skincal.contacts.judge import Poke, answer_limit, finish, judge
+from skincal.contacts.outcome import Outcome, Phase, Progress, Reason, Rejection
+from skincal.contacts.pose import ArmPose, turned
+from skincal.contacts.press import Press
+from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
+from skincal.readings import FloatArray, IntArray, Sample
+from skincal.scene import Scene
+from skincal.wrench import axis_point, move_wrench
+
+_PERIOD_SAMPLES = 15
+"""Samples whose median spacing is the period; enough to outvote a few missing frames."""
+_CROWDED = (Reason.TOO_MANY_TAXELS, Reason.NOT_CONNECTED)
+"""Reasons that may fall away once a channel is found to be dead."""
+
+
+class Doubt(NamedTuple):
+    """What a poke that dead channels may have spoilt is judged by, whenever more is known of them."""
+
+    poke: Poke
+    after: Tare | None
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What a session knows already where a detector takes it up."""
+
+    pokes: int = 0
+    """Number of the last poke."""
+    dead: Mapping[int, str] = field(default_factory=dict[int, str])
+    """Channels found to be dead, with the reason."""
+    doubts: Sequence[tuple[Doubt, Outcome]] = ()
+    """In the order of their numbers, each with how it was judged last."""
+
+
+class ContactDetector:
+    """The pokes of one session, or of what follows a break in one.
+
+    Parameters
+    ----------
+    scene : thresholds, layout, polarity and arm are used
+    known : what came before
+    """
+
+    def __init__(self, scene: Scene, known: Known | None = None) -> None:
+        known = known or Known()
+        layout = scene.skin.layout
+        self._scene = scene
+        self._candidates: IntArray = np.arange(scene.skin.channels) if layout is None else layout.channels
+        self._tares = TareKeeper(scene.contacts, scene.skin.channels)
+        self._health = ChannelHealth(scene, self._candidates, known.dead)
+        self._unused: Set[int] | None = None
+        self._spacings: deque[float] = deque(maxlen=_PERIOD_SAMPLES)
+        self._period_s = 0.0
+        self._last: Sample | None = None
+        self._untared_since = 0.0
+        self._tare_pose: ArmPose | None = None
+        self._rest_seen = False
+        self._press: Press | None = None
+        self._pokes = known.pokes
+        self._pending: list[Poke] = []
+        self._doubts = {doubt.poke.number: (doubt, outcome) for doubt, outcome in known.doubts}
+        self.responses: FloatArray = np.full(scene.skin.channels, np.nan)
+        """(channels,) float, raw units: the last frame above its baseline; NaN before the first tare."""
+
+    @property
+    def dead(self) -> Mapping[int, str]:
+        """Channels found to be dead, with the reason."""
+        return self._health.dead
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last sample, host clock; 0 before the first."""
+        return 0.0 if self._last is None else self._last.host_s
+
+    def feed(self, sample: Sample, link_from_sensor: FloatArray | None, pose: str) -> list[Outcome]:
+        """Take one sample.
+
+        Parameters
+        ----------
+        link_from_sensor : (4, 4) float, metres; None while the arm's pose is unknown
+        pose : name of the arm's pose
+
+        Returns
+        -------
+        The pokes that ended with this sample, and those that became final, in the order of their numbers.
+        """
+        if not np.isfinite(sample.wrench).all():
+            sample = replace(sample, wrench=np.zeros(6), saturated=True)
+        arm_pose = ArmPose(link_from_sensor, pose, self._arm_angles(sample))
+        gap_s = self._clock(sample)
+        self._last = sample
+        outcomes = self._rejudge() if self._health.feed(sample.host_s, sample.skin) and self._unused is None else []
+        tare = self._tares.tare
+        if tare is not None:
+            self.responses = self._scene.skin.polarity * (sample.skin - tare.skin)
+        if self._press is not None:
+            outcomes += self._pressing(self._press, sample, arm_pose, gap_s)
+        else:
+            outcomes += self._idle(sample, arm_pose, gap_s)
+        return outcomes + self._expire(sample.host_s)
+
+    def reset(self, host_s: float | None = None) -> list[Outcome]:
+        """Begin anew after a break: a device vanished, or a recording is continued.
+
+        A poke in progress ends as "readings lost", those that wait become final, and the tare is dropped. Numbers go on.
+
+        Parameters
+        ----------
+        host_s : time of the break, host clock; the last sample's where unknown
+        """
+        outcomes: list[Outcome] = []
+        press = self._press
+        if press is not None:
+            # At least a hair over the limit: the break itself is the loss, however soon it is known.
+            lost = 0.0 if host_s is None else host_s - self.last_s
+            press.lose(max(lost, GAP_PERIODS * self._period_s * (1 + 1e-9)))
+            outcomes += self._end(press)
+        outcomes += self._settle(None)
+        self._drop_tare(self.last_s)
+        self._spacings.clear()
+        self._last = None
+        return outcomes
+
+    def use_all_but(self, channels: Set[int]) -> list[Outcome]:
+        """Leave out the answers of `channels` from now on, instead of those found to be dead.
+
+        Returns
+        -------
+        Earlier pokes with too many or unconnected answers that are judged otherwise now.
+        """
+        if self._unused is not None and channels == self._unused:
+            return []
+        self._unused = frozenset(channels)
+        return self._rejudge()
+
+    def doubt(self, outcome: Outcome) -> Doubt | None:
+        """Return what a poke is judged by again when another channel is found to be dead; None where that changes nothing."""
+        if outcome.poke in self._doubts:
+            return self._doubts[outcome.poke][0]
+        if not _is_crowded(outcome):
+            return None
+        return next((Doubt(poke, None) for poke in self._pending if poke.number == outcome.poke), None)
+
+    def progress(self, link_from_sensor: FloatArray | None) -> Progress:
+        """Return the poke in progress, its force axis in the link frame (the sensor frame while the pose is unknown)."""
+        press = self._press
+        force, moment = np.zeros(3), np.zeros(3)
+        tare = self._tares.tare
+        if press is not None and self._last is not None and not self._last.saturated:
+            wrench = self._last.wrench - press.tare.wrench
+            force, moment = move_wrench(np.eye(4) if link_from_sensor is None else link_from_sensor, wrench[:3], wrench[3:])
+        pressing = bool(force @ force > 0.0)
+        channels: IntArray = np.empty(0, dtype=np.int64)
+        if tare is not None:
+            above = self.responses > answer_limit(self._scene, self._tares.noise)
+            unused = self._left_out()
+            channels = np.array([c for c in self._candidates[above[self._candidates]] if int(c) not in unused], dtype=np.int64)
+        return Progress(
+            phase=self._phase(),
+            force=force,
+            axis_point=axis_point(force, moment) if pressing else np.zeros(3),
+            channels=channels,
+            responses=self.responses[channels],
+            still=0.0 if press is None else min(1.0, press.still),
+        )
+
+    def _phase(self) -> Phase:
+        tare, press = self._tares.tare, self._press
+        if self._last is None:
+            return Phase.NO_DATA
+        if tare is None or (press is None and self._last.host_s - tare.end_s > TARE_AGE_MAX_S):
+            return Phase.TARING
+        if press is None:
+            return Phase.READY
+        if press.held:
+            return Phase.HELD
+        hard = float(np.linalg.norm(press.force)) >= self._scene.contacts.force_min
+        # Two samples are always alike enough; a quarter of the window says something.
+        return Phase.STILL if hard and press.still >= 0.25 else Phase.PRESSING
+
+    def _arm_angles(self, sample: Sample) -> FloatArray | None:
+        arm = self._scene.arm
+        if arm is None or sample.angles is None:
+            return None
+        return sample.angles[list(arm.arm.joints)]
+
+    def _clock(self, sample: Sample) -> float:
+        """Keep the period; return the length of a hole before this sample, else 0."""
+        if self._last is None:
+            return 0.0
+        step = sample.host_s - self._last.host_s
+        known = self._period_s
+        if step > 0:
+            self._spacings.append(step)  # a hole too: a device that became slower is one hole after the other
+            if len(self._spacings) >= 3 and self._press is None:
+                self._period_s = float(np.median(self._spacings))
+        return abs(step) if known > 0 and not 0 < step <= GAP_PERIODS * known else 0.0
+
+    def _idle(self, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
+        outcomes: list[Outcome] = []
+        if gap_s > 0:
+            self._tares.interrupt()
+        if self._tare_pose is not None and self._turned(self._tare_pose, pose):
+            outcomes += self._settle(None)
+            self._drop_tare(sample.host_s)
+        if sample.saturated:
+            self._tares.interrupt()
+            return outcomes
+        tare = self._tares.tare
+        if tare is not None and _force(sample, tare) >= self._scene.contacts.touch_force:
+            self._touch(sample, pose)
+            return outcomes
+        if tare is None and self._leaning(sample):
+            self._tares.interrupt()
+            return outcomes
+        new = self._tares.feed(sample, self._period_s)
+        if new is not None:
+            self._tare_pose = pose
+            outcomes += self._settle(new)
+        return outcomes
+
+    def _touch(self, sample: Sample, pose: ArmPose) -> None:
+        before = self._tares.before(sample.host_s)
+        assert before is not None
+        self._tares.interrupt()
+        self._press = Press(self._scene.contacts, before, sample, self._tare_pose or pose, self._period_s)
+        self._press.add(sample, pose)
+
+    def _pressing(self, press: Press, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
+        if gap_s > 0:
+            press.lose(gap_s)
+        press.moved = max(press.moved, turned(press.pose, pose))
+        if self._turned(press.pose, pose):
+            outcomes = [*self._end(press), *self._settle(None)]
+            self._drop_tare(sample.host_s)
+            return outcomes
+        if not sample.saturated and _force(sample, press.tare) < self._scene.contacts.release_force:
+            outcomes = self._end(press)
+            self._tares.feed(sample, self._period_s)
+            return outcomes
+        press.add(sample, pose)
+        if press.steady and sample.host_s - press.start_s > TARE_AGE_MAX_S:
+            return self._give_up(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
+        if press.steady and not self._rest_seen and self._lifted(press, sample):
+            outcomes = self._give_up(press, sample, 0.0, self._scene.contacts.quiet_s)
+            self._tares.resting = None
+            # What was still just now is the quiet that was wanted.
+            for item, its_pose in press.latest:
+                outcomes += self._idle(item, its_pose, 0.0)
+            return outcomes
+        return []
+
+    def _lifted(self, press: Press, sample: Sample) -> bool:
+        """Tell whether skin lies below its baseline and none above: what was tared away has left."""
+        response = (self._scene.skin.polarity * (sample.skin - press.tare.skin))[self._candidates]
+        limit = answer_limit(self._scene, self._tares.noise)[self._candidates]
+        return bool((response < -limit).any()) and not (response > limit).any()
+
+    def _give_up(self, press: Press, sample: Sample, value: float, limit: float) -> list[Outcome]:
+        """End a press whose tare is not to be believed: too old, or no quiet went into it."""
+        self._press = None
+        self._pokes += 1
+        rejection = Rejection(
+            poke=self._pokes,
+            start_s=press.start_s,
+            end_s=sample.host_s,
+            reason=Reason.NO_TARE,
+            value=value,
+            limit=limit,
+            unit="s",
+            channels=np.empty(0, dtype=np.int64),
+            final=True,
+        )
+        outcomes = [*self._settle(None), rejection]
+        self._drop_tare(sample.host_s)
+        return outcomes
+
+    def _end(self, press: Press) -> list[Outcome]:
+        self._press = None
+        self._pokes += 1
+        poke = finish(self._pokes, press, self._scene, self._candidates, self._tares.noise, self._period_s)
+        self._pending.append(poke)
+        self._rest_seen = self._rest_seen or len(poke.channels) > 0
+        changed = self._health.poke(press.end_s, poke.channels, poke.responses)
+        outcomes = self._rejudge() if changed and self._unused is None else []
+        return [*outcomes, self._judge(poke, None, final=False)]
+
+    def _settle(self, after: Tare | None) -> list[Outcome]:
+        """Make the pokes that wait final, with the tare after them or without one."""
+        waiting, self._pending = self._pending, []
+        return [self._judge(poke, after, final=True) for poke in waiting]
+
+    def _expire(self, host_s: float) -> list[Outcome]:
+        """Make final what waited in vain, so that what waits stays small."""
+        outcomes: list[Outcome] = []
+        while self._pending and host_s - self._pending[0].end_s > TARE_AGE_MAX_S:
+            outcomes.append(self._judge(self._pending.pop(0), None, final=True))
+        return outcomes
+
+    def _judge(self, poke: Poke, after: Tare | None, *, final: bool) -> Outcome:
+        outcome = judge(poke, self._scene, after, final, self._left_out())
+        if final and _is_crowded(outcome):
+            self._doubts[poke.number] = Doubt(poke, after), outcome
+        return outcome
+
+    def _rejudge(self) -> list[Outcome]:
+        """Judge again what dead channels may have spoilt; return what comes out differently than before."""
+        outcomes: list[Outcome] = []
+        for number, (doubt, before) in sorted(self._doubts.items()):
+            outcome = judge(doubt.poke, self._scene, doubt.after, True, self._left_out())
+            if _is_crowded(outcome) != _is_crowded(before):
+                self._doubts[number] = doubt, outcome
+                outcomes.append(outcome)
+        return outcomes
+
+    def _left_out(self) -> Set[int]:
+        return self._health.dead.keys() if self._unused is None else self._unused
+
+    def _turned(self, before: ArmPose, now: ArmPose) -> bool:
+        if self._scene.arm is None:
+            return False
+        became_known = (before.link_from_sensor is None) != (now.link_from_sensor is None)
+        return became_known or turned(before, now) > self._scene.arm.tolerance
+
+    def _drop_tare(self, host_s: float) -> None:
+        self._tares.drop()
+        self._tare_pose = None
+        self._untared_since = host_s
+        self.responses = np.full(self._scene.skin.channels, np.nan)
+
+    def _leaning(self, sample: Sample) -> bool:
+        """Tell whether the skin answers against its last known rest: something still presses."""
+        resting = self._tares.resting
+        if resting is None or sample.host_s - self._untared_since > TARE_AGE_MAX_S:
+            return False
+        response = self._scene.skin.polarity * (sample.skin - resting)
+        above = (response > answer_limit(self._scene, self._tares.noise))[self._candidates]
+        unused = self._left_out()
+        return any(int(channel) not in unused for channel in self._candidates[above])
+
+
+def _is_crowded(outcome: Outcome) -> bool:
+    return isinstance(outcome, Rejection) and outcome.reason in _CROWDED
+
+
+def _force(sample: Sample, tare: Tare) -> float:
+    force = sample.wrench[:3] - tare.wrench[:3]
+    return float(np.sqrt(force @ force))

@@ -1,0 +1,442 @@
+"""Pokes found in synthesised samples: numbers against the truth, every reason, order, determinism."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from skincal.arm import Arm, DhLink
+from skincal.contacts.detector import ContactDetector
+from skincal.contacts.outcome import Contact, Phase, Reason, Rejection
+from skincal.scene import ArmSpec, ContactSettings
+from tests.skincal.poke_script import PERIOD_S, Script, outcome_key, small_scene, some_pokes
+
+FORCE = np.array([1.0, 2.0, -8.0])
+POINT = np.array([0.02, 0.05, 0.10])
+ANSWERS = {3: 80.0, 7: 40.0}
+
+
+def quiet_script(**options):
+    return Script(small_scene(), **options).quiet(1.0)
+
+
+def only(outcomes, *, final=True):
+    (outcome,) = [one for one in outcomes if one.final == final]
+    return outcome
+
+
+def rejected(script, reason, *, final=True, **how):
+    outcome = only(script.run(**how), final=final)
+    assert isinstance(outcome, Rejection), outcome
+    assert outcome.reason is reason
+    return outcome
+
+
+def arm_spec():
+    return ArmSpec(Arm((0,), (DhLink(0.1, 0.0, 0.0, 0.0),), np.eye(4)), {"up": np.zeros(1), "down": np.ones(1)})
+
+
+def test_a_contact_has_the_force_and_moment_of_the_truth():
+    contact = only(quiet_script().press(FORCE, POINT, ANSWERS).quiet().run())
+    assert isinstance(contact, Contact)
+    np.testing.assert_allclose(contact.force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(contact.moment, np.cross(POINT, FORCE), atol=1e-9)
+    assert contact.channels.tolist() == [3, 7]
+    np.testing.assert_allclose(contact.responses, [80.0, 40.0], atol=1e-9)
+
+
+def test_with_noise_the_force_is_right_to_the_noise_of_its_means():
+    errors = []
+    for seed in range(12):
+        script = Script(small_scene(), np.random.default_rng(seed), force_noise=0.05, moment_noise=0.004, skin_noise=1.0)
+        contact = only(script.quiet().press(FORCE, POINT, ANSWERS).quiet().run())
+        assert isinstance(contact, Contact)
+        errors.append(contact.force - FORCE)
+    # 15 frames held and 10 to 20 of quiet: 0.05 sqrt(1/15 + 1/10) = 0.02 N.
+    assert 0.008 < np.std(errors) < 0.03
+
+
+def test_offset_and_linear_drift_vanish_exactly():
+    script = quiet_script(drift=np.array([0.2, -0.1, 0.3, 0.01, -0.02, 0.03]))
+    outcomes = script.press(FORCE, POINT, ANSWERS).quiet().run()
+    first, second = only(outcomes, final=False), only(outcomes)
+    np.testing.assert_allclose(second.force, FORCE, atol=1e-9)
+    np.testing.assert_allclose(second.moment, np.cross(POINT, FORCE), atol=1e-9)
+    assert np.isnan(first.tare_change)
+    assert np.abs(first.force - FORCE).max() > 0.05  # the tare before alone leaves the drift in
+    assert second.tare_change == pytest.approx(np.linalg.norm([0.2, -0.1, 0.3]) * 1.5, rel=0.5)
+
+
+def test_a_falling_skin_answers_too():
+    script = Script(small_scene(polarity=-1)).quiet().press(FORCE, POINT, ANSWERS).quiet()
+    assert only(script.run()).responses == pytest.approx([80.0, 40.0])
+
+
+def test_without_a_layout_every_channel_is_a_candidate():
+    script = Script(small_scene(channels=40, layout=False)).quiet().press(FORCE, POINT, {1: 50.0, 39: 20.0}).quiet()
+    assert only(script.run()).channels.tolist() == [1, 39]
+
+
+def test_a_channel_outside_the_layout_does_not_answer():
+    script = Script(small_scene(channels=30)).quiet().press(FORCE, POINT, {3: 50.0, 27: 90.0}).quiet()
+    assert only(script.run()).channels.tolist() == [3]
+
+
+def test_the_outcome_comes_with_the_first_sample_below_the_release_force():
+    detector = ContactDetector(small_scene())
+    script = quiet_script().press(FORCE, POINT, ANSWERS).quiet()
+    release = None
+    for sample in script.samples:
+        tared = np.linalg.norm(sample.wrench[:3] - script.offset[:3])
+        outcomes = detector.feed(sample, np.eye(4), "")
+        if outcomes and release is None:
+            release = tared
+            assert not outcomes[0].final
+            break
+    assert release is not None
+    assert release < 0.6
+    assert detector.progress(np.eye(4)).phase is Phase.READY
+
+
+def test_noise_about_the_release_force_neither_ends_nor_begins_a_poke():
+    script = quiet_script()
+    script.press(FORCE, POINT, ANSWERS, hold_s=0.4)
+    for k in range(30):  # between release and touch force, from above: still the same poke
+        script.step(np.r_[FORCE / np.linalg.norm(FORCE) * (0.95 if k % 2 else 0.65), np.zeros(3)], {})
+    assert len([one for one in script.quiet().run() if one.final]) == 1
+    idle = quiet_script()
+    for k in range(30):  # from below: none begins
+        idle.step(np.r_[0, 0, 0.95 if k % 2 else 0.65, np.zeros(3)], {})
+    assert not idle.quiet().run()
+
+
+def test_pokes_are_numbered_and_ordered():
+    outcomes = some_pokes(small_scene(), 5).run()
+    assert [one.poke for one in outcomes if not one.final] == [1, 2, 3, 4, 5]
+    assert [one.poke for one in outcomes if one.final] == [1, 2, 3, 4, 5]
+    assert [(one.poke, one.final) for one in outcomes] == [(n, f) for n in range(1, 6) for f in (False, True)]
+
+
+def test_a_poke_right_after_another_shares_the_tares_around_both():
+    script = quiet_script(drift=np.array([0.2, 0, 0, 0, 0, 0.01]))
+    script.press(FORCE, POINT, ANSWERS).quiet(0.08).press(FORCE, POINT, ANSWERS).quiet()
+    outcomes = script.run()
+    assert [(one.poke, one.final) for one in outcomes] == [(1, False), (2, False), (1, True), (2, True)]
+    for one in outcomes[2:]:
+        np.testing.assert_allclose(one.force, FORCE, atol=1e-9)
+
+
+def test_the_same_samples_give_the_same_outcomes_bit_for_bit():
+    script = some_pokes(small_scene(), 4)
+    assert [outcome_key(one) for one in script.run()] == [outcome_key(one) for one in script.run()]
+
+
+def test_too_soft():
+    found = rejected(quiet_script().press(FORCE * 0.4, POINT, ANSWERS).quiet(), Reason.TOO_SOFT)
+    assert (found.value, found.limit, found.unit) == (pytest.approx(np.linalg.norm(FORCE) * 0.4), 4.0, "N")
+
+
+def test_too_hard():
+    found = rejected(quiet_script().press(FORCE * 2.5, POINT, ANSWERS).quiet(), Reason.TOO_HARD)
+    assert (found.value, found.limit) == (pytest.approx(np.linalg.norm(FORCE) * 2.5), 15.0)
+
+
+def test_not_still_is_a_wobbling_force():
+    found = rejected(quiet_script().press(FORCE, POINT, ANSWERS, wobble=0.2).quiet(), Reason.NOT_STILL)
+    assert found.value == pytest.approx(0.2, abs=0.02)
+    assert found.limit == 0.05
+
+
+def test_not_still_is_a_short_tap_too():
+    found = rejected(quiet_script().press(FORCE, POINT, ANSWERS, hold_s=0.2).quiet(), Reason.NOT_STILL)
+    assert found.unit == "s"
+    assert 0.15 < found.value < found.limit == 0.3
+
+
+def test_slid():
+    speed = np.array([0.01, 0.0, 0.0])  # m/s: 2.8 mm within the 14 periods of a still window
+    found = rejected(quiet_script().press(FORCE, POINT, ANSWERS, slide=speed).quiet(), Reason.SLID)
+    across = speed - FORCE * (speed @ FORCE) / (FORCE @ FORCE)
+    assert found.value == pytest.approx(np.linalg.norm(across) * 14 * PERIOD_S, rel=0.01)
+    assert found.limit == 0.0015
+
+
+def test_a_hand_that_tilts_about_the_contact_does_not_slide():
+    script = quiet_script()
+    for k in range(40):
+        angle = 0.006 * k  # 0.3 rad/s: 50 mm from the contact this would be 4 mm
+        force = 8.0 * np.array([np.sin(angle), 0.0, -np.cos(angle)])
+        script.step(np.r_[force, np.cross(POINT, force)], ANSWERS)
+    assert isinstance(only(script.quiet().run()), Contact)
+
+
+def test_noise_is_no_slide():
+    for seed in range(20):
+        script = Script(small_scene(), np.random.default_rng(seed), force_noise=0.03, moment_noise=0.003)
+        assert isinstance(only(script.quiet().press(FORCE * 0.7, np.add(POINT, [0, 0, 0.1]), ANSWERS).quiet().run()), Contact)
+
+
+def test_two_contacts():
+    second = np.array([-0.06, 0.0, 0.0])
+    script = quiet_script()
+    for _ in range(30):
+        wrench = np.r_[np.add(FORCE, [0, 4.0, 0]), np.cross(POINT, FORCE) + np.cross(second, [0, 4.0, 0])]
+        script.step(wrench, ANSWERS)
+    found = rejected(script.quiet(), Reason.TWO_CONTACTS)
+    force, moment = wrench[:3], wrench[3:]
+    assert found.value == pytest.approx(abs(force @ moment) / (force @ force))
+    assert found.limit == 0.008
+
+
+def test_a_torque():
+    torque = 0.1 * FORCE / np.linalg.norm(FORCE)
+    found = rejected(quiet_script().press(FORCE, POINT, ANSWERS, torque=torque).quiet(), Reason.TWO_CONTACTS)
+    assert found.value == pytest.approx(0.1 / np.linalg.norm(FORCE))
+
+
+def test_no_taxel():
+    found = rejected(quiet_script().press(FORCE, POINT, {3: 9.0}).quiet(), Reason.NO_TAXEL)
+    assert found.value == 0
+
+
+def test_an_answer_must_stand_above_the_channels_own_noise():
+    script = Script(small_scene(), skin_noise=6.0).quiet(3.0).press(FORCE, POINT, {3: 80.0, 7: 15.0}).quiet()
+    assert only(script.run()).channels.tolist() == [3]
+
+
+def test_too_many_taxels():
+    many = dict.fromkeys(range(12), 50.0)
+    found = rejected(quiet_script().press(FORCE, POINT, many).quiet(), Reason.TOO_MANY_TAXELS)
+    assert (found.value, found.limit) == (12, 6)
+    assert found.channels.tolist() == list(range(12))
+
+
+def test_not_connected():
+    scene = small_scene()
+    found = rejected(Script(scene).quiet().press(FORCE, POINT, {5: 50.0, 1: 30.0}).quiet(), Reason.NOT_CONNECTED)
+    places = scene.skin.layout.places
+    assert found.value == pytest.approx(np.linalg.norm(places[5] - places[1]))
+    assert found.limit == pytest.approx(1.6 * scene.skin.layout.spacing)
+
+
+def test_saturated():
+    script = quiet_script().press(FORCE, POINT, ANSWERS)
+    middle = len(script.samples) - 20
+    script.samples[middle] = dataclasses.replace(script.samples[middle], saturated=True)
+    assert rejected(script.quiet(), Reason.SATURATED).value == 1
+
+
+def test_a_wrench_that_is_not_a_number_counts_as_saturated():
+    script = quiet_script().press(FORCE, POINT, ANSWERS)
+    middle = len(script.samples) - 20
+    script.samples[middle] = dataclasses.replace(script.samples[middle], wrench=np.full(6, np.nan))
+    rejected(script.quiet(), Reason.SATURATED)
+
+
+def test_readings_lost():
+    script = quiet_script().press(FORCE, POINT, ANSWERS, hold_s=0.4)
+    del script.samples[-14:-8]
+    found = rejected(script.quiet(), Reason.READINGS_LOST)
+    assert found.value == pytest.approx(7 * PERIOD_S)
+    assert found.limit == pytest.approx(3 * PERIOD_S)
+
+
+def test_one_missing_frame_is_no_loss():
+    script = quiet_script().press(FORCE, POINT, ANSWERS)
+    del script.samples[-20]
+    assert isinstance(only(script.quiet().run()), Contact)
+
+
+def test_no_tare_after_ten_seconds_without_quiet():
+    script = quiet_script()
+    for k in range(600):
+        script.step(np.r_[0, 0, 0.45 * (-1) ** k, np.zeros(3)])
+    found = rejected(script.press(FORCE, POINT, ANSWERS).quiet(), Reason.NO_TARE)
+    assert found.value > 12.0
+    assert found.limit == 10.0
+
+
+def test_tare_changed():
+    script = quiet_script().press(FORCE, POINT, ANSWERS)
+    script.offset = script.offset + np.array([0.55, 0, 0, 0, 0, 0])
+    scene = dataclasses.replace(script.scene, contacts=ContactSettings(tare_change_max=0.5))
+    script.scene = scene
+    found = rejected(script.quiet(), Reason.TARE_CHANGED)
+    assert found.value == pytest.approx(0.55)
+
+
+def test_no_pose():
+    script = Script(small_scene(arm=arm_spec())).quiet().press(FORCE, POINT, ANSWERS).quiet()
+    detector = ContactDetector(script.scene)
+    outcomes = [one for sample in script.samples for one in detector.feed(sample, None, "")]
+    assert {one.reason for one in outcomes} == {Reason.NO_POSE}
+
+
+def test_arm_moved():
+    scene = small_scene(arm=arm_spec())
+    script = Script(scene, angles=np.zeros(1)).quiet()
+    for k in range(40):
+        script.angles = np.array([0.0 if k < 25 else 0.02])
+        script.step(np.r_[FORCE, np.cross(POINT, FORCE)], ANSWERS)
+    found = rejected(script.quiet(), Reason.ARM_MOVED, pose="up")
+    assert (found.value, found.limit) == (pytest.approx(0.02), pytest.approx(np.radians(0.5)))
+
+
+def test_another_pose_chosen_in_a_poke_is_an_arm_that_moved():
+    scene = small_scene(arm=arm_spec())
+    up, down = (scene.arm.arm.link_from_sensor(scene.arm.poses[name]) for name in ("up", "down"))
+    script = Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet()
+    detector = ContactDetector(scene)
+    half = len(script.samples) - 70
+    outcomes = [
+        one
+        for k, sample in enumerate(script.samples)
+        for one in detector.feed(sample, up if k < half else down, "up" if k < half else "down")
+    ]
+    assert outcomes[0].reason is Reason.ARM_MOVED
+    assert outcomes[0].value == pytest.approx(1.0)
+
+
+def test_an_arm_that_moves_between_pokes_is_tared_anew_and_poked_on():
+    scene = small_scene(arm=arm_spec())
+    script = Script(scene, angles=np.zeros(1)).quiet()
+    for k in range(25):  # the arm turns by 30 degrees and the weight on the sensor changes by 9 N
+        script.angles = np.array([np.radians(30) * k / 24])
+        script.step(np.array([9.0 * k / 24, 0, 0, 0.1 * k / 24, 0, 0]))
+    script.offset = script.offset + np.array([9.0, 0, 0, 0.1, 0, 0])
+    outcomes = script.quiet(0.7).press(FORCE, POINT, ANSWERS).quiet().run()
+    assert isinstance(outcomes[-1], Contact)
+    np.testing.assert_allclose(outcomes[-1].force, FORCE, atol=1e-9)
+
+
+def test_something_leaning_at_the_start_keeps_it_taring_until_it_leaves():
+    script = Script(small_scene(), force_noise=0.5)
+    detector = ContactDetector(script.scene)
+    for _ in range(300):
+        script.step(np.array([0, 0, -5.0, 0, 0, 0]), {3: 50.0})
+    assert not script.run(detector)
+    assert detector.progress(np.eye(4)).phase is Phase.TARING
+    script.samples.clear()
+    script.force_noise = 0.01
+    assert isinstance(only(script.quiet(1.0).press(FORCE, POINT, ANSWERS).quiet().run(detector)), Contact)
+
+
+def test_a_poke_from_the_first_sample_on_costs_that_poke_alone():
+    """It is tared away; once it leaves, the skin below its baseline tells, and the rhythm of pokes goes on."""
+    script = Script(small_scene(), force_noise=0.05, moment_noise=0.003, skin_noise=0.8)
+    script.press(FORCE, POINT, ANSWERS, hold_s=1.0, ramp_s=0.02)
+    for _ in range(3):
+        script.quiet(0.5).press(FORCE, POINT, ANSWERS)
+    first, *others = [one for one in script.quiet().run() if one.final]
+    assert isinstance(first, Rejection)
+    assert (first.poke, first.reason, first.value, first.limit, first.unit) == (1, Reason.NO_TARE, 0.0, 0.2, "s")
+    assert [one.poke for one in others] == [2, 3, 4]
+    for one in others:
+        assert isinstance(one, Contact)
+        np.testing.assert_allclose(one.force, FORCE, atol=0.1)
+
+
+def test_skin_below_its_baseline_drops_no_tare_that_a_poke_has_proved():
+    """As of foam that was tared before it had recovered: a press beside the skin is a press beside the skin."""
+    script = quiet_script(force_noise=0.02).press(FORCE, POINT, ANSWERS).quiet()
+    script.press(FORCE, POINT, {3: -20.0}).quiet().press(FORCE, POINT, ANSWERS).quiet()
+    outcomes = [one for one in script.run() if one.final]
+    assert [type(one) for one in outcomes] == [Contact, Rejection, Contact]
+    assert outcomes[1].reason is Reason.NO_TAXEL
+
+
+def test_a_force_that_never_falls_is_tared_away_after_ten_seconds():
+    script = quiet_script(force_noise=0.02)
+    script.offset = script.offset + np.array([5.0, 0, 0, 0, 0, 0])  # the sensor jumped
+    script.quiet(11.5)
+    detector = ContactDetector(script.scene)
+    found = only(script.run(detector))
+    assert found.reason is Reason.NO_TARE
+    assert detector.progress(np.eye(4)).phase is Phase.READY
+    script.samples.clear()
+    outcomes = script.press(FORCE, POINT, ANSWERS).quiet().run(detector)
+    assert [type(one) for one in outcomes] == [Contact, Contact]
+    np.testing.assert_allclose(outcomes[-1].force, FORCE, atol=0.1)
+
+
+def test_a_tool_that_still_leans_is_not_tared_away_at_once():
+    script = quiet_script()
+    script.press(FORCE, POINT, ANSWERS, hold_s=15.0).quiet()
+    outcomes = script.run()
+    assert [one.reason for one in outcomes] == [Reason.NO_TARE]  # and no poke of minus that force follows
+
+
+def test_a_reset_ends_the_poke_in_progress_and_settles_those_that_wait():
+    script = quiet_script().press(FORCE, POINT, ANSWERS).quiet(0.1)
+    script.press(FORCE, POINT, ANSWERS)
+    del script.samples[-10:]
+    detector = ContactDetector(script.scene)
+    script.run(detector)
+    outcomes = detector.reset(script.now + 1.0)
+    assert [(one.poke, type(one), one.final) for one in outcomes] == [
+        (2, Rejection, False),
+        (1, Contact, True),
+        (2, Rejection, True),
+    ]
+    assert outcomes[0].reason is Reason.READINGS_LOST
+    assert detector.progress(None).phase is Phase.NO_DATA
+    script.samples.clear()
+    assert only(script.quiet().press(FORCE, POINT, ANSWERS).quiet().run(detector)).poke == 3
+
+
+def test_phases_follow_the_poke():
+    detector = ContactDetector(small_scene())
+    script = quiet_script().press(FORCE, POINT, ANSWERS).quiet()
+    seen = [detector.progress(None).phase]
+    for sample in script.samples:
+        detector.feed(sample, np.eye(4), "")
+        phase = detector.progress(np.eye(4)).phase
+        if phase is not seen[-1]:
+            seen.append(phase)
+    assert seen == [Phase.NO_DATA, Phase.TARING, Phase.READY, Phase.PRESSING, Phase.STILL, Phase.HELD, Phase.READY]
+
+
+def test_progress_gives_the_axis_in_the_link_frame():
+    scene = small_scene()
+    pose = np.eye(4)
+    pose[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    pose[:3, 3] = [0.3, -0.2, 0.1]
+    detector = ContactDetector(scene)
+    script = quiet_script().press(FORCE, POINT, ANSWERS)
+    for sample in script.samples[:-5]:
+        detector.feed(sample, pose, "")
+    progress = detector.progress(pose)
+    contact = pose[:3, :3] @ POINT + pose[:3, 3]
+    np.testing.assert_allclose(progress.force, pose[:3, :3] @ FORCE, atol=1e-9)
+    np.testing.assert_allclose(np.cross(progress.force, contact - progress.axis_point), 0.0, atol=1e-9)
+    assert progress.channels.tolist() == [3, 7]
+    assert progress.still == 1.0
+
+
+def test_a_slower_device_is_followed():
+    script = quiet_script().press(FORCE, POINT, ANSWERS).quiet()
+    slow = [dataclasses.replace(sample, host_s=2000.0 + k * 0.1) for k, sample in enumerate(quiet_script().quiet(3.0).samples)]
+    detector = ContactDetector(script.scene)
+    script.run(detector)
+    for sample in slow:
+        detector.feed(sample, np.eye(4), "")
+    assert detector.progress(np.eye(4)).phase is Phase.READY
+
+
+@pytest.mark.parametrize("bad", [3, 7])
+def test_a_dead_channel_is_left_out_of_later_pokes(bad):
+    script = quiet_script().press(FORCE, POINT, ANSWERS).quiet()
+    detector = ContactDetector(script.scene)
+    detector.use_all_but({bad})
+    assert only(script.run(detector)).channels.tolist() == [10 - bad]
+
+
+def test_a_channel_marked_dead_gives_back_the_pokes_it_spoilt():
+    script = quiet_script().press(FORCE, POINT, {3: 80.0, 7: 40.0, 16: 60.0}).quiet()
+    detector = ContactDetector(script.scene)
+    assert only(script.run(detector)).reason is Reason.NOT_CONNECTED
+    (contact,) = detector.use_all_but({16})
+    assert isinstance(contact, Contact)
+    assert (contact.poke, contact.channels.tolist(), contact.final) == (1, [3, 7], True)
+    (again,) = detector.use_all_but(set())
+    assert again.reason is Reason.NOT_CONNECTED
