@@ -1,0 +1,128 @@
+"""Estimates of many taxels: pooled over all contacts, or per arm pose and averaged as the paper does (IV-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.evidence import Evidence, gather
+from skincal.estimate.free import estimate_free
+from skincal.estimate.result import Estimate, Method, State
+from skincal.estimate.uncertainty import unsigned
+from skincal.scene import NoiseSettings
+
+if TYPE_CHECKING:
+    from skincal.surface.mesh import Surface
+
+_NONE_DEAD: Mapping[int, str] = {}
+
+
+def estimate_taxels(
+    contacts: Sequence[Contact],
+    channels: Sequence[int],
+    method: Method,
+    noise: NoiseSettings,
+    surface: Surface | None,
+    dead: Mapping[int, str] = _NONE_DEAD,
+) -> dict[int, Estimate]:
+    """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
+
+    The result does not depend on the order of the contacts, nor on which other channels are asked for: not by a bit.
+
+    Parameters
+    ----------
+    contacts : accepted and not excluded; those without one of `channels` do not matter
+    dead : channels that are not used, with the reason
+
+    Raises
+    ------
+    ValueError
+        A contact has a number that is not finite, or the surface method has no surface.
+    """
+    if method is Method.SURFACE and surface is None:
+        raise ValueError("the surface method needs a surface")
+    channels = [int(channel) for channel in channels]
+    evidence = gather(contacts, set(channels) - set(dead))
+    return {channel: _estimate(channel, evidence.get(channel), method, noise, surface, dead) for channel in channels}
+
+
+def _estimate(
+    channel: int,
+    evidence: Evidence | None,
+    method: Method,
+    noise: NoiseSettings,
+    surface: Surface | None,
+    dead: Mapping[int, str],
+) -> Estimate:
+    if channel in dead:
+        return Estimate(channel, method, State.DEAD, 0, reason=dead[channel])
+    if evidence is None:
+        return Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel.")
+    if method is Method.FREE or surface is None:
+        return estimate_free(channel, evidence, noise)
+    # Only now: a scene without a mesh loads nothing of it.
+    from skincal.estimate.surface import estimate_surface
+
+    return estimate_surface(channel, evidence, noise, surface)
+
+
+def average_over_poses(
+    contacts: Sequence[Contact],
+    channels: Sequence[int],
+    method: Method,
+    noise: NoiseSettings,
+    surface: Surface | None,
+    dead: Mapping[int, str] = _NONE_DEAD,
+) -> dict[int, Estimate]:
+    """Estimate each pose's contacts alone and average the positions with equal weights, the paper's IV-B.
+
+    A pose in which a taxel is not estimated does not count for it. Averages of the surface method leave the surface, as
+    the paper's do; their triangle is None.
+
+    Parameters
+    ----------
+    contacts, channels, method, noise, surface, dead
+        As for `estimate_taxels`; poses are told apart by `Contact.pose`.
+    """
+    poses: dict[str, list[Contact]] = {}
+    for contact in contacts:
+        poses.setdefault(contact.pose, []).append(contact)
+    # By name, so that the order in which the poses came does not matter.
+    solved = [estimate_taxels(poses[pose], channels, method, noise, surface, dead) for pose in sorted(poses)]
+    if not solved:
+        return estimate_taxels([], channels, method, noise, surface, dead)
+    return {int(channel): _average([one[int(channel)] for one in solved]) for channel in channels}
+
+
+def _average(of_poses: list[Estimate]) -> Estimate:
+    """Average one taxel's estimates, one a pose."""
+    seen = [one for one in of_poses if one.state not in (State.UNSEEN, State.DEAD)]
+    if not seen:
+        return of_poses[0]
+    contacts = sum(one.contacts for one in seen)
+    channel, method = seen[0].channel, seen[0].method
+    good = [one for one in seen if one.position is not None and one.covariance is not None]
+    if not good:
+        best = max(seen, key=lambda one: one.contacts)
+        reason = f"Blind in each of its {len(seen)} poses. In the one with most pokes: {best.reason}"
+        return Estimate(
+            channel, method, State.BLIND, contacts, normal=best.normal, weakest=best.weakest, sd=best.sd, reason=reason
+        )
+    position, covariance = np.zeros(3), np.zeros((3, 3))
+    for count, one in enumerate(good, start=1):
+        position = position + (np.asarray(one.position) - position) / count
+        covariance = covariance + np.asarray(one.covariance)
+    covariance = covariance / len(good) ** 2
+    values, axes = np.linalg.eigh(covariance)
+    normals = np.sum([one.normal for one in good if one.normal is not None] or [np.zeros(3)], axis=0)
+    length = float(np.linalg.norm(normals))
+    blind = len(seen) - len(good)
+    return Estimate(
+        channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
+        covariance=covariance, weakest=unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
+        rms=float(np.sqrt(np.trace(covariance))),
+        reason=f"Mean of {len(good)} poses" + (f"; {blind} are blind and left out." if blind else "."),
+    )  # fmt: skip
