@@ -1,0 +1,84 @@
+"""Everything that a calibration file needs, in one frozen value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.errors import InputError
+from skincal.estimate.result import Estimate, Method
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """The result of a session, with what it was computed from; link frame, metres."""
+
+    scene: Scene
+    channels: Sequence[int] | IntArray
+    """Channels that are taxels, ascending."""
+    estimates: Mapping[Method, tuple[Estimate, ...]]
+    """For each method one estimate a taxel, in the order of `channels`."""
+    contacts: tuple[Contact, ...]
+    """Accepted contacts; those whose poke is in `excluded` did not count."""
+    mesh_sha256: str | None
+    """Of the mesh file that the surface method used; None without a surface."""
+    version: str
+    """skincal's version."""
+    excluded: tuple[int, ...] = ()
+    """Numbers of the pokes that the operator took out."""
+    dead: Mapping[int, str] = field(default_factory=dict[int, str])
+    """Channels that were not used, with the reason."""
+
+    def of(self, method: Method) -> tuple[Estimate, ...]:
+        """Return the estimates of one method.
+
+        Raises
+        ------
+        InputError
+            The session has no such estimates.
+        """
+        if method not in self.estimates:
+            known = ", ".join(m.value for m in self.estimates)
+            raise InputError(
+                f"the session has no estimates of the {method.value} method; expected one of: {known or 'none at all'}."
+            )
+        return self.estimates[method]
+
+    def module_id(self, channel: int) -> int | None:
+        """Return the id of the module that carries a channel; None where the layout does not say."""
+        layout = self.scene.skin.layout
+        if layout is None or not 0 <= channel < layout.width:
+            return None
+        index = int(layout.module_of[channel])
+        return None if index < 0 else layout.modules[index].id
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedTaxels:
+    """The taxels of one method that have a position."""
+
+    channels: IntArray
+    """(n,)"""
+    positions: FloatArray
+    """(n, 3) float, metres, link frame."""
+    normals: FloatArray
+    """(n, 3) float, unit, outward; zeros where unknown."""
+    sd: FloatArray
+    """(n,) float, metres, along the weakest direction; NaN where it is not determined."""
+
+
+def placed_taxels(estimates: Sequence[Estimate]) -> PlacedTaxels:
+    """Gather the estimates that have a position."""
+    known = [estimate for estimate in estimates if estimate.position is not None]
+    zero = np.zeros(3)
+    return PlacedTaxels(
+        channels=np.array([estimate.channel for estimate in known], dtype=np.int64),
+        positions=np.array([estimate.position for estimate in known], dtype=float).reshape(-1, 3),
+        normals=np.array([zero if e.normal is None else e.normal for e in known], dtype=float).reshape(-1, 3),
+        sd=np.array([np.nan if e.sd is None else e.sd for e in known], dtype=float),
+    )

@@ -1,0 +1,182 @@
+"""Write a calibration in one format, and say what is wrong with it and what it leaves out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from skincal.errors import InputError
+from skincal.estimate.result import Estimate, Method, State
+from skincal.files.atomic import write_atomically
+from skincal.files.calibration import Calibration, placed_taxels
+from skincal.files.csv_file import csv_text
+from skincal.files.icub import SKIN_PARTS, icub_text, parse_icub, skin_part
+from skincal.files.json_file import json_text, modules_text
+from skincal.files.lint import Reference, lint
+from skincal.files.ply import ply_text
+from skincal.readings import FloatArray
+from skincal.scene import SurfaceSpec
+from skincal.surface.lay import LaidSkin, lay
+from skincal.surface.mesh import Finding, Surface, load_surface
+from skincal.surface.nearest import nearest_points
+
+FORMATS = ("icub", "json", "csv", "ply")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """What the scene says of the part's shape."""
+
+    surface: Surface | None
+    laid: LaidSkin | None
+    """Where there is no surface."""
+    findings: tuple[str, ...]
+    """On the mesh itself."""
+    troubles: tuple[str, ...]
+    """Why a check could not be done, or says little."""
+
+
+def write_calibration(
+    calibration: Calibration,
+    format: str,  # noqa: A002 - as the command's option
+    path: Path,
+    method: Method,
+    part: str | None = None,
+) -> tuple[str, ...]:
+    """Write a calibration file; an older one is kept with `.bak` after its name.
+
+    Parameters
+    ----------
+    format : `"icub"` and `"ply"` hold `method` alone, `"json"` and `"csv"` every method
+    part : name of the skin part for the iCub file; see `skincal.files.icub.skin_part`
+
+    Returns
+    -------
+    Sentences: faults found (`skincal.files.lint`) and what is left out. They do not stop the writing.
+
+    Raises
+    ------
+    InputError
+        The format or method is unknown, or the file cannot be written.
+    """
+    if format not in FORMATS:
+        raise InputError(f"the format is {format!r}; expected one of {', '.join(FORMATS)}.")
+    calibration.of(method)
+    shape = _part(calibration)
+    text = _text(calibration, format, method, part, shape)
+    methods = (method,) if format in ("icub", "ply") else tuple(calibration.estimates)
+    sentences = list(shape.troubles)
+    for each in methods:
+        sentences += lint(calibration, each, _reference(calibration, each, shape))
+        sentences += _left_out(calibration.of(each), each, format)
+    if format == "json" and calibration.scene.skin.layout is not None and modules_text(calibration) is None:
+        sentences.append(
+            "the file of the layout is gone, so its text is not in the JSON; the positions can still be computed again."
+        )
+    if format == "icub":
+        sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, text)]
+    write_atomically(path, text.encode("utf-8"))
+    return tuple(sentences)
+
+
+def _text(calibration: Calibration, format_: str, method: Method, part: str | None, shape: _Part) -> str:
+    if format_ == "icub":
+        return icub_text(calibration, method, part)
+    if format_ == "json":
+        return json_text(calibration, shape.findings)
+    if format_ == "csv":
+        return csv_text(calibration)
+    return ply_text(calibration, method)
+
+
+def _part(calibration: Calibration) -> _Part:
+    """Load what the scene says of the shape; a missing mesh must not keep a calibration from being written."""
+    scene = calibration.scene
+    try:
+        if scene.surface is None:
+            laid = None if scene.skin.layout is None else lay(scene.skin.layout, scene.skin.anchor, None)
+            return _Part(None, laid, (), ())
+        surface, found = _load(scene.surface, _changed_ns(scene.surface.path))
+    except InputError as error:
+        return _Part(None, None, (), (f"the positions were not compared with the part's shape: {error}",))
+    same = surface.sha256 == calibration.mesh_sha256
+    trouble = f"{scene.surface.path}: the mesh changed since the estimates were computed; solve again."
+    return _Part(surface, None, tuple(finding.sentence for finding in found), () if same else (trouble,))
+
+
+@lru_cache(maxsize=1)
+def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[Finding, ...]]:
+    """Load a mesh once for the files of one calibration, which are written one after another."""
+    return load_surface(spec)
+
+
+def _changed_ns(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _reference(calibration: Calibration, method: Method, shape: _Part) -> Reference | None:
+    """Return where the skin should be: the surface, or else the layout as planned."""
+    taxels = placed_taxels(calibration.of(method))
+    finite = np.isfinite(taxels.positions).all(axis=1)
+    if shape.surface is not None:
+        normals = np.zeros((len(taxels.channels), 3))
+        if finite.any():
+            _, triangles = nearest_points(shape.surface, taxels.positions[finite])
+            normals[finite] = shape.surface.normals[triangles]
+        return Reference(shape.surface.vertices, normals, "the surface")
+    if shape.laid is None:
+        return None
+    places: FloatArray = shape.laid.places
+    known = np.isfinite(places).all(axis=1)
+    if not known.any():
+        return None
+    return Reference(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
+
+
+def _left_out(estimates: tuple[Estimate, ...], method: Method, format_: str) -> list[str]:
+    without = [estimate.state for estimate in estimates if estimate.position is None]
+    if not without:
+        return []
+    counts = Counter(without)
+    states = ", ".join(f"{counts[state]} {state.value}" for state in State if counts[state])
+    how = {
+        "icub": "rows of six zeros, which readers take as no position",
+        "json": "written without a position",
+        "csv": "written with an empty position",
+        "ply": "left out",
+    }[format_]
+    return [f"{method.value}: {len(without)} of {len(estimates)} taxels have no position ({states}): {how}."]
+
+
+def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> list[str]:
+    """Return what the robot's own readers would trip on; see `skincal.files.icub`."""
+    sentences: list[str] = []
+    last = calibration.scene.skin.channels - 1
+    if any(estimate.channel == last and estimate.position is not None for estimate in calibration.of(method)):
+        sentences.append(
+            f"channel {last} is the last row and has a position: the skinPart reader of icub-main drops the last row; "
+            "skinManager reads it."
+        )
+    name = skin_part(calibration, part)
+    if name not in SKIN_PARTS:
+        sentences.append(
+            f"the part is named {name!r}, which no program of the robot knows; expected one of {', '.join(SKIN_PARTS)}: "
+            "begin the scene's link name with it."
+        )
+    return sentences
+
+
+def _read_back(calibration: Calibration, method: Method, text: str) -> list[str]:
+    """Return what a reader finds in the text that was meant otherwise."""
+    file = parse_icub(text, "the file as written")
+    taxels = placed_taxels(calibration.of(method))
+    placed = set(np.flatnonzero(file.positions.any(axis=1)).tolist())
+    lost = set(taxels.channels.tolist()) - placed
+    return [f"the file as written has no position for channel {channel}." for channel in sorted(lost)]

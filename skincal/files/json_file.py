@@ -1,0 +1,271 @@
+"""A calibration as JSON with everything that is needed to compute it again.
+
+Numbers have every digit that a double needs, so that what is read back is bit for bit what was written; JSON has no
+NaN, so a number that is not known is null. A key ends in its unit unless the number has none.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.errors import InputError
+from skincal.estimate.result import Estimate, Method, State
+from skincal.files.calibration import Calibration
+from skincal.readings import FloatArray
+from skincal.scene import ContactSettings, NoiseSettings
+
+FORMAT = "skincal-calibration/1"
+CONTACT_UNITS = {
+    "force_min": "N", "force_max": "N", "touch_force": "N", "release_force": "N", "still_s": "", "still_change": "",
+    "slide_max": "m", "pitch_max": "m", "taxels_max": "", "response_min": "raw", "response_noises": "", "quiet_s": "",
+    "tare_change_max": "N", "gap_factor": "",
+}  # fmt: skip
+"""Unit after the name of each setting; empty for a plain number or where the name has it."""
+NOISE_UNITS = {"force": "N", "moment": "Nm", "contact": "m"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationFile:
+    """What a calibration's JSON says: enough to solve again with `skincal.estimate.solve`."""
+
+    version: str
+    """Of the skincal that wrote it."""
+    frame: str
+    scene_text: str
+    modules_text: str | None
+    """Text of the layout's file; None without a layout."""
+    mesh_sha256: str | None
+    mesh_findings: tuple[str, ...]
+    contact_settings: ContactSettings
+    noise: NoiseSettings
+    channels: tuple[int, ...]
+    contacts: tuple[Contact, ...]
+    """Accepted contacts, in their order; those in `excluded` did not count."""
+    excluded: tuple[int, ...]
+    """Numbers of the pokes that the operator took out."""
+    dead: Mapping[int, str]
+    estimates: Mapping[Method, tuple[Estimate, ...]]
+
+    @property
+    def used_contacts(self) -> tuple[Contact, ...]:
+        """Contacts from which the estimates were computed."""
+        return tuple(contact for contact in self.contacts if contact.poke not in self.excluded)
+
+
+def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> str:
+    """Return the JSON text of every method.
+
+    Parameters
+    ----------
+    mesh_findings : sentences on the mesh, from `skincal.surface.load_surface`
+    """
+    scene = calibration.scene
+    document = {
+        "format": FORMAT,
+        "skincal_version": calibration.version,
+        "frame": scene.link,
+        "scene": {"name": scene.name, "file": scene.path.name, "text": scene.text, "modules_text": modules_text(calibration)},
+        "mesh": None
+        if scene.surface is None
+        else {"file": scene.surface.path.name, "sha256": calibration.mesh_sha256, "findings": list(mesh_findings)},
+        "contact_settings": _settings(scene.contacts, CONTACT_UNITS),
+        "noise": _settings(scene.noise, NOISE_UNITS),
+        "channels": [int(channel) for channel in calibration.channels],
+        "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
+        "excluded_pokes": [int(poke) for poke in calibration.excluded],
+        "contacts": [_contact(contact) for contact in calibration.contacts],
+        "estimates": {
+            method.value: [_estimate(calibration, estimate) for estimate in estimates]
+            for method, estimates in calibration.estimates.items()
+        },
+    }
+    return _dump(document)
+
+
+def _dump(document: dict[str, Any]) -> str:
+    """Return JSON with one line a contact and an estimate: readable, and a third of the length of `indent=1`."""
+    contacts: list[Any] = document["contacts"]
+    groups: dict[str, list[Any]] = document["estimates"]
+    plain = {key: value for key, value in document.items() if key not in ("contacts", "estimates")}
+    estimates = ",\n".join(f"  {_compact(name)}: {_lines(items)}" for name, items in groups.items())
+    entries = [f" {_compact(key)}: {_compact(value)}" for key, value in plain.items()]
+    entries += [f' "contacts": {_lines(contacts)}', f' "estimates": {{\n{estimates}\n }}']
+    return "{\n" + ",\n".join(entries) + "\n}\n"
+
+
+def _lines(items: list[Any]) -> str:
+    return "[" + ",".join(f"\n   {_compact(item)}" for item in items) + "]"
+
+
+def _compact(value: object) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def modules_text(calibration: Calibration) -> str | None:
+    """Return the layout file's text; None without a layout, or where the file is gone."""
+    scene = calibration.scene
+    if scene.skin.layout is None:
+        return None
+    try:
+        name = tomllib.loads(scene.text)["skin"]["modules"]
+        return (scene.path.parent / name).read_text(encoding="utf-8")
+    except (OSError, KeyError, TypeError, ValueError):
+        return None
+
+
+def _settings(settings: ContactSettings | NoiseSettings, units: Mapping[str, str]) -> dict[str, float]:
+    return {_with_unit(item.name, units): getattr(settings, item.name) for item in fields(settings)}
+
+
+def _with_unit(name: str, units: Mapping[str, str]) -> str:
+    return f"{name}_{units[name]}" if units[name] else name
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _array(array: FloatArray | None) -> Any:
+    """Return nested lists of numbers, with None for what is not finite."""
+    if array is None:
+        return None
+    if array.ndim > 1:
+        return [_array(row) for row in array]
+    return [_number(value) for value in array.tolist()]
+
+
+def _contact(contact: Contact) -> dict[str, Any]:
+    return {
+        "poke": int(contact.poke),
+        "start_s": float(contact.start_s),
+        "end_s": float(contact.end_s),
+        "force_sensor_N": _array(contact.force),
+        "moment_sensor_Nm": _array(contact.moment),
+        "channels": contact.channels.tolist(),
+        "responses_raw": _array(contact.responses),
+        "link_from_sensor_m": _array(contact.link_from_sensor),
+        "pose": contact.pose,
+        "tare_change_N": _number(contact.tare_change),
+        "final": bool(contact.final),
+    }
+
+
+def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
+    return {
+        "channel": int(estimate.channel),
+        "module": calibration.module_id(estimate.channel),
+        "state": estimate.state.value,
+        "contacts": int(estimate.contacts),
+        "position_m": _array(estimate.position),
+        "normal": _array(estimate.normal),
+        "covariance_m2": _array(estimate.covariance),
+        "weakest": _array(estimate.weakest),
+        "sd_m": _number(estimate.sd),
+        "rms_m": _number(estimate.rms),
+        "triangle": None if estimate.triangle is None else int(estimate.triangle),
+        "reason": estimate.reason,
+    }
+
+
+def read_json(path: Path) -> CalibrationFile:
+    """Read a calibration's JSON back, bit for bit.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no JSON, is of another format, or lacks a key.
+    """
+    try:
+        document: Any = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error}); expected a calibration that skincal wrote.") from None
+    try:
+        found: Any = document["format"]
+    except (TypeError, KeyError, IndexError):
+        found = None
+    if found != FORMAT:
+        raise InputError(f"{path}: its format is {found!r}; expected {FORMAT!r}.")
+    try:
+        return _calibration_file(document)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: damaged near {error}; expected a calibration that skincal wrote, unchanged.") from None
+
+
+def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
+    mesh: dict[str, Any] = document["mesh"] or {"sha256": None, "findings": []}
+    return CalibrationFile(
+        version=document["skincal_version"],
+        frame=document["frame"],
+        scene_text=document["scene"]["text"],
+        modules_text=document["scene"]["modules_text"],
+        mesh_sha256=mesh["sha256"],
+        mesh_findings=tuple(mesh["findings"]),
+        contact_settings=ContactSettings(**_plain_settings(document["contact_settings"], CONTACT_UNITS)),
+        noise=NoiseSettings(**_plain_settings(document["noise"], NOISE_UNITS)),
+        channels=tuple(document["channels"]),
+        contacts=tuple(_read_contact(contact) for contact in document["contacts"]),
+        excluded=tuple(document["excluded_pokes"]),
+        dead={int(channel): reason for channel, reason in document["dead_channels"].items()},
+        estimates={
+            Method(name): tuple(_read_estimate(item, Method(name)) for item in items)
+            for name, items in document["estimates"].items()
+        },
+    )
+
+
+def _plain_settings(values: dict[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
+    return {name: values[_with_unit(name, units)] for name in units}
+
+
+def _read_array(values: list[Any]) -> FloatArray:
+    """Return an array of floats; None in the lists becomes NaN."""
+    return np.array(values, dtype=float)
+
+
+def _read_optional(values: list[Any] | None) -> FloatArray | None:
+    return None if values is None else _read_array(values)
+
+
+def _read_contact(values: dict[str, Any]) -> Contact:
+    change = values["tare_change_N"]
+    return Contact(
+        poke=values["poke"],
+        start_s=values["start_s"],
+        end_s=values["end_s"],
+        force=_read_array(values["force_sensor_N"]),
+        moment=_read_array(values["moment_sensor_Nm"]),
+        channels=np.array(values["channels"], dtype=np.int64),
+        responses=_read_array(values["responses_raw"]),
+        link_from_sensor=_read_array(values["link_from_sensor_m"]),
+        pose=values["pose"],
+        tare_change=math.nan if change is None else change,
+        final=values["final"],
+    )
+
+
+def _read_estimate(values: dict[str, Any], method: Method) -> Estimate:
+    return Estimate(
+        channel=values["channel"],
+        method=method,
+        state=State(values["state"]),
+        contacts=values["contacts"],
+        position=_read_optional(values["position_m"]),
+        normal=_read_optional(values["normal"]),
+        covariance=_read_optional(values["covariance_m2"]),
+        weakest=_read_optional(values["weakest"]),
+        sd=values["sd_m"],
+        rms=values["rms_m"],
+        triangle=values["triangle"],
+        reason=values["reason"],
+    )

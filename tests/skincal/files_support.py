@@ -1,0 +1,167 @@
+"""A small curved part with three modules, and calibrations of it, for the tests of `skincal.files`."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.result import Estimate, Method, State
+from skincal.files.calibration import Calibration
+from skincal.readings import FloatArray
+from skincal.scene import Scene, load_scene
+
+CHANNELS = 48
+RADIUS = 0.040
+SCENE = """
+name = "bent-board"
+link = "r_forearm_dh_frame"
+[skin]
+channels = 48
+modules = "boards.toml"
+[skin.anchor]
+at_mm = [0, 0]
+point_mm = [0, 100, 40]
+x = [1, 0, 0]
+normal = [0, 0, 1]
+[surface]
+mesh = "tube.obj"
+unit = "mm"
+[noise]
+force = 0.2
+"""
+MODULES = """
+[[modules]]
+id = 17
+kind = "triangle_12"
+first_channel = 0
+[[modules]]
+id = 21
+kind = "triangle_10pad"
+first_channel = 12
+place_mm = [0, 40]
+angle_deg = 30
+mirror = true
+[[modules]]
+id = 25
+kind = "triangle_12"
+first_channel = 36
+place_mm = [0, -40]
+angle_deg = 90
+"""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A scene on the disk and where its taxels truly are."""
+
+    scene: Scene
+    places: FloatArray
+    normals: FloatArray
+
+
+def make_part(folder: Path) -> Part:
+    """Write scene, modules and a tube of 40 mm radius along y into `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "tube.obj").write_text(_tube())
+    (folder / "boards.toml").write_text(MODULES)
+    (folder / "scene.toml").write_text(SCENE)
+    scene = load_scene(folder / "scene.toml")
+    layout = scene.skin.layout
+    assert layout is not None
+    # On a tube a straight geodesic is a straight line of the unrolled plane: an exact answer, without the mesh.
+    around = layout.places[:, 0] / RADIUS
+    side = np.stack([np.sin(around), np.zeros(CHANNELS), np.cos(around)], axis=1)
+    places = RADIUS * side
+    places[:, 1] = 0.1 + layout.places[:, 1]
+    return Part(scene, places, side)
+
+
+def _tube(segments: int = 72) -> str:
+    angles = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    lines = [f"v {40 * np.sin(a):.9f} {y} {40 * np.cos(a):.9f}" for y in (0, 200) for a in angles]
+    for i in range(segments):
+        j = (i + 1) % segments
+        lines += [f"f {i + 1} {j + 1} {segments + i + 1}", f"f {j + 1} {segments + j + 1} {segments + i + 1}"]
+    return "\n".join(lines) + "\n"
+
+
+def estimate(channel: int, method: Method, position: FloatArray, normal: FloatArray | None, sd: float = 0.001) -> Estimate:
+    """Return an estimate with a plausible covariance."""
+    covariance = np.diag([1e-8, 2e-8, sd * sd])
+    return Estimate(
+        channel,
+        method,
+        State.ESTIMATED,
+        7,
+        position,
+        normal,
+        covariance,
+        np.array([0.0, 0.0, 1.0]),
+        sd,
+        float(covariance.trace()) ** 0.5,
+    )
+
+
+def make_calibration(part: Part, unseen: tuple[int, ...] = (), blind: tuple[int, ...] = (), shift: float = 0.0) -> Calibration:
+    """Return a calibration at the true places, moved by `shift` along the normals, for both methods."""
+    layout = part.scene.skin.layout
+    assert layout is not None
+    estimates: dict[Method, tuple[Estimate, ...]] = {}
+    for method in Method:
+        items: list[Estimate] = []
+        for channel in layout.channels.tolist():
+            if channel in unseen:
+                items.append(Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel."))
+            elif channel in blind:
+                items.append(Estimate(channel, method, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]), reason="One axis."))
+            else:
+                items.append(
+                    estimate(channel, method, part.places[channel] + shift * part.normals[channel], part.normals[channel])
+                )
+        estimates[method] = tuple(items)
+    mesh = part.scene.surface
+    assert mesh is not None
+    sha256 = hashlib.sha256(mesh.path.read_bytes()).hexdigest()
+    return Calibration(
+        part.scene, layout.channels, estimates, make_contacts(part, 60), sha256, "0.1.0", (3,), {40: "always on"}
+    )
+
+
+def make_contacts(part: Part, count: int, seed: int = 1) -> tuple[Contact, ...]:
+    """Return noisy pokes on random taxels, with an arm pose that changes."""
+    rng = np.random.default_rng(seed)
+    known = np.flatnonzero(~np.isnan(part.places[:, 0]))
+    contacts: list[Contact] = []
+    for poke in range(1, count + 1):
+        channel = int(rng.choice(known[:6]))
+        push = -part.normals[channel] + 0.4 * rng.normal(size=3)
+        pose = np.eye(4)
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        pose[:3, :3] = turn * np.linalg.det(turn)
+        pose[:3, 3] = rng.normal(size=3) * 0.1
+        force = rng.uniform(4, 12) * pose[:3, :3].T @ (push / np.linalg.norm(push))
+        place_sensor = pose[:3, :3].T @ (part.places[channel] - pose[:3, 3])
+        moment = np.cross(place_sensor, force) + 0.005 * rng.normal(size=3)
+        channels = np.unique([channel, int(rng.choice(known[:6]))])
+        answers = rng.uniform(10, 90, size=len(channels))
+        change = np.nan if poke % 5 == 0 else float(rng.normal())
+        contacts.append(
+            Contact(
+                poke,
+                poke * 1.1,
+                poke * 1.1 + 0.3,
+                force,
+                moment,
+                channels,
+                answers,
+                pose,
+                f"pose {poke % 3}",
+                change,
+                poke % 7 != 0,
+            )
+        )
+    return tuple(contacts)

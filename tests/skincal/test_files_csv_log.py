@@ -1,0 +1,170 @@
+import re
+
+import numpy as np
+import pytest
+
+from skincal.errors import InputError
+from skincal.files.csv_log import read_csv
+from skincal.readings import Loss
+from skincal.streams.formats import make_format
+
+TIMES = [0.5, 0.51, 0.52, 0.53]
+WRENCH = np.array([[0.1 * k, -2.0, 3.5e-7, 0.25, 0.5, k] for k in range(4)])
+SKIN = np.array([[200 + k, 3.0, 7.5] for k in range(4)])
+
+
+def table(header, rows, separator=","):
+    lines = [separator.join(header)] if header else []
+    return "\n".join(lines + [separator.join(map(repr, row)) for row in np.asarray(rows).tolist()]) + "\n"
+
+
+def with_time(values, factor=1.0):
+    return np.column_stack([np.array(TIMES) * factor, values])
+
+
+WRENCH_TEXT = table(["t_s", "fx", "fy", "fz", "mx", "my", "mz"], with_time(WRENCH))
+SKIN_TEXT = table(["t_s", "t0", "t1", "t2"], with_time(SKIN))
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(wrench=WRENCH_TEXT, skin=SKIN_TEXT, joints=None):
+        paths = []
+        for name, content in (("w.csv", wrench), ("s.csv", skin), ("j.csv", joints)):
+            path = tmp_path / name
+            if content is not None:
+                path.write_text(content, encoding="utf-8")
+            paths.append(path)
+        links, chunks, findings = read_csv(paths[0], paths[1], None if joints is None else paths[2])
+        decoders = {link.name: make_format(link.format, SKIN.shape[1], link.carries) for link in links}
+        batches = {link.name: [] for link in links}
+        times = []
+        for chunk in chunks:
+            batches[chunk.link] += decoders[chunk.link].feed(chunk.data)
+            times.append(chunk.host_ns)
+        assert times == sorted(times)
+        return batches, {name: decoder.counts for name, decoder in decoders.items()}, findings
+
+    return read
+
+
+def wrench_of(batches):
+    return np.vstack([batch.wrench for batch in batches["wrench"]])
+
+
+def skin_of(batches):
+    return np.vstack([batch.values for batch in batches["skin"]])
+
+
+def test_what_was_written_is_decoded_bit_for_bit(read):
+    batches, counts, findings = read()
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH)
+    np.testing.assert_array_equal(skin_of(batches), SKIN)
+    np.testing.assert_allclose(np.concatenate([batch.device_s for batch in batches["wrench"]]), TIMES, atol=1e-9)
+    assert not any(counts.values())
+    assert findings == ("wrench: 4 lines in 0.0 s, 100 a second.", "skin: 4 lines in 0.0 s, 100 a second.")
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [("t", 1), ("Time_ms", 1e3), ("timestamp [us]", 1e6), ("stamp_ns", 1e9), ("t(ms)", 1e3), ("TIME_S", 1)],
+)
+def test_the_times_unit_is_in_its_name(read, name, factor):
+    header = [name, "Fx_N", "Fy_N", "Fz_N", "Tx_Nm", "Ty_Nm", "Tz_Nm"]
+    batches, _, findings = read(wrench=table(header, with_time(WRENCH, factor)))
+    np.testing.assert_allclose(np.concatenate([batch.device_s for batch in batches["wrench"]]), TIMES, atol=1e-9)
+    assert any("names no unit and was read as seconds" in finding for finding in findings) == (name == "t")
+
+
+@pytest.mark.parametrize("separator", [";", "\t", "  "])
+def test_other_separators(read, separator):
+    header = ["t_s", "fx", "fy", "fz", "mx", "my", "mz"]
+    batches, _, _ = read(wrench=table(header, with_time(WRENCH), separator))
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH)
+
+
+def test_decimal_commas_quotes_comments_and_a_byte_order_mark(read):
+    content = table(['"t_s"', "fx", "fy", "fz", "mx", "my", "mz"], with_time(WRENCH), ";").replace(".", ",")
+    batches, counts, _ = read(wrench="\ufeff# from the lab\n" + content + "\n\n")
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH)
+    assert not counts["wrench"]
+
+
+def test_columns_in_any_order_with_a_counter_and_moments_in_newton_millimetres(read):
+    order = [6, 5, 4, 3, 2, 1, 0]
+    header = ["t_s", "fx", "fy", "fz", "mx_nmm", "my_nmm", "mz_nmm"]
+    values = with_time(WRENCH * [1, 1, 1, 1e3, 1e3, 1e3])[:, order]
+    rows = np.column_stack([[5, 6, 7, 9], values])
+    batches, counts, _ = read(wrench=table(["seq", *(header[i] for i in order)], rows))
+    np.testing.assert_allclose(wrench_of(batches), WRENCH, rtol=1e-15)
+    assert [seq for batch in batches["wrench"] for seq in batch.seq] == [5, 6, 7, 9]
+    assert counts["wrench"] == {Loss.MISSING: 1}
+
+
+def test_skin_columns_go_by_their_numbers_where_they_have_some(read):
+    batches, _, _ = read(skin=table(["t_s", "taxel10", "taxel2", "taxel1"], with_time(SKIN)))
+    np.testing.assert_array_equal(skin_of(batches), SKIN[:, ::-1])
+    batches, _, _ = read(skin=table(["t_s", "thumb", "index finger", "palm"], with_time(SKIN)))
+    np.testing.assert_array_equal(skin_of(batches), SKIN)
+
+
+def test_joints_in_degrees_or_radians_become_radians(read):
+    angles = np.array([[0.0, 94.0], [1.0, 45.0], [2.0, 30.0], [3.0, -90.0]])
+    for header, values in ((["j0_deg", "j1_deg"], angles), (["j0_rad", "j1 [rad]"], np.radians(angles))):
+        batches, _, _ = read(joints=table(["t_s", *header], with_time(values)))
+        np.testing.assert_allclose(np.vstack([b.angles for b in batches["joints"]]), np.radians(angles), rtol=1e-14)
+
+
+def test_without_a_header_columns_go_by_their_place(read):
+    batches, _, findings = read(wrench=table([], with_time(WRENCH)), skin=table([], with_time(SKIN)))
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH)
+    np.testing.assert_array_equal(skin_of(batches), SKIN)
+    assert sum("no header: the first column was read as seconds" in finding for finding in findings) == 2
+
+
+def test_bad_rows_are_counted_not_lost_silently(read):
+    rows = WRENCH_TEXT.splitlines()
+    rows[2] = "0.51,1,2,3"
+    rows[3] = "0.52,1,2,x y,4,5,6"
+    rows[4] = "0.53,1,2,,4,5,6"
+    rows += ["0.54,1,2,3,4,5,6,7", "later,1,2,3,4,5,6"]
+    batches, counts, findings = read(wrench="\n".join(rows))
+    assert counts["wrench"] == {Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 1, Loss.NOT_A_NUMBER: 1}
+    assert np.isfinite(wrench_of(batches)).all(axis=1).tolist() == [True, False]
+    assert "wrench: 1 row without a time: left out." in findings
+
+
+def test_an_empty_field_of_the_skin_is_a_dead_taxel(read):
+    batches, counts, _ = read(skin=SKIN_TEXT.replace(",3.0,", ",,", 1))
+    assert np.isnan(skin_of(batches)).tolist() == [[False, True, False]] + [[False] * 3] * 3
+    assert counts["skin"] == {Loss.NOT_A_NUMBER: 1}
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"wrench": ""}, "the file is empty"),
+        ({"wrench": "t_s,fx,fy,fz,mx,my,mz\n"}, "no row with a time"),
+        ({"wrench": "fx,fy,fz,mx,my,mz\n1,2,3,4,5,6\n"}, "no column is the time; seen fx, fy, fz"),
+        ({"wrench": "t_s,fx,fy,fz,mx\n1,2,3,4,5\n"}, "columns my, mz are missing"),
+        ({"wrench": "0.5,1,2,3\n"}, "has 4 columns and no header; expected time fx fy fz mx my mz"),
+        ({"skin": "t_s\n0.5\n"}, "no column besides the time"),
+        ({"joints": "t_s,j0\n0.5,94\n"}, "column 'j0' names no unit; expected names such as j0_deg"),
+        ({"skin": "t_s,t0,t1,t2\n900,1,2,3\n"}, "expected recordings of the same time"),
+    ],
+)
+def test_wrong_input_is_said(read, given, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        read(**given)
+
+
+def test_a_missing_file_is_said(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_csv(tmp_path / "none.csv", tmp_path / "none.csv")
+
+
+def test_bytes_that_are_no_text_are_said_and_not_shown(read):
+    with pytest.raises(InputError, match=r"w\.csv: is no text; expected rows of a time and values"):
+        read(wrench="\x07\x1b[31m,\x00\x01\n1,2\n")
+    with pytest.raises(InputError, match=r"no row with a time was found; .* such as t_ms or t_ns"):
+        read(wrench=table(["t", "fx", "fy", "fz", "mx", "my", "mz"], with_time(WRENCH, 1e19)))

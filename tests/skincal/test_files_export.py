@@ -1,0 +1,266 @@
+import csv
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.errors import InputError
+from skincal.estimate.result import Estimate, Method, State
+from skincal.estimate.solve import estimate_taxels
+from skincal.files.atomic import write_atomically
+from skincal.files.export import write_calibration
+from skincal.files.icub import read_icub
+from skincal.files.json_file import CONTACT_UNITS, NOISE_UNITS, json_text, read_json
+from skincal.scene import ContactSettings, NoiseSettings
+from skincal.surface.mesh import load_surface
+from tests.skincal.files_support import Part, make_calibration, make_contacts, make_part
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory) -> Part:
+    return make_part(tmp_path_factory.mktemp("part"))
+
+
+def same(one: object, other: object) -> bool:
+    """Equal bit for bit, NaN included."""
+    if isinstance(one, np.ndarray):
+        return isinstance(other, np.ndarray) and one.dtype == other.dtype and one.tobytes() == other.tobytes()
+    if isinstance(one, float) and math.isnan(one):
+        return isinstance(other, float) and math.isnan(other)
+    return one == other
+
+
+def fields_of(value: object) -> list[object]:
+    return [getattr(value, name) for name in value.__slots__]
+
+
+def test_json_gives_contacts_and_estimates_back_bit_for_bit(part, tmp_path):
+    calibration = make_calibration(part, unseen=(5,), blind=(2,))
+    write_calibration(calibration, "json", tmp_path / "c.json", Method.FREE)
+    file = read_json(tmp_path / "c.json")
+    for one, other in zip(calibration.contacts, file.contacts, strict=True):
+        assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))
+    assert set(file.estimates) == set(Method)
+    for method, estimates in calibration.estimates.items():
+        for one, other in zip(estimates, file.estimates[method], strict=True):
+            assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))
+    assert file.frame == "r_forearm_dh_frame"
+    assert file.scene_text == part.scene.text
+    assert file.modules_text == (part.scene.path.parent / "boards.toml").read_text()
+    assert file.mesh_sha256 == calibration.mesh_sha256
+    assert file.mesh_findings
+    assert (file.excluded, dict(file.dead)) == ((3,), {40: "always on"})
+    assert file.noise == NoiseSettings(force=0.2)
+    assert file.contact_settings == ContactSettings()
+
+
+def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
+    """The file alone is enough to compute it again."""
+    scene = part.scene
+    assert scene.surface is not None
+    surface, _ = load_surface(scene.surface)
+    contacts = make_contacts(part, 80, seed=9)
+    channels, dead = [0, 1, 2, 3, 5], {3: "always on"}
+    used = [contact for contact in contacts if contact.poke not in (4, 11)]
+    estimates = {m: tuple(estimate_taxels(used, channels, m, scene.noise, surface, dead).values()) for m in Method}
+    assert any(e.state is State.ESTIMATED for e in estimates[Method.FREE])
+    calibration = replace(
+        make_calibration(part), channels=channels, estimates=estimates, contacts=contacts, excluded=(4, 11), dead=dead
+    )
+    write_calibration(calibration, "json", tmp_path / "c.json", Method.SURFACE)
+    file = read_json(tmp_path / "c.json")
+    for method in Method:
+        again = estimate_taxels(file.used_contacts, file.channels, method, file.noise, surface, file.dead)
+        for one, other in zip(file.estimates[method], again.values(), strict=True):
+            assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))
+
+
+def test_json_has_no_nan_and_names_its_units(part):
+    text = json_text(make_calibration(part))
+
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    document = json.loads(text, parse_constant=refuse)
+    assert document["contacts"][4]["tare_change_N"] is None
+    assert document["noise"] == {"force_N": 0.2, "moment_Nm": 0.01, "contact_m": 0.002}
+    assert document["skincal_version"] == "0.1.0"
+
+
+def test_every_setting_has_a_unit():
+    assert list(CONTACT_UNITS) == list(ContactSettings.__slots__)
+    assert list(NOISE_UNITS) == list(NoiseSettings.__slots__)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "other"}', '{"format": "skincal-calibration/1"}', "nul"])
+def test_another_json_is_refused_with_a_sentence(tmp_path, text):
+    path = tmp_path / "c.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match="expected"):
+        read_json(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_json(tmp_path / "none.json")
+
+
+def test_csv_has_a_row_a_channel_and_method(part, tmp_path):
+    calibration = make_calibration(part, unseen=(5,), blind=(13,))
+    said = write_calibration(calibration, "csv", tmp_path / "c.csv", Method.FREE)
+    text = (tmp_path / "c.csv").read_text()
+    assert text.splitlines()[0] == "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm"
+    rows = list(csv.DictReader(text.splitlines()))
+    layout = part.scene.skin.layout
+    assert layout is not None
+    assert [(row["method"], int(row["channel"])) for row in rows] == [
+        (method.value, channel) for method in Method for channel in layout.channels.tolist()
+    ]
+    for row in rows:
+        channel = int(row["channel"])
+        assert row["module"] == ("17" if channel < 12 else "21" if channel < 24 else "25")
+        vectors = [row[name] for name in ("x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm")]
+        if channel in (5, 13):
+            assert vectors == [""] * 7
+            assert row["state"] == ("unseen" if channel == 5 else "blind")
+        else:
+            assert [float(word) for word in vectors] == [*part.places[channel], *part.normals[channel], 1.0]
+            assert (row["state"], row["contacts"]) == ("estimated", "7")
+    counted = "2 of 34 taxels have no position (1 unseen, 1 blind): written with an empty position."
+    assert said == (f"free: {counted}", f"surface: {counted}")
+
+
+def test_ply_holds_the_known_taxels(part, tmp_path):
+    import trimesh
+
+    calibration = make_calibration(part, unseen=(5,))
+    said = write_calibration(calibration, "ply", tmp_path / "c.ply", Method.SURFACE)
+    assert said == ("surface: 1 of 34 taxels have no position (1 unseen): left out.",)
+    cloud = trimesh.load(tmp_path / "c.ply")
+    layout = part.scene.skin.layout
+    assert layout is not None
+    known = np.setdiff1d(layout.channels, [5])
+    np.testing.assert_allclose(np.asarray(cloud.vertices), part.places[known], atol=1e-8)
+    rows = np.loadtxt((tmp_path / "c.ply").read_text().partition("end_header\n")[2].splitlines())
+    np.testing.assert_allclose(rows[:, 3:6], part.normals[known], atol=1e-7)
+    np.testing.assert_array_equal(rows[:, 6], known)
+    np.testing.assert_array_equal(rows[:, 7:], [[1, 1.0]] * len(known))
+
+
+def test_ply_of_a_taxel_without_normal_and_sd(part, tmp_path):
+    bare = Estimate(0, Method.FREE, State.ESTIMATED, 2, position=np.array([0.1, 0.2, 0.3]))
+    calibration = replace(make_calibration(part), estimates={Method.FREE: (bare,)})
+    write_calibration(calibration, "ply", tmp_path / "c.ply", Method.FREE)
+    assert (tmp_path / "c.ply").read_text().splitlines()[-1] == "0.1 0.2 0.3 0 0 0 0 0 -1"
+
+
+def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
+    said = write_calibration(make_calibration(part, unseen=(5,), blind=(2,)), "icub", tmp_path / "p.txt", Method.FREE)
+    assert said[0] == (
+        "free: 2 of 34 taxels have no position (1 unseen, 1 blind): rows of six zeros, which readers take as no position."
+    )
+    assert said[1].startswith("channel 47 is the last row and has a position: the skinPart reader of icub-main drops")
+    assert len(said) == 2
+    assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "p.txt", Method.FREE)[1:] == ()
+    assert read_icub(tmp_path / "p.txt").name == "r_forearm"
+
+
+def test_a_part_that_the_robot_does_not_know_is_said(part, tmp_path):
+    said = write_calibration(make_calibration(part), "icub", tmp_path / "p.txt", Method.FREE, part="elbow")
+    assert any("'elbow', which no program of the robot knows" in sentence for sentence in said)
+
+
+def test_a_taxel_whose_digits_round_to_the_origin_is_said(part, tmp_path):
+    calibration = make_calibration(part)
+    items = tuple(replace(e, position=np.full(3, 4e-7)) if e.channel == 1 else e for e in calibration.estimates[Method.FREE])
+    moved = replace(calibration, estimates={Method.FREE: items})
+    said = write_calibration(moved, "icub", tmp_path / "p.txt", Method.FREE)
+    assert "the file as written has no position for channel 1." in said
+
+
+def test_a_mesh_that_changed_or_went_is_said_and_the_file_written(tmp_path):
+    part = make_part(tmp_path / "part")
+    calibration = make_calibration(part)
+    mesh = part.scene.path.parent / "tube.obj"
+    mesh.write_text(mesh.read_text() + "# touched\n")
+    said = write_calibration(calibration, "icub", tmp_path / "p.txt", Method.FREE)
+    assert "the mesh changed since the estimates were computed" in said[0]
+    (part.scene.path.parent / "boards.toml").unlink()
+    said = write_calibration(calibration, "json", tmp_path / "c.json", Method.FREE)
+    assert any("the file of the layout is gone" in sentence for sentence in said)
+    assert read_json(tmp_path / "c.json").modules_text is None
+    mesh.unlink()
+    said = write_calibration(calibration, "icub", tmp_path / "p.txt", Method.FREE)
+    assert "were not compared with the part's shape" in said[0]
+    assert (tmp_path / "p.txt").exists()
+
+
+def test_unknown_formats_and_methods_are_refused(part, tmp_path):
+    calibration = make_calibration(part)
+    with pytest.raises(InputError, match="'xml'; expected one of icub, json, csv, ply"):
+        write_calibration(calibration, "xml", tmp_path / "c", Method.FREE)
+    free = replace(calibration, estimates={Method.FREE: calibration.estimates[Method.FREE]})
+    with pytest.raises(InputError, match="no estimates of the surface method; expected one of: free"):
+        write_calibration(free, "csv", tmp_path / "c", Method.SURFACE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_old_file_is_kept_and_nothing_else_is_left(tmp_path):
+    path = tmp_path / "positions.txt"
+    for text in (b"one", b"two", b"three"):
+        write_atomically(path, text)
+    assert path.read_bytes() == b"three"
+    assert (tmp_path / "positions.txt.bak").read_bytes() == b"two"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["positions.txt", "positions.txt.bak"]
+
+
+def test_no_reader_ever_sees_a_half_file(tmp_path):
+    path = tmp_path / "p.txt"
+    texts = {b"a" * 200_000, b"b" * 300_000}
+    write_atomically(path, b"a" * 200_000)
+    seen: set[bytes] = set()
+    stop = threading.Event()
+
+    def look() -> None:
+        while not stop.is_set():
+            seen.add(path.read_bytes())
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    try:
+        for _ in range(10):
+            for text in texts:
+                write_atomically(path, text)
+    finally:
+        stop.set()
+        thread.join()
+    assert seen <= texts
+
+
+def test_a_missing_folder_and_a_folder_in_the_way_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"the folder .* does not exist; make it"):
+        write_atomically(tmp_path / "none" / "p.txt", b"")
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(InputError, match="is a folder; expected the name of a file"):
+        write_atomically(tmp_path / "taken", b"")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")  # noqa: PTH110
+def test_a_full_disk_leaves_the_old_file_whole(tmp_path):
+    path = tmp_path / "p.txt"
+    write_atomically(path, b"old")
+    part_file = tmp_path / f".p.txt.{os.getpid()}.part"
+    part_file.symlink_to("/dev/full")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_atomically(path, b"new" * 10_000)
+    assert path.read_bytes() == b"old"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["p.txt"]
+
+
+def test_export_imports_no_window():
+    code = "import skincal.files.export, sys; print([m for m in sys.modules if m.startswith(('PySide6', 'vtk', 'pyvista'))])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

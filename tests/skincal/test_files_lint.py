@@ -1,0 +1,131 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.estimate.result import Method
+from skincal.files.export import write_calibration
+from skincal.files.lint import lint
+from tests.skincal.files_support import Part, make_calibration, make_part
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory) -> Part:
+    return make_part(tmp_path_factory.mktemp("part"))
+
+
+def changed(calibration, edits):
+    """Replace fields of single estimates of the free method: channel to new fields."""
+    items = tuple(replace(e, **edits.get(e.channel, {})) for e in calibration.estimates[Method.FREE])
+    return replace(calibration, estimates={**calibration.estimates, Method.FREE: items})
+
+
+def moved(calibration, move):
+    """Apply `move` to every position of the free method."""
+    return changed(calibration, {e.channel: {"position": move(e.position)} for e in calibration.estimates[Method.FREE]})
+
+
+def exported(calibration, tmp_path):
+    return write_calibration(calibration, "ply", tmp_path / "out.ply", Method.FREE)
+
+
+def test_true_positions_have_no_fault(part, tmp_path):
+    calibration = make_calibration(part)
+    assert exported(calibration, tmp_path) == ()
+    assert lint(calibration, Method.FREE) == lint(calibration, Method.SURFACE) == ()
+
+
+def test_noise_of_a_good_calibration_is_no_fault(part, tmp_path):
+    rng = np.random.default_rng(5)
+    assert exported(moved(make_calibration(part), lambda p: p + rng.normal(scale=0.001, size=3)), tmp_path) == ()
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"position": np.array([np.nan, 0, 0])}, "free: NaN or infinite position or normal: channels 4."),
+        ({"normal": np.array([0, 0, np.inf])}, "free: NaN or infinite position or normal: channels 4."),
+        ({"position": np.array([1e-7, 0, -1e-7])}, "free: at 0 0 0, which readers take as no taxel: channels 4."),
+        ({"normal": np.array([0, 0, 0.75])}, "free: a normal that is not unit: channels 4."),
+        ({"normal": None}, "free: no normal, written as 0 0 0: channels 4."),
+        ({"normal": np.array([0, 0, -1.0])}, "free: a normal that points into the part, against the surface: channels 4;"),
+    ],
+)
+def test_a_faulty_taxel_is_named(part, tmp_path, edit, said):
+    found = exported(changed(make_calibration(part), {4: edit}), tmp_path)
+    assert any(sentence.startswith(said) for sentence in found), found
+
+
+def test_copies_of_a_position_are_named(part):
+    twice = {7: {"position": part.places[3] + 1e-8}}
+    assert "channels 3, 7." in lint(changed(make_calibration(part), twice), Method.FREE)[0]
+
+
+def test_a_typo_of_ten_centimetres_is_named(part, tmp_path):
+    typo = {9: {"position": part.places[9] + [0, 0.15, 0]}}
+    found = exported(changed(make_calibration(part), typo), tmp_path)
+    assert any("outside the box of the surface" in sentence and "channels 9;" in sentence for sentence in found)
+
+
+def test_millimetres_taken_for_metres_are_named(part, tmp_path):
+    found = exported(moved(make_calibration(part), lambda p: p * 1000), tmp_path)
+    assert any("outside the box of the surface" in sentence for sentence in found)
+    assert any("times as far apart as in the layout" in sentence for sentence in found)
+
+
+def test_without_a_surface_the_plan_is_the_reference(part, tmp_path):
+    calibration = make_calibration(part)
+    flat = replace(calibration, scene=replace(calibration.scene, surface=None), mesh_sha256=None)
+    inside = {9: {"position": part.places[9] + [0, 0.15, 0], "normal": np.array([0, 0, -1.0])}}
+    found = exported(changed(flat, inside), tmp_path)
+    assert any("outside the box of the layout as planned" in sentence for sentence in found)
+    assert any("against the layout as planned: channels 9;" in sentence for sentence in found)
+
+
+def test_a_mirrored_part_is_named(part):
+    """A left part written with the right one's positions: mirrored in place, normals too."""
+    mirror = np.array([-1.0, 1, 1])
+    edits = {
+        e.channel: {"position": e.position * mirror, "normal": e.normal * mirror}
+        for e in make_calibration(part).estimates[Method.FREE]
+    }
+    found = lint(changed(make_calibration(part), edits), Method.FREE)
+    assert found == (
+        "free: mirrored against the layout, seen from outside: modules 17, 21, 25; check mirror and channel order.",
+    )
+
+
+def test_a_turned_part_is_not_mirrored(part):
+    """A rotation of everything must change nothing."""
+    turn, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    edits = {
+        e.channel: {"position": turn @ e.position, "normal": turn @ e.normal}
+        for e in make_calibration(part).estimates[Method.FREE]
+    }
+    assert lint(changed(make_calibration(part), edits), Method.FREE) == ()
+
+
+def test_five_taxels_do_not_tell_handedness(part):
+    mirror = np.array([-1.0, 1, 1])
+    calibration = make_calibration(part, unseen=tuple(range(5, 48)))
+    edits = {e.channel: {"position": e.position * mirror} for e in calibration.estimates[Method.FREE] if e.channel < 5}
+    assert not any("mirrored" in sentence for sentence in lint(changed(calibration, edits), Method.FREE))
+
+
+def test_a_module_without_its_centre_is_named(part):
+    found = lint(make_calibration(part, unseen=(15,), blind=(39,)), Method.SURFACE)
+    assert found == ("surface: no position for the centre taxel, which stands for the module in taxel2Repr: modules 21, 25.",)
+
+
+def test_a_position_on_a_thermal_pad_is_named(part):
+    calibration = make_calibration(part)
+    first = calibration.estimates[Method.FREE][0]
+    extra = replace(first, channel=18, position=np.array([0.0, 0.14, 0.041]))
+    with_pad = replace(calibration, estimates={Method.FREE: (*calibration.estimates[Method.FREE], extra)})
+    assert "free: a position where the layout has no taxel: channels 18." in lint(with_pad, Method.FREE)
+
+
+def test_no_position_at_all_is_said(part):
+    found = lint(make_calibration(part, unseen=tuple(range(48))), Method.FREE)
+    assert found == ("free: no taxel has a position; poke some more before you load such a file.",)

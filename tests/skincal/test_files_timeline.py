@@ -1,0 +1,128 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skincal.errors import InputError
+from skincal.files.timeline import START_NS, TOGETHER_LINES, Line, agree, check_overlap, merged, scan
+
+
+def lines(stamps):
+    return lambda: (Line(stamp, f"{index}\n".encode()) for index, stamp in enumerate(stamps))
+
+
+def play(**files):
+    """Every line alone."""
+    return together(alone=files, **files)
+
+
+def together(alone=(), **files):
+    timelines = agree([scan(name, stamps) for name, stamps in files.items()])
+    return list(merged(timelines, [lines(stamps) for stamps in files.values()], alone))
+
+
+def test_files_are_merged_by_time_and_the_first_wins_a_tie():
+    chunks = play(wrench=[10.0, 10.02, 10.04], skin=[9.99, 10.02])
+    assert [(chunk.link, (chunk.host_ns - START_NS) // 1000) for chunk in chunks] == [
+        ("skin", 0), ("wrench", 10_000), ("wrench", 30_000), ("skin", 30_000), ("wrench", 50_000),
+    ]  # fmt: skip
+
+
+def test_stamps_since_1970_keep_their_microseconds():
+    stamps = [1_700_000_000.000001 + k * 0.001 for k in range(1000)]
+    times = [chunk.host_ns - START_NS for chunk in play(wrench=stamps)]
+    assert times == [k * 1_000_000 for k in range(1000)]
+
+
+def test_a_clock_set_back_goes_on_one_interval_later():
+    stamps = [5.0 + k * 0.01 for k in range(50)] + [1.0 + k * 0.01 for k in range(50)]
+    times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=stamps)]) * 1e-9
+    np.testing.assert_allclose(times, np.arange(100) * 0.01, atol=2e-6)
+
+
+def test_one_clock_set_back_is_one_shift_though_each_file_saw_it_at_another_instant():
+    wrench, skin = [5.0, 5.01, 5.02, 1.05, 1.06], [5.0, 5.02, 1.08, 1.1]
+    chunks = play(wrench=wrench, skin=skin)
+    after = {chunk.link: chunk.host_ns for chunk in chunks}
+    assert after["skin"] - after["wrench"] == pytest.approx(40_000_000, abs=2000)
+
+
+def test_two_clocks_set_back_by_other_amounts_keep_their_own_shift():
+    wrench = [5.0, 5.01, 5.02, 1.0, 1.01]
+    skin = [5.0, 5.02, 4.0, 4.02]
+    shifts = [jump.back for timeline in agree([scan("a", wrench), scan("b", skin)]) for jump in timeline.jumps]
+    assert shifts == pytest.approx([4.03, 1.04])
+
+
+def test_a_slow_stream_has_no_gaps_and_a_fast_one_has_those_that_are_there():
+    assert scan("joints", [k * 0.2 for k in range(700)]).gaps == 0
+    early_and_late = [k * 0.01 + (0.3 if k > 20 else 0) + (0.5 if k > 650 else 0) for k in range(700)]
+    found = scan("wrench", early_and_late)
+    assert (found.gaps, round(found.longest_gap, 6), found.interval) == (2, 0.51, pytest.approx(0.01))
+
+
+STAMPS = st.lists(st.floats(-1e6, 1e6, allow_nan=False).map(lambda x: round(x, 6)), min_size=1, max_size=30)
+
+
+@given(st.lists(STAMPS, min_size=1, max_size=3))
+def test_whatever_the_stamps_every_line_comes_once_in_its_files_order_and_time_never_runs_back(files):
+    chunks = play(**{f"f{index}": stamps for index, stamps in enumerate(files)})
+    times = [chunk.host_ns for chunk in chunks]
+    assert times == sorted(times)
+    assert times[0] >= START_NS
+    for index, stamps in enumerate(files):
+        assert [int(chunk.data) for chunk in chunks if chunk.link == f"f{index}"] == list(range(len(stamps)))
+
+
+def test_recordings_of_different_times_are_refused():
+    first, second = scan("wrench", [1.0, 2.0]), scan("skin", [3.0, 4.0])
+    with pytest.raises(
+        InputError, match=r"wrench was recorded from 1\.000 to 2\.000 s and skin from 3\.000 to 4\.000 s; expected"
+    ):
+        check_overlap([first, second])
+    check_overlap([first, scan("skin", [1.5, 4.0])])
+
+
+@given(st.lists(STAMPS, min_size=1, max_size=3))
+def test_lines_that_travel_together_are_all_there_in_order_and_time_never_runs_back(files):
+    chunks = together(**{f"f{index}": stamps for index, stamps in enumerate(files)})
+    times = [chunk.host_ns for chunk in chunks]
+    assert times == sorted(times)
+    for index, stamps in enumerate(files):
+        data = b"".join(chunk.data for chunk in chunks if chunk.link == f"f{index}")
+        assert [int(line) for line in data.split()] == list(range(len(stamps)))
+
+
+def test_neighbouring_lines_travel_at_the_time_of_the_last_and_a_clock_starts_with_one_line():
+    wrench = [k * 0.01 for k in range(10)] + [3.0, 3.01, 3.02]
+    chunks = together(wrench=wrench, joints=[0.0, 0.015, 0.025], alone=["joints"])
+    assert [(chunk.link, round(chunk.host_ns - START_NS, -3) // 1_000_000, len(chunk.data.split())) for chunk in chunks] == [
+        ("wrench", 0, 1), ("joints", 0, 1), ("joints", 15, 1), ("joints", 25, 1), ("wrench", 60, 6), ("wrench", 90, 3),
+        ("wrench", 3000, 1), ("wrench", 3020, 2),
+    ]  # fmt: skip
+
+
+def test_stamps_that_do_not_move_do_not_gather_without_end():
+    assert max(len(chunk.data.split()) for chunk in together(wrench=[1.0] * 1000)) == TOGETHER_LINES
+
+
+@pytest.mark.parametrize("wrong", [9_420_000_900.5, 3.0, -1e9, 12.0])
+@pytest.mark.parametrize("lines_wrong", [1, 3])
+def test_stamps_written_wrong_shift_nothing(wrong, lines_wrong):
+    stamps = [5.0 + k * 0.01 for k in range(100)]
+    broken = [wrong + k * 0.01 if 40 <= k < 40 + lines_wrong else stamp for k, stamp in enumerate(stamps)]
+    found = scan("wrench", broken)
+    assert (found.astray, found.jumps, found.gaps) == (frozenset(range(40, 40 + lines_wrong)), (), 0)
+    assert (found.first, found.last) == (stamps[0], stamps[-1])
+    assert any(f"{lines_wrong} stamp" in sentence for sentence in found.sentences())
+    times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=broken)]) * 1e-9
+    expected = np.arange(100) * 0.01
+    expected[40 : 40 + lines_wrong] = 0.39
+    np.testing.assert_allclose(times, expected, atol=2e-6)
+
+
+def test_a_last_stamp_years_later_is_wrong_and_a_clock_that_stays_years_later_is_refused():
+    found = scan("wrench", [1.0, 1.01, 1.02, 9e8])
+    assert (found.last, found.astray, found.gaps) == (1.02, {3}, 0)
+    with pytest.raises(InputError, match=r"wrench: its stamps run from 1\.000 to 900000000\.050 s, over years; expected one"):
+        check_overlap([scan("wrench", [1.0, *(9e8 + k * 0.01 for k in range(6))])])

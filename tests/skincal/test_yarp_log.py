@@ -1,0 +1,334 @@
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.errors import InputError
+from skincal.files.timeline import START_NS
+from skincal.files.yarp import read_yarp
+from skincal.readings import Loss, Stream
+from skincal.streams.formats import make_format
+from skincal.streams.formats.yarp import LINE_MAX
+from skincal.streams.intake import Intake
+
+EPOCH = 1_420_000_000.0
+CHANNELS = 24
+ONE_STAMP = "Type: Bottle;\nStamp: rx;\n[1.0] /icub/x [connected]\n"
+
+
+def values_at(time: float) -> tuple[list[float], list[int], list[float]]:
+    """Wrench, skin and joints at a time: three pokes of half a second, one a second."""
+    phase = time % 1.0
+    pressed = phase > 0.5
+    poke = int(time)
+    force = 8.0 * np.sin(np.pi * (phase - 0.5) / 0.5) if pressed else 0.0
+    wrench = [0.25 * poke, -0.5, 3.0 + force, 0.01, -0.02 * force, 0.001]
+    skin = [240 - (60 if pressed and channel in (poke, poke + 1) else 0) for channel in range(CHANNELS)]
+    return [float(f"{value:.6f}") for value in wrench], skin, [10.0, 20.0, 30.0, 94.0 - 5 * poke, -40.0]
+
+
+def write_log(folder: Path, rows, info: str | None = ONE_STAMP, rx: float | None = None) -> Path:
+    """Write a dumper's folder: rows of (seq, stamp, payload); a second stamp `rx` seconds later where given."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "data.log").open("w", newline="\n") as file:
+        for seq, stamp, payload in rows:
+            second = "" if rx is None else f"{stamp + rx:.6f} "
+            file.write(f"{seq} {stamp:.6f} {second}{payload}\n")
+    if info is not None:
+        (folder / "info.log").write_text(info)
+    return folder
+
+
+def text(values) -> str:
+    return " ".join(map(str, values))
+
+
+def recording(folder: Path, seconds: float = 3.0, start: float = EPOCH, rates=(100, 50, 20), **options) -> dict[str, Path]:
+    """Write wrench, skin and joints logs of the same pokes."""
+    folders: dict[str, Path] = {}
+    for index, (name, rate) in enumerate(zip(("wrench", "skin", "joints"), rates, strict=True)):
+        times = np.arange(int(seconds * rate)) / rate
+        rows = [(seq, start + time, text(values_at(time)[index])) for seq, time in enumerate(times)]
+        folders[name] = write_log(folder / name, rows, **options)
+    return folders
+
+
+def decode(links, chunks):
+    """Feed chunks to the decoders that the links name; return batches by link, and losses."""
+    decoders = {link.name: make_format(link.format, CHANNELS, link.carries) for link in links}
+    batches: dict[str, list] = {link.name: [] for link in links}
+    for chunk in chunks:
+        batches[chunk.link] += decoders[chunk.link].feed(chunk.data)
+    return batches, {name: decoder.counts for name, decoder in decoders.items()}
+
+
+@pytest.mark.parametrize(
+    ("options", "format_"),
+    [
+        ({}, "yarp"),
+        ({"info": None}, "yarp"),
+        ({"info": "Type: Bottle;\nStamp: tx+rx;\n", "rx": 0.003}, "yarp-tx-rx"),
+        ({"info": "Type: Bottle;\n", "rx": 0.003}, "yarp-tx-rx"),
+        ({"info": None, "rx": 0.003}, "yarp-tx-rx"),
+    ],
+    ids=["rx", "no info", "tx+rx", "old info, two stamps", "no info, two stamps"],
+)
+def test_a_recording_decodes_to_what_was_logged(tmp_path, options, format_):
+    folders = recording(tmp_path, **options)
+    links, chunks, findings = read_yarp(folders["wrench"], folders["skin"], folders["joints"])
+    assert [(link.name, link.carries, link.format) for link in links] == [
+        (stream.value, (stream,), format_) for stream in (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
+    ]
+    batches, counts = decode(links, chunks)
+    assert not any(counts.values())
+    for index, (name, rate) in enumerate((("wrench", 100), ("skin", 50), ("joints", 20))):
+        times = np.arange(3 * rate) / rate
+        wanted = np.array([values_at(time)[index] for time in times], dtype=float)
+        device_s = np.concatenate([batch.device_s for batch in batches[name]])
+        np.testing.assert_allclose(device_s - EPOCH, times, atol=1e-6)
+        field = {"wrench": "wrench", "skin": "values", "joints": "angles"}[name]
+        got = np.vstack([getattr(batch, field) for batch in batches[name]])
+        np.testing.assert_allclose(got, np.radians(wanted) if name == "joints" else wanted, rtol=1e-15)
+    assert findings[0] == "wrench: 300 lines in 3.0 s, 100 a second."
+    assert len(findings) == 3
+
+
+def test_chunks_are_whole_lines_and_never_run_backwards(tmp_path):
+    folders = recording(tmp_path, info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.5)
+    _, chunks, _ = read_yarp(folders["wrench"], folders["skin"])
+    items = list(chunks)
+    assert all(item.data.endswith(b"\n") for item in items)
+    assert sum(item.data.count(b"\n") for item in items) == 450
+    times = [item.host_ns for item in items]
+    assert times == sorted(times)
+    assert times[0] == START_NS
+    # By the receiver's clock: the first wrench alone, then those 10 to 60 ms after it.
+    assert [item.host_ns for item in items if item.link == "wrench"][1] == START_NS + 60_000_000
+
+
+def samples_of(folders) -> list:
+    links, chunks, _ = read_yarp(folders["wrench"], folders["skin"], folders["joints"])
+    intake = Intake(CHANNELS, links)
+    return [sample for chunk in chunks for sample in intake.feed(chunk)]
+
+
+def test_a_log_of_pokes_pairs_each_frame_with_its_wrench(tmp_path):
+    samples = samples_of(recording(tmp_path))
+    assert len(samples) > 140
+    origin = START_NS * 1e-9
+    for sample in samples[5:]:
+        time = sample.host_s - origin
+        pressed = (sample.skin < 240).any()
+        assert sample.readings == 2
+        # The mean of the two readings of the frame's 20 ms: its stamp and 10 ms before.
+        wanted = np.mean([values_at(round(t, 2))[0] for t in (time, time - 0.01)], axis=0)
+        np.testing.assert_allclose(sample.wrench, wanted, atol=1e-9)
+        assert pressed == (round(time, 2) % 1.0 > 0.5)
+        assert sample.angles is not None
+
+
+def test_lines_that_travel_together_give_the_samples_of_lines_alone(tmp_path, monkeypatch):
+    folders = recording(tmp_path, rates=(500, 50, 100), info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.002)
+    samples = samples_of(folders)
+    monkeypatch.setattr("skincal.files.timeline.TOGETHER_LINES", 1)
+    alone = samples_of(folders)
+    # The last frames differ: they wait for a wrench, and nothing comes any more.
+    assert len(alone) - 3 <= len(samples) <= len(alone)
+    for one, other in zip(samples, alone, strict=False):
+        assert one.host_s == pytest.approx(other.host_s, abs=1e-6)
+        np.testing.assert_array_equal(one.skin, other.skin)
+        np.testing.assert_array_equal(one.wrench, other.wrench)
+        assert one.readings == other.readings
+        # Of angles of the frame's very instant, those that come before it count: with lines alone they come after it.
+        time = one.host_s - START_NS * 1e-9
+        if abs(time - round(time)) > 1e-3:
+            np.testing.assert_array_equal(one.angles, other.angles)
+
+
+def test_one_stamp_written_wrong_costs_no_more_than_its_own_frames(tmp_path):
+    folders = recording(tmp_path)
+    for name, line in (("wrench", 120), ("skin", 90)):
+        path = folders[name] / "data.log"
+        lines = path.read_text().splitlines()
+        lines[line] = lines[line].replace(" 1420000", " 9420000", 1)
+        path.write_text("\n".join(lines) + "\n")
+    assert len(samples_of(folders)) >= 145
+
+
+@pytest.mark.parametrize("stamp", ["1e30", "1e308", "-1e12", "nan"])
+def test_a_stamp_that_is_no_time_is_no_record(tmp_path, stamp):
+    folders = recording(tmp_path)
+    path = folders["wrench"] / "data.log"
+    lines = path.read_text().splitlines()
+    lines[50] = f"50 {stamp} 1 2 3 4 5 6"
+    path.write_text("\n".join(lines) + "\n")
+    links, chunks, findings = read_yarp(folders["wrench"], folders["skin"])
+    _, counts = decode(links, chunks)
+    assert counts["wrench"][Loss.UNREADABLE] == 1
+    assert "wrench: 1 line not of the form <number> <time> <values>: left out." in findings
+
+
+def test_the_end_of_a_line_that_is_too_long_is_no_record(tmp_path):
+    folders = recording(tmp_path)
+    path = folders["skin"] / "data.log"
+    lines = path.read_text().splitlines()
+    lines.insert(50, "240 241 " * (LINE_MAX // 8 + 100))
+    path.write_text("\n".join(lines) + "\n")
+    links, chunks, findings = read_yarp(folders["wrench"], folders["skin"])
+    batches, counts = decode(links, chunks)
+    assert sum(len(batch.seq) for batch in batches["skin"]) == 150
+    assert counts["skin"] == {Loss.UNREADABLE: 1}
+    assert "skin: 1 line not of the form <number> <time> <values>: left out." in findings
+
+
+def test_a_clock_set_back_in_all_logs_loses_nothing(tmp_path):
+    folders: dict[str, Path] = {}
+    for index, (name, rate) in enumerate((("wrench", 100), ("skin", 50), ("joints", 20))):
+        times = np.arange(3 * rate) / rate
+        rows = [
+            (seq, EPOCH + time - (3600.0 if time > 1.303 else 0.0), text(values_at(time)[index]))
+            for seq, time in enumerate(times)
+        ]
+        folders[name] = write_log(tmp_path / name, rows)
+    _, chunks, findings = read_yarp(folders["wrench"], folders["skin"], folders["joints"])
+    rates, lines = {"wrench": 100, "skin": 50, "joints": 20}, dict.fromkeys(folders, 0)
+    for chunk in chunks:
+        lines[chunk.link] += chunk.data.count(b"\n")
+        # One clock, so one shift: the same instant as without the jump, to within an interval of the first file.
+        assert (chunk.host_ns - START_NS) * 1e-9 == pytest.approx((lines[chunk.link] - 1) / rates[chunk.link], abs=1e-5)
+    assert lines == {name: 3 * rate for name, rate in rates.items()}
+    assert sum("the clock was set back 1 time (3600.0" in finding for finding in findings) == 3
+    assert len(samples_of(folders)) > 120
+
+
+def test_messages_out_of_order_and_gaps_are_said_and_kept(tmp_path):
+    times = [k / 100 for k in range(100)]
+    times[40], times[41] = times[41], times[40]
+    rows = [(k, EPOCH + time + (2.0 if k >= 60 else 0.0), text(values_at(0.0)[0])) for k, time in enumerate(times)]
+    wrench = write_log(tmp_path / "w", rows)
+    skin = recording(tmp_path)["skin"]
+    _, chunks, findings = read_yarp(wrench, skin)
+    placed = {int(line.split()[0]): c.host_ns for c in chunks if c.link == "wrench" for line in c.data.splitlines()}
+    assert list(placed) == list(range(100))
+    assert placed[60] - placed[59] == 2_010_000_000
+    assert "wrench: 1 gap in time, the longest 2.01 s." in findings
+    assert "wrench: 1 stamp before the one before it; kept in the file's order." in findings
+
+
+def test_an_early_gap_is_said_too(tmp_path):
+    rows = [(k, EPOCH + k / 100 + (1.0 if k >= 3 else 0.0), "1 2 3 4 5 6") for k in range(2000)]
+    _, _, findings = read_yarp(write_log(tmp_path / "w", rows), recording(tmp_path)["skin"])
+    assert "wrench: 1 gap in time, the longest 1.01 s." in findings
+
+
+def test_empty_unreadable_and_cut_lines_are_counted(tmp_path):
+    folders = recording(tmp_path)
+    path = folders["wrench"] / "data.log"
+    lines = path.read_text().splitlines()
+    lines[10] = " ".join(lines[10].split()[:2]) + " "
+    lines[20] = "garbage"
+    lines[30] = lines[30] + " 7"
+    path.write_text("Type: Bottle;\n" + "\n".join(lines[:-1]) + "\n\n" + lines[-1][:-4])
+    links, chunks, findings = read_yarp(folders["wrench"], folders["skin"])
+    batches, counts = decode(links, chunks)
+    assert sum(len(batch.seq) for batch in batches["wrench"]) == 296
+    # The unreadable line is also a number that is missing.
+    assert counts["wrench"] == {Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 1, Loss.MISSING: 1}
+    assert [finding for finding in findings if finding.startswith("wrench")] == [
+        "wrench: 298 lines in 3.0 s, 100 a second.",
+        "wrench: 1 line with another number of values than 6.",
+        "wrench: 1 line without values: nothing was sent.",
+        "wrench: 1 line not of the form <number> <time> <values>: left out.",
+        "wrench: the last line has no end: it was cut while it was written, and is left out.",
+    ]
+
+
+@pytest.mark.parametrize("high", [100, 255])
+def test_a_binarised_skin_is_said(tmp_path, high):
+    rows = [(k, EPOCH + k / 50, text([0, high if k > 70 else 0, 0])) for k in range(150)]
+    wrench = recording(tmp_path)["wrench"]
+    _, _, findings = read_yarp(wrench, write_log(tmp_path / "s", rows))
+    assert any(f"every value is 0 or {high}: skinManager was binarising" in finding for finding in findings)
+
+
+@pytest.mark.parametrize("values", [[0, 100, 40], [0, 0, 0], [100, 255, 0], [244, 240, 0]])
+def test_a_skin_that_is_not_binarised_is_not_said_to_be(tmp_path, values):
+    rows = [(k, EPOCH + k / 50, text(values)) for k in range(150)]
+    _, _, findings = read_yarp(recording(tmp_path)["wrench"], write_log(tmp_path / "s", rows))
+    assert not any("binarising" in finding for finding in findings)
+
+
+def test_the_new_ports_structure_is_read(tmp_path):
+    rows = [
+        (k, EPOCH + k / 100, f"() () () () () (((1 2 3 4 5 {k}) 1.5) ((9 9 9 9 9 9) 1)) () () () () () ()") for k in range(300)
+    ]
+    links, chunks, findings = read_yarp(write_log(tmp_path / "w", rows), recording(tmp_path)["skin"])
+    batches, counts = decode(links, chunks)
+    np.testing.assert_array_equal(np.vstack([b.wrench for b in batches["wrench"]])[:, 5], np.arange(300))
+    assert not counts["wrench"]
+    assert "wrench: 2 force/torque sensors in one port; the first is read." in findings
+
+
+def test_logs_placed_by_different_clocks_are_said(tmp_path):
+    wrench = recording(tmp_path / "a", info="Type: Bottle;\nStamp: tx;\n")["wrench"]
+    skin = recording(tmp_path / "b", info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.001)["skin"]
+    _, _, findings = read_yarp(wrench, skin)
+    assert any("wrench by the sender's clock, skin by the recorder's clock" in finding for finding in findings)
+
+
+def test_the_log_is_found_by_file_folder_and_numbered_folder(tmp_path):
+    folders = recording(tmp_path)
+    _, _, findings = read_yarp(folders["wrench"] / "data.log", folders["skin"])
+    assert len(findings) == 2
+    numbered = folders["wrench"].rename(tmp_path / "right_arm_00001")
+    _, chunks, findings = read_yarp(tmp_path / "right_arm", folders["skin"])
+    assert "right_arm_00001 was read: it holds the only log" in findings[0]
+    assert any(chunk.link == "wrench" for chunk in chunks)
+    recording(tmp_path)["wrench"].rename(tmp_path / "right_arm_00002")
+    with pytest.raises(InputError, match=r"several folders hold a log .*right_arm_00001.*right_arm_00002"):
+        read_yarp(tmp_path / "right_arm", folders["skin"])
+    numbered.rename(tmp_path / "right_arm")
+    _, _, findings = read_yarp(tmp_path / "right_arm", folders["skin"])
+    assert "there is also right_arm_00002" in findings[0]
+    (tmp_path / "all").mkdir()
+    (tmp_path / "right_arm").rename(tmp_path / "all" / "analog")
+    _, _, findings = read_yarp(tmp_path / "all", folders["skin"])
+    assert "analog was read: it holds the only log" in findings[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda _: None, "there is no such folder"),
+        (lambda folder: folder.mkdir(), "the folder has no data.log"),
+        (lambda folder: write_log(folder, []), "is empty; expected a log"),
+        (lambda folder: write_log(folder, [("a", 1.0, "b")] * 3), "has 3 lines, none of them of the form"),
+        (
+            lambda folder: write_log(folder, [(1, 1.0, "f.ppm")], info="Type: Image:ppm;\n"),
+            "its type is 'Image:ppm'; expected Bottle",
+        ),
+        (lambda folder: write_log(folder, [(1, 1.0, "1 2")], info="Stamp: gps;\n"), "Stamp is 'gps'; expected tx, rx or tx"),
+        (lambda folder: write_log(folder, [(1, 1.0, text(range(384)))]), "its lines hold 384 values; expected six"),
+        (lambda folder: write_log(folder, [(1, EPOCH - 900.0, text(range(6)))]), "expected recordings of the same time"),
+    ],
+    ids=["no folder", "no log", "empty", "not a log", "images", "stamp", "swapped", "another day"],
+)
+def test_wrong_input_is_said(tmp_path, make, said):
+    skin = recording(tmp_path)["skin"]
+    make(tmp_path / "given")
+    with pytest.raises(InputError, match=said):
+        read_yarp(tmp_path / "given", skin)
+
+
+def test_a_long_log_takes_no_memory(tmp_path):
+    folders = recording(tmp_path, seconds=40.0, rates=(100, 50, 20))
+    tracemalloc.start()
+    try:
+        _, chunks, _ = read_yarp(folders["wrench"], folders["skin"], folders["joints"])
+        count = sum(chunk.data.count(b"\n") for chunk in chunks)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert count == 40 * 170
+    assert peak < 400_000, peak
