@@ -1,0 +1,94 @@
+"""What an operator does to a session, as values that go to the journal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, TypeAlias
+
+from skincal.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Exclude:
+    """Take a poke out of the estimates; it stays in the session."""
+
+    poke: int
+
+
+@dataclass(frozen=True, slots=True)
+class Restore:
+    """Take an excluded poke in again."""
+
+    poke: int
+
+
+@dataclass(frozen=True, slots=True)
+class Undo:
+    """Take back the last action, or exclude the last accepted poke, whichever came later."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetPose:
+    """Choose the arm pose by its name in the scene; an empty name leaves it to the joint stream."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class MarkDead:
+    """Leave a channel out: the operator knows that it is dead."""
+
+    channel: int
+
+
+@dataclass(frozen=True, slots=True)
+class Revive:
+    """Use a channel again that was marked or found to be dead; it is not found dead again."""
+
+    channel: int
+
+
+Action: TypeAlias = Exclude | Restore | Undo | SetPose | MarkDead | Revive
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """An action with the host's monotonic clock at which it was done, nanoseconds."""
+
+    host_ns: int
+    action: Action
+
+
+_KINDS: dict[str, type[Action]] = {
+    "exclude": Exclude,
+    "restore": Restore,
+    "undo": Undo,
+    "set_pose": SetPose,
+    "mark_dead": MarkDead,
+    "revive": Revive,
+}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
+
+
+def to_json(action: Action) -> dict[str, Any]:
+    """Return an action as a JSON object: `do`, and its fields."""
+    return {"do": _NAMES[type(action)], **asdict(action)}
+
+
+def from_json(document: Mapping[str, Any]) -> Action:
+    """Return the action of a JSON object.
+
+    Raises
+    ------
+    InputError
+        It is not one that this version knows.
+    """
+    kind = _KINDS.get(str(document.get("do")))
+    if kind is None:
+        raise InputError(f"action {document.get('do')!r}: expected one of {', '.join(_KINDS)}; a newer skincal may know it.")
+    values = {key: value for key, value in document.items() if key != "do"}
+    wanted = {item.name: str if item.name == "name" else int for item in fields(kind)}
+    if values.keys() != wanted.keys() or any(type(values[key]) is not wanted[key] for key in wanted):
+        raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v.__name__})' for k, v in wanted.items())}.")
+    return kind(**values)

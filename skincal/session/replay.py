@@ -1,0 +1,186 @@
+"""A session loaded from what was made of its bytes, played again from the bytes, or taken up where it stopped.
+
+The contacts are the truth of a session, the bytes are their evidence. Both ways lead to the same session to the last bit, as
+long as neither the scene nor the detector changed since.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skincal.errors import InputError
+from skincal.scene import Scene
+from skincal.session.actions import Stamped
+from skincal.session.journal import Ending, open_next_segment
+from skincal.session.log import LogItem, LogState, SegmentMark, SessionLog
+from skincal.session.recovery import recover_session
+from skincal.session.road import Road
+from skincal.session.segment import has_end
+from skincal.session.taken import Taken
+from skincal.session.totals import Totals
+from skincal.streams.links import LinkSpec
+
+if TYPE_CHECKING:
+    from skincal.surface.mesh import Surface
+
+_MISFIT = "An action of the operator no longer fits and is left out"
+MAX_PAUSE_S = 1.0
+"""s. Longest pause of a replay at speed: between segments, and where a device was silent, nothing happens."""
+
+
+def replay(folder: Path, speed: float | None = None, stop: Callable[[], bool] = lambda: False) -> Road:
+    """Play a session again into a road of its own; nothing in the folder changes.
+
+    Parameters
+    ----------
+    folder : of the session
+    speed : times real time; None as fast as it goes
+    stop : asked after each item; true ends the replay early
+
+    Returns
+    -------
+    The road, with the estimates of the live session to the last bit, and `findings` on damage.
+
+    Raises
+    ------
+    InputError
+        The folder is not a session, or its scene or mesh cannot be read.
+    """
+    log = SessionLog(folder)
+    road = Road(log.scene, log.links, _surface(log.scene))
+    _play(log, road, speed, stop)
+    return road
+
+
+def load(folder: Path) -> Road:
+    """Return a session as it was taken, without playing its bytes; nothing in the folder changes.
+
+    Where the bytes must be played after all, they are: the session is older than the notes, or its scene was changed since.
+
+    Returns
+    -------
+    The road, with the estimates of the live session to the last bit; `findings` on damage. A streamed arm pose is unknown
+    until joints are streamed again.
+
+    Raises
+    ------
+    InputError
+        As for `replay`.
+    """
+    return _load(folder)[0]
+
+
+def _load(folder: Path) -> tuple[Road, bool]:
+    """Return the road, and whether every segment is known to be whole."""
+    log = SessionLog(folder)
+    if log.scene_changed or not log.has_notes:
+        return replay(folder), False
+    road = Road(log.scene, log.links, _surface(log.scene))
+    misfits: list[str] = []
+    for item in log.state():
+        if log.scene_changed or not log.has_notes:
+            return replay(folder), False
+        try:
+            _load_step(road, item)
+        except InputError as error:
+            misfits.append(f"{_MISFIT}: {error}")
+    road.renew_detector()
+    road.findings = (*log.findings, *misfits)
+    return road, log.whole
+
+
+def _load_step(road: Road, item: LogState) -> None:
+    if isinstance(item, SegmentMark):
+        if item.number > 1:
+            road.begin_segment(item.links)
+    elif isinstance(item, Stamped):
+        road.session.act(item.action)
+    elif isinstance(item, Taken | Totals):
+        road.take(item)
+
+
+def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Road:
+    """Take a session up where it stopped: recovered if it was cut off, loaded, and open in a new segment.
+
+    Parameters
+    ----------
+    links : where readings come from now; those of the last segment if None
+
+    Raises
+    ------
+    InputError
+        As for `replay`; also if the folder cannot be written.
+    """
+    segments = SessionLog(folder).segments  # says what is wrong before anything is changed
+    said: tuple[str, ...] = ()
+    if not all(has_end(path) for path in segments):
+        said = recover_session(folder)
+    road, whole = _load(folder)
+    if not whole and not said:
+        said = recover_session(folder)
+        road = load(folder) if said else road
+    links = road.links if links is None else tuple(links)
+    journal = open_next_segment(folder, road.scene, links)
+    road.begin_segment(links, journal)
+    road.findings = (*said, *road.findings)
+    return road
+
+
+def step(road: Road, item: LogItem) -> None:
+    """Do one item of a log on a road."""
+    if isinstance(item, SegmentMark):
+        if item.number > 1:
+            road.begin_segment(item.links)
+    elif isinstance(item, Stamped):
+        road.act(item.action, item.host_ns)
+    elif isinstance(item, Ending):
+        road.put_down(item.host_ns)
+    else:
+        road.feed(item)
+
+
+def _play(log: SessionLog, road: Road, speed: float | None, stop: Callable[[], bool]) -> None:
+    pace = None if speed is None else _Pace(speed)
+    misfits: list[str] = []
+    for item in log.items():
+        if pace is not None:
+            pace.wait(item.host_ns)
+        try:
+            step(road, item)
+        except InputError as error:
+            if not isinstance(item, Stamped):
+                raise
+            # Thresholds of the scene that were changed since may have made another thing of a poke.
+            misfits.append(f"{_MISFIT}: {error}")
+        if stop():
+            break
+    road.findings = (*log.findings, *misfits)
+
+
+class _Pace:
+    """Waits until an item is due."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._due_s = time.monotonic()
+        self._last_ns: int | None = None
+
+    def wait(self, host_ns: int) -> None:
+        if self._last_ns is not None:
+            passed_s = max(0.0, (host_ns - self._last_ns) * 1e-9)
+            self._due_s += min(passed_s, MAX_PAUSE_S) / self._speed
+        self._last_ns = host_ns
+        ahead_s = self._due_s - time.monotonic()
+        if ahead_s > 0:
+            time.sleep(ahead_s)
+
+
+def _surface(scene: Scene) -> Surface | None:
+    if scene.surface is None:
+        return None
+    from skincal.surface.mesh import load_surface
+
+    return load_surface(scene.surface)[0]

@@ -1,0 +1,445 @@
+"""A session loaded from what was made of its bytes is the one that was lived, and the one that is played again."""
+
+import dataclasses
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from skincal.cli import main
+from skincal.contacts.detector import ContactDetector, Doubt, Known
+from skincal.contacts.judge import Poke, StillMean
+from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.tare import Tare
+from skincal.readings import Chunk, Loss, Stream
+from skincal.scene import load_scene
+from skincal.session import cdr, journal, segment
+from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
+from skincal.session.journal import JournalWriter, create_session, open_next_segment
+from skincal.session.log import read_session
+from skincal.session.replay import load, replay, resume
+from skincal.session.road import Road
+from skincal.session.taken import Taken, taken_from_json, taken_to_json
+from skincal.session.totals import LinkTotals, Totals, totals_from_json, totals_to_json
+from skincal.streams.links import LinkSpec
+from tests.skincal.poke_script import (
+    ANSWERS,
+    LINKS,
+    SPOTS,
+    Script,
+    as_chunks,
+    outcome_key,
+    same_estimates,
+    skt_line,
+    small_scene,
+    some_pokes,
+    write_scene,
+)
+
+FORCE = np.array([1.0, 2.0, -8.0])
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return write_scene(tmp_path / "source")
+
+
+def record(scene, folder, script, actions=(), links=LINKS, change=lambda items: items):
+    """A session recorded to its end; each action is done at the share of it that it names."""
+    road = Road(scene, links, None, create_session(folder, scene, links))
+    feed(road, change(as_chunks(script.samples)), actions)
+    return road
+
+
+def killed(road):
+    """What was buffered is on the disk, and nothing more comes."""
+    road.journal.sync()
+    road.journal._file.close()
+    return road
+
+
+def feed(road, items, actions=()):
+    due = {round(share * len(items)): action for share, action in actions}
+    for k, item in enumerate(items):
+        road.feed(item)
+        if k in due:
+            road.act(due[k], item.host_ns)
+
+
+def assert_same(*roads):
+    first, *others = (road.snapshot() for road in roads)
+    for other in others:
+        assert [outcome_key(one.outcome) for one in first.pokes] == [outcome_key(one.outcome) for one in other.pokes]
+        assert [one.excluded for one in first.pokes] == [one.excluded for one in other.pokes]
+        assert list(first.dead.items()) == list(other.dead.items())
+        assert first.can_undo == other.can_undo
+        assert same_estimates(first, other)
+    assert len({road.session.pose for road in roads}) == 1
+    assert len({road.session.channels for road in roads}) == 1
+
+
+def test_what_is_loaded_is_what_was_lived_and_what_is_played(scene, tmp_path):
+    actions = [(0.3, Exclude(1)), (0.4, MarkDead(2)), (0.5, Restore(1)), (0.6, Undo()), (0.8, Undo()), (0.97, Exclude(2))]
+    live = record(scene, tmp_path / "s", some_pokes(scene, 6), actions)
+    live.close()
+    loaded, played = load(tmp_path / "s"), replay(tmp_path / "s")
+    assert live.session.excluded
+    assert live.session.contacts
+    assert_same(live, loaded, played)
+    assert live.totals() == loaded.totals() == played.totals()
+    assert loaded.findings == ()
+
+
+def test_undo_goes_back_through_the_same_steps(scene, tmp_path):
+    record(scene, tmp_path / "s", some_pokes(scene, 4), [(0.5, Exclude(1)), (0.6, MarkDead(2)), (0.7, Revive(2))]).close()
+    loaded, played = load(tmp_path / "s"), replay(tmp_path / "s")
+    while played.snapshot().can_undo:
+        loaded.act(Undo(), 1)
+        played.act(Undo(), 1)
+        assert_same(loaded, played)
+
+
+def test_several_segments(scene, tmp_path):
+    folder = tmp_path / "s"
+    record(scene, folder, some_pokes(scene, 2), [(0.9, Exclude(1))]).close()
+    for seed in (7, 8):
+        live = resume(folder)
+        feed(live, as_chunks(some_pokes(scene, 2, seed).samples), [(0.5, Exclude(2 * seed - 11)), (0.7, MarkDead(seed))])
+        live.close()
+        assert_same(live, load(folder), replay(folder))
+        assert live.totals() == load(folder).totals() == replay(folder).totals()
+    assert [one.outcome.poke for one in live.snapshot().pokes] == [1, 2, 3, 4, 5, 6]
+    assert live.totals().links[1].readings == 2 * len(some_pokes(scene, 2).samples) + len(some_pokes(scene, 2).samples)
+
+
+def test_a_pause_and_a_new_start_of_the_program_are_the_same(scene, tmp_path):
+    """What follows a break depends on the session alone: with the same bytes both ways give the same pokes."""
+    first, then = as_chunks(some_pokes(scene, 2).samples), as_chunks(some_pokes(scene, 2, 9).samples)
+    paused = Road(scene, LINKS, None, create_session(tmp_path / "p", scene, LINKS))
+    feed(paused, first)
+    paused.close()
+    shutil.copytree(tmp_path / "p", tmp_path / "r")
+    paused.begin_segment(LINKS, open_next_segment(tmp_path / "p", scene, LINKS))
+    started = resume(tmp_path / "r")
+    for road in (paused, started):
+        feed(road, then)
+        road.close()
+    assert_same(paused, started, load(tmp_path / "p"), replay(tmp_path / "r"))
+
+
+def crowded(scene, extra=20, count=14):
+    """Pokes during which a far channel always answers, until it is found to be always on and the pokes are judged anew."""
+    script = Script(scene, rng=np.random.default_rng(3), skin_noise=0.8).quiet(1.0)
+    for k in range(count):
+        script.press(FORCE, SPOTS[k % 3], ANSWERS[k % 3] | {extra: 60.0}, hold_s=0.4).quiet(0.6)
+    return script
+
+
+def test_outcomes_that_are_revised_when_a_channel_is_found_dead(scene, tmp_path):
+    live = record(scene, tmp_path / "s", crowded(scene))
+    early = live.session.outcome(1)
+    live.close()
+    assert "always on" in live.session.dead[20]
+    assert isinstance(early, Contact)  # it was a rejection at first
+    assert_same(live, load(tmp_path / "s"), replay(tmp_path / "s"))
+
+
+@pytest.mark.parametrize("way", ["found", "marked"])
+def test_pokes_of_before_a_break_are_revised_after_it(scene, tmp_path, way):
+    folder = tmp_path / "s"
+    before = record(scene, folder, crowded(scene, count=2))
+    before.close()
+    assert [before.session.outcome(n).reason for n in (1, 2)] == [Reason.NOT_CONNECTED] * 2
+    live = resume(folder)
+    if way == "marked":
+        live.act(MarkDead(20), 1)
+    else:
+        feed(live, as_chunks(crowded(scene).samples))
+    assert all(isinstance(live.session.outcome(n), Contact) for n in (1, 2))
+    live.close()
+    assert_same(live, load(folder), replay(folder))
+    again = load(folder)
+    again.act(Revive(20), 2)
+    assert isinstance(again.session.outcome(1), Rejection)
+
+
+def test_a_dead_channel_stays_dead_after_a_break_until_it_shows_otherwise(scene, tmp_path):
+    folder = tmp_path / "s"
+
+    def silent(script):
+        for sample in script.samples:
+            sample.skin[5] = np.nan
+        return script
+
+    record(scene, folder, silent(Script(scene, skin_noise=1.0).quiet(4.0))).close()
+    live = resume(folder)
+    assert "no number" in live.session.dead[5]
+    feed(live, as_chunks(silent(Script(scene, skin_noise=1.0).quiet(1.6)).samples))
+    assert 5 in live.session.dead
+    live.close()
+    assert_same(live, load(folder), replay(folder))
+    live = resume(folder)
+    feed(live, as_chunks(Script(scene, skin_noise=1.0).quiet(3.0).samples))
+    assert live.session.dead == {}
+    live.close()
+    assert_same(live, load(folder), replay(folder))
+
+
+@pytest.mark.parametrize(
+    ("why", "change"),
+    [
+        ("stuck: exactly 120 for 60 s or more while the others vary", {}),
+        ("always on: answered 5 of 5 pokes that lie elsewhere", {"quiet": True}),
+    ],
+)
+def test_a_verdict_of_before_needs_new_evidence_to_fall(why, change):
+    script = Script(small_scene(), skin_noise=1.0).quiet(3.0)
+    detector = ContactDetector(script.scene, Known(pokes=4, dead={5: why}))
+    for sample in script.samples:
+        if not change:
+            sample.skin[5] = 120.0
+        detector.feed(sample, np.eye(4), "")
+    assert detector.dead == {5: why}
+    script.samples.clear()
+    for k in range(5 if change else 0):
+        script.press(FORCE, SPOTS[k % 3], {k + 12: 80.0}).quiet(0.6)
+    outcomes = [one for sample in script.quiet(2.0).samples for one in detector.feed(sample, np.eye(4), "")]
+    assert detector.dead == {}
+    assert not change or outcomes[0].poke == 5
+
+
+def arm_scene(folder):
+    scene = write_scene(folder)
+    with scene.path.open("a") as file:
+        file.write(
+            "[arm]\njoints = [1, 2]\ndh = [[0.1, 0.0, 0.0, 0.0], [0.2, 0.0, 30.0, 0.0]]\n"
+            "base_from_sensor = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
+            "[arm.poses]\nup = [5, 10]\ndown = [25, 35]\n"
+        )
+    return load_scene(scene.path)
+
+
+def test_arm_poses_chosen_and_streamed(tmp_path):
+    scene = arm_scene(tmp_path / "source")
+    links = (*LINKS, LinkSpec("joints", "file:none", (Stream.JOINTS,), "skt"))
+
+    def with_joints(items):
+        joints = [
+            Chunk("joints", item.host_ns - 5_000_000, skt_line(f"J,{k & 0xFFFF},{k * 10_000},50.0,25.02,34.99,40.0"))
+            for k, item in enumerate(items)
+            if isinstance(item, Chunk) and item.link == "wrench"
+        ]
+        return sorted([*items, *joints], key=lambda item: item.host_ns)
+
+    folder = tmp_path / "s"
+    live = record(scene, folder, some_pokes(scene, 2), links=links, change=with_joints)
+    live.close()
+    assert_same(live, load(folder), replay(folder))
+    live = resume(folder, LINKS)  # nothing streams any more
+    assert live.snapshot().link_from_sensor is None
+    live.act(SetPose("up"), 5)
+    feed(live, as_chunks(some_pokes(scene, 2, 9).samples), [(0.7, SetPose("down"))])
+    live.close()
+    assert [contact.pose for contact in live.session.contacts][:3] == ["down", "down", "up"]
+    assert_same(live, load(folder), replay(folder))
+
+
+@pytest.mark.parametrize("share", [0.35, 0.5, 0.62, 0.75, 0.81, 0.9, 0.97])
+def test_whatever_is_cut_off_loading_and_playing_agree(scene, tmp_path, share):
+    """A session killed or torn anywhere, with bytes behind its last outcome: the same session both ways, also later on."""
+    folder = tmp_path / "s"
+    road = record(scene, folder, some_pokes(scene, 5), [(0.5, Exclude(1)), (0.7, MarkDead(4))])
+    whole = len(killed(road).snapshot().pokes)
+    path = folder / "segment-0001.mcap"
+    path.write_bytes(path.read_bytes()[: round(share * path.stat().st_size)])
+    loaded = load(folder)
+    assert_same(loaded, replay(folder))
+    assert 0 < len(loaded.snapshot().pokes) <= whole
+    assert any("was not closed" in sentence for sentence in loaded.findings)
+    live = resume(folder)
+    assert all(one.outcome.final for one in live.snapshot().pokes)
+    feed(live, as_chunks(some_pokes(scene, 2, 9).samples))
+    assert len(live.snapshot().pokes) == len(loaded.snapshot().pokes) + 2
+    live.close()
+    assert_same(live, load(folder), replay(folder))
+
+
+def test_a_recovered_segment_is_whole_for_other_programs(scene, tmp_path):
+    folder = tmp_path / "s"
+    killed(record(scene, folder, some_pokes(scene, 3)))
+    path = folder / "segment-0001.mcap"
+    whole = path.read_bytes()
+    for cut in (len(whole), len(whole) - 3, len(whole) - 150, len(whole) // 2):
+        path.write_bytes(whole[:cut])
+        before = list(read_session(folder).items())
+        resume(folder).close()
+        (folder / "segment-0002.mcap").unlink()
+        with path.open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            summary = reader.get_summary()
+            messages = list(reader.iter_messages(log_time_order=False))
+            assert [one.name for one in reader.iter_metadata()] == ["skincal"]
+            skin = list(reader.iter_messages(topics=["/raw/skin"]))
+        assert summary.statistics.message_count == len(messages) == sum(summary.statistics.channel_message_counts.values())
+        assert len(skin) == sum(isinstance(item, Chunk) and item.link == "skin" for item in before)
+        log = read_session(folder)
+        assert list(log.items()) == before
+        assert log.findings == ()
+
+
+def test_loading_opens_no_bytes(scene, tmp_path, monkeypatch):
+    live = record(scene, tmp_path / "s", some_pokes(scene, 6))
+    live.close()
+    opened = []
+    original = segment.open_chunk
+    monkeypatch.setattr(segment, "open_chunk", lambda chunk: opened.append(chunk.uncompressed_size) or original(chunk))
+    monkeypatch.setattr(cdr, "decode_chunk", lambda _: pytest.fail("bytes were decoded"))
+    assert_same(live, load(tmp_path / "s"))
+    monkeypatch.undo()
+    size = sum(len(item.data) for item in read_session(tmp_path / "s").items() if isinstance(item, Chunk))
+    assert sum(opened) < 0.2 * size
+
+
+def chunks_with(path, topic):
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    (channel,) = [one.id for one in summary.channels.values() if one.topic == topic]
+    return [one.chunk_start_offset for one in summary.chunk_indexes if channel in one.message_index_offsets]
+
+
+def test_damaged_bytes_cost_no_contact(scene, tmp_path):
+    live = record(scene, tmp_path / "s", some_pokes(scene, 4))
+    live.close()
+    path = tmp_path / "s" / "segment-0001.mcap"
+    notes = set(chunks_with(path, "/session"))
+    at = next(offset for offset in chunks_with(path, "/wrench") if offset not in notes)
+    data = bytearray(path.read_bytes())
+    data[at + 200] ^= 4
+    path.write_bytes(data)
+    assert_same(live, load(tmp_path / "s"))
+    played = replay(tmp_path / "s")
+    assert len(played.session.contacts) < 4
+    assert "lost" in played.findings[0]
+
+
+def test_a_note_that_is_missing_ends_the_reading_and_is_said(scene, tmp_path):
+    live = record(scene, tmp_path / "s", some_pokes(scene, 4))
+    live.close()
+    path = tmp_path / "s" / "segment-0001.mcap"
+    whole = path.read_bytes()
+    offsets = chunks_with(path, "/session")
+    for at in (offsets[2], offsets[-1]):
+        data = bytearray(whole)
+        data[at] = 0x86
+        path.write_bytes(data)
+        loaded = load(tmp_path / "s")
+        assert loaded.findings
+        got = [outcome_key(one.outcome) for one in loaded.snapshot().pokes]
+        assert len(got) <= 4
+    # A chunk that is taken out without a trace is missed by its number.
+    with path.open("rb") as file:
+        path.write_bytes(whole)
+        index = next(one for one in make_reader(file).get_summary().chunk_indexes if one.chunk_start_offset == offsets[2])
+    end = index.chunk_start_offset + index.chunk_length + index.message_index_length
+    path.write_bytes(whole[: offsets[2]] + whole[end:])
+    assert "note 5 is missing" in load(tmp_path / "s").findings[0]
+
+
+def test_a_journal_without_notes_is_played(scene, tmp_path, monkeypatch):
+    write = JournalWriter.write
+    monkeypatch.setattr(journal, "FORMAT", 1)
+    monkeypatch.setattr(JournalWriter, "write", lambda self, item, _=(): write(self, item))
+    live = record(scene, tmp_path / "s", some_pokes(scene, 3), [(0.9, Exclude(1))])
+    live.close()
+    monkeypatch.undo()
+    assert_same(live, load(tmp_path / "s"))
+    live = resume(tmp_path / "s")
+    feed(live, as_chunks(some_pokes(scene, 1, 9).samples))
+    live.close()
+    assert_same(live, load(tmp_path / "s"), replay(tmp_path / "s"))
+
+
+@pytest.mark.parametrize("name", ["scene.toml", "modules.toml"])
+def test_a_changed_scene_is_not_answered_from_notes(scene, tmp_path, name):
+    record(scene, tmp_path / "s", some_pokes(scene, 2)).close()
+    path = tmp_path / "s" / "scene" / name
+    if name == "scene.toml":
+        path.write_text(path.read_text() + "[contacts]\nforce_min = 12.0\n")
+    else:
+        path.write_text(path.read_text().split("[[modules]]\nid = 1")[0])
+    loaded = load(tmp_path / "s")
+    assert any("changed after the recording" in sentence for sentence in loaded.findings)
+    assert_same(loaded, replay(tmp_path / "s"))
+    assert name == "modules.toml" or loaded.session.contacts == ()
+
+
+ODD = np.array([0.1, -0.0, 5e-324, 1.7976931348623157e308, math.nan, math.inf, -math.inf, 1 / 3])
+
+
+def odd_outcomes():
+    tare = Tare(1 / 3, 0.1, 0.2, ODD[:6], np.arange(3.0))
+    still = StillMean(0.1, 0.2, 0.15, ODD[:6], np.eye(4) / 3, "up", math.inf, math.nan)
+    poke = Poke(7, 0.1, 0.2, 0.02, 8.1, 0, 0.0, 0.0, tare, still, np.array([3, 9]), np.array([1 / 3, 2.0]))
+    contact = Contact(
+        7, 0.1, 1 / 3, ODD[:3], ODD[3:6], np.array([3, 9]), ODD[:2], np.eye(4) / 3, 'a "pose"\n', math.nan, final=False
+    )
+    rejection = Rejection(8, 0.1, 0.2, Reason.NOT_STILL, math.inf, -0.0, "1", np.empty(0, dtype=np.int64), final=True)
+    unstill = dataclasses.replace(poke, still=None, channels=np.empty(0, dtype=np.int64), responses=np.empty(0))
+    unposed = dataclasses.replace(poke, still=dataclasses.replace(still, link_from_sensor=None))
+    return [
+        (contact, None),
+        (rejection, Doubt(poke, tare)),
+        (rejection, Doubt(unstill, None)),
+        (rejection, Doubt(unposed, None)),
+    ]
+
+
+def deep_key(value):
+    if dataclasses.is_dataclass(value) or isinstance(value, tuple):
+        parts = value if isinstance(value, tuple) else [getattr(value, f.name) for f in dataclasses.fields(value)]
+        left_out = 1 if isinstance(value, Tare) else 0  # the skin's baseline stays out
+        return [deep_key(part) for part in list(parts)[: len(list(parts)) - left_out]]
+    return np.asarray(value).tobytes() if isinstance(value, np.ndarray | float) else value
+
+
+def test_every_bit_of_a_note_comes_back():
+    taken = Taken(odd_outcomes(), {5: "stuck", 3: "gives no number"})
+    text = json.dumps(taken_to_json(taken), allow_nan=False)
+    back = taken_from_json(json.loads(text))
+    assert [deep_key(entry) for entry in back.outcomes] == [deep_key(entry) for entry in taken.outcomes]
+    assert list(back.dead.items()) == list(taken.dead.items())
+    assert back.outcomes[0][0].channels.dtype == np.int64
+    assert taken_from_json(json.loads(json.dumps(taken_to_json(Taken([]))))) == Taken([])
+
+
+def test_totals_come_back_and_add_up():
+    totals = Totals((LinkTotals("skin", "SKB/1", 9, {Loss.BAD_CHECKSUM: 2}),), 4)
+    assert totals_from_json(json.loads(json.dumps(totals_to_json(totals)))) == totals
+
+
+def test_solve_says_the_same_from_notes_and_from_bytes(scene, tmp_path, capsys):
+    record(scene, tmp_path / "s", some_pokes(scene, 3), [(0.9, Exclude(1))]).close()
+    said = []
+    for options in ([], ["--replay"]):
+        assert main(["solve", str(tmp_path / "s"), "--json", *options]) == 0
+        said.append(json.loads(capsys.readouterr().out))
+    assert said[0] == said[1]
+    assert said[0]["links"]["skin"]["readings"] == len(some_pokes(scene, 3).samples)
+
+
+def test_solve_says_what_was_found(scene, tmp_path, capsys):
+    killed(record(scene, tmp_path / "s", some_pokes(scene, 2)))
+    assert main(["solve", str(tmp_path / "s")]) == 0
+    assert "was not closed" in capsys.readouterr().out
+    assert main(["export", str(tmp_path / "s"), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
+    assert "was not closed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options", [["--speed", "2"], ["--replay", "--speed", "0"], ["--replay", "--speed", "-1"]])
+def test_a_speed_that_makes_no_sense_is_refused(scene, tmp_path, capsys, options):
+    record(scene, tmp_path / "s", some_pokes(scene, 1)).close()
+    assert main(["solve", str(tmp_path / "s"), *options]) == 2
+    assert "--speed" in capsys.readouterr().err

@@ -1,0 +1,156 @@
+"""The whole road from bytes of two devices to estimates."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from skincal.arm import Arm, DhLink
+from skincal.contacts.outcome import Contact, Phase, Reason
+from skincal.errors import InputError
+from skincal.readings import Chunk, LinkEvent, LinkState, Loss, Stream
+from skincal.scene import ArmSpec
+from skincal.session.actions import SetPose
+from skincal.session.road import Road
+from skincal.streams.links import LinkSpec
+from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, skt_line, small_scene, some_pokes
+
+FORCE = np.array([1.0, 2.0, -8.0])
+POINT = np.array([0.02, 0.05, 0.10])
+ANSWERS = {3: 80.0, 7: 40.0}
+
+
+def played(items, scene=None, links=LINKS):
+    road = Road(scene or small_scene(), links, None)
+    for item in items:
+        road.feed(item)
+    return road
+
+
+def outcomes_of(road):
+    return [one.outcome for one in road.snapshot().pokes]
+
+
+def test_bytes_become_contacts_with_the_numbers_of_the_truth():
+    road = played(as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).quiet().samples))
+    (contact,) = outcomes_of(road)
+    assert isinstance(contact, Contact)
+    assert contact.final
+    np.testing.assert_allclose(contact.force, FORCE, atol=2e-6)  # the text has six digits
+    np.testing.assert_allclose(contact.moment, np.cross(POINT, FORCE), atol=2e-6)
+    np.testing.assert_allclose(contact.responses, [80.0, 40.0], atol=0.02)
+
+
+def test_the_reaction_is_turned_where_the_scene_says_so():
+    script = Script(small_scene()).quiet().press(-FORCE, POINT, ANSWERS).quiet()
+    road = played(as_chunks(script.samples), dataclasses.replace(small_scene(), wrench_sign=-1))
+    np.testing.assert_allclose(outcomes_of(road)[0].force, FORCE, atol=2e-6)
+
+
+def test_how_the_bytes_are_cut_changes_nothing():
+    items = as_chunks(some_pokes(small_scene(), 4).samples)
+    pieces = []
+    for item in items:
+        if isinstance(item, Chunk):
+            half = len(item.data) // 3
+            pieces += [dataclasses.replace(item, data=part) for part in (item.data[:half], item.data[half:])]
+        else:
+            pieces.append(item)
+    assert same_estimates(played(items).snapshot(), played(pieces).snapshot())
+
+
+def test_the_live_view_shows_what_the_devices_say():
+    items = as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).samples)
+    road = played(items[:-12])
+    now = items[-12].host_ns
+    live = road.live(now)
+    assert live.progress.phase is Phase.HELD
+    assert live.skin[3] == pytest.approx(80.0, abs=0.01)
+    assert live.wrench_s[-1] - live.wrench_s[0] == pytest.approx(1.6, abs=0.2)
+    np.testing.assert_allclose(live.wrench[0], [3.0, -2.0, 20.0, 0.1, -0.3, 0.05])
+    assert [link.state for link in live.links] == [LinkState.OPEN, LinkState.OPEN]
+    assert road.live(now + 2_000_000_000).progress.phase is Phase.NO_DATA
+
+
+def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():
+    script = Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).quiet().press(FORCE, POINT, ANSWERS)
+    items = as_chunks(script.samples)[:-30]
+    lost_ns = items[-1].host_ns + 100_000_000
+    back = [dataclasses.replace(item, host_ns=item.host_ns + 20_000_000_000) for item in as_chunks(script.quiet().samples)]
+    road = played([*items, LinkEvent("skin", lost_ns, LinkState.LOST, "unplugged"), *back])
+    kinds = [one.reason if not isinstance(one, Contact) else "contact" for one in outcomes_of(road)]
+    assert kinds == ["contact", Reason.READINGS_LOST, "contact", "contact"]
+    assert all(one.final for one in outcomes_of(road))
+
+
+def test_the_end_of_the_last_recording_settles_the_last_poke():
+    items = as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).quiet(0.1).samples)
+    road = played(items)
+    assert not outcomes_of(road)[0].final
+    end = items[-1].host_ns
+    road.feed(LinkEvent("wrench", end, LinkState.ENDED))
+    assert not outcomes_of(road)[0].final
+    road.feed(LinkEvent("skin", end, LinkState.ENDED))
+    assert outcomes_of(road)[0].final
+
+
+def arm_scene():
+    chain = (DhLink(0.1, 0.0, 0.0, 0.0), DhLink(0.2, 0.0, 0.5, 0.0))
+    return small_scene(arm=ArmSpec(Arm((1, 2), chain, np.eye(4)), {"up": np.array([0.1, 0.2]), "down": np.array([0.4, 0.6])}))
+
+
+def test_a_chosen_pose_goes_into_the_contact():
+    scene = arm_scene()
+    road = Road(scene, LINKS, None)
+    assert road.snapshot().link_from_sensor is None
+    road.act(SetPose("down"), 0)
+    assert road.snapshot().pose == "down"
+    for item in as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples):
+        road.feed(item)
+    (contact,) = outcomes_of(road)
+    assert contact.pose == "down"
+    np.testing.assert_array_equal(contact.link_from_sensor, scene.arm.arm.link_from_sensor(np.array([0.4, 0.6])))
+
+
+def test_streamed_joints_give_the_pose_and_its_name():
+    scene = arm_scene()
+    links = (*LINKS, LinkSpec("joints", "file:none", (Stream.JOINTS,), "skt"))
+    items = as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples)
+    degrees = np.degrees([0.9, 0.4002, 0.5999, 0.7])  # columns 1 and 2 are the arm's
+    line = "J,{},{},{}"
+    for k, item in enumerate(list(items)):
+        if isinstance(item, Chunk) and item.link == "wrench":
+            body = line.format(k & 0xFFFF, k * 10_000, ",".join(f"{value:.4f}" for value in degrees))
+            items.append(Chunk("joints", item.host_ns - 5_000_000, skt_line(body)))
+    items.append(LinkEvent("joints", items[0].host_ns, LinkState.OPEN))
+    road = played(sorted(items, key=lambda item: item.host_ns), scene, links)
+    (contact,) = outcomes_of(road)
+    assert isinstance(contact, Contact), contact
+    assert contact.pose == "down"
+    np.testing.assert_allclose(contact.link_from_sensor, scene.arm.arm.link_from_sensor(np.array([0.4002, 0.5999])), atol=1e-5)
+
+
+def test_a_scene_with_one_pose_needs_no_choice():
+    scene = arm_scene()
+    one = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, poses={"up": np.array([0.1, 0.2])}))
+    assert Road(one, LINKS, None).snapshot().pose == "up"
+
+
+def test_bad_bytes_are_counted_and_the_pokes_survive():
+    items = as_chunks(some_pokes(small_scene(), 3).samples)
+    rng = np.random.default_rng(8)
+    for k in rng.choice(len(items), 20, replace=False):
+        if isinstance(items[k], Chunk):
+            data = bytearray(items[k].data)
+            data[int(rng.integers(len(data)))] ^= 0x41
+            items[k] = dataclasses.replace(items[k], data=bytes(data))
+    road = played(items)
+    losses = [sum(link.losses.values()) for link in road.live(items[-1].host_ns).links]
+    assert sum(losses) >= 10
+    assert any(Loss.BAD_CHECKSUM in link.losses for link in road.live(0).links)
+    assert sum(isinstance(one, Contact) for one in outcomes_of(road)) >= 2
+
+
+def test_bytes_of_an_unknown_link_are_refused():
+    with pytest.raises(InputError, match="nobody"):
+        played([Chunk("nobody", 1, b"x")])

@@ -1,0 +1,107 @@
+"""A robot's log of pokes becomes a calibration file whose positions are compared with the truth."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.result import Method
+from skincal.files.export import write_calibration
+from skincal.files.icub import read_icub
+from skincal.files.json_file import read_json
+from skincal.files.yarp import read_yarp
+from skincal.session.road import Road
+from skincal.surface.mesh import load_surface
+from tests.skincal.files_support import CHANNELS, Part, make_part
+
+EPOCH = 1_420_000_000.0
+TAXELS = (0, 1, 2, 3)
+PERIOD = 2.0
+"""s from poke to poke: 0.7 s of quiet, 0.8 s pressed, 0.5 s of quiet."""
+PUSHES = [(0.0, 0.0), (0.4, 0.0), (-0.4, 0.1), (0.0, 0.4), (0.1, -0.4), (0.3, 0.3)]
+
+OFFSET = np.array([3.0, -7.0, 1.0, 0.1, 0.2, -0.3])
+"""N and N m: the sensor's, which nobody knows."""
+
+
+def truth_at(part: Part, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Wrench and skin of a rig that pokes each taxel from each side in turn."""
+    poke, phase = divmod(time, PERIOD)
+    channel = TAXELS[int(poke) // len(PUSHES) % len(TAXELS)]
+    tilt = PUSHES[int(poke) % len(PUSHES)]
+    normal = part.normals[channel]
+    across = np.cross(normal, [0.0, 1.0, 0.0])
+    push = -normal + tilt[0] * across + tilt[1] * np.array([0.0, 1.0, 0.0])
+    level = np.clip(min(phase - 0.7, 1.5 - phase) / 0.1, 0.0, 1.0)
+    force = level * 8.0 * push / np.linalg.norm(push)
+    wrench = np.concatenate([force, np.cross(part.places[channel], force)]) + OFFSET
+    skin = np.full(CHANNELS, 12.0)
+    skin[channel] += 80 * level
+    return wrench, skin
+
+
+def write_logs(part: Part, folder: Path) -> tuple[Path, Path]:
+    rng = np.random.default_rng(3)
+    seconds = PERIOD * len(PUSHES) * len(TAXELS)
+    for name, rate, index, noise in (("wrench", 100, 0, 0.002), ("skin", 50, 1, 0.4)):
+        (folder / name).mkdir()
+        with (folder / name / "data.log").open("w") as file:
+            for seq, time in enumerate(np.arange(int(seconds * rate)) / rate):
+                values = truth_at(part, time)[index]
+                scale = np.array([1, 1, 1, 0.05, 0.05, 0.05]) if index == 0 else 1.0
+                noisy = values + noise * scale * rng.normal(size=len(values))
+                file.write(f"{seq} {EPOCH + time:.6f} {' '.join(f'{value:.6f}' for value in noisy)}\n")
+    return folder / "wrench", folder / "skin"
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory) -> tuple[Part, Road]:
+    part = make_part(tmp_path_factory.mktemp("part"))
+    links, chunks, findings = read_yarp(*write_logs(part, tmp_path_factory.mktemp("logs")))
+    assert len(findings) == 2
+    assert part.scene.surface is not None
+    road = Road(part.scene, links, load_surface(part.scene.surface)[0])
+    for chunk in chunks:
+        road.feed(chunk)
+    road.close()
+    return part, road
+
+
+def test_every_poke_of_the_log_is_a_contact(played):
+    _, road = played
+    outcomes = [record.outcome for record in road.snapshot().pokes]
+    assert len(outcomes) == len(PUSHES) * len(TAXELS)
+    assert all(isinstance(outcome, Contact) for outcome in outcomes)
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_the_written_positions_are_the_true_ones(played, tmp_path, method):
+    part, road = played
+    path = tmp_path / "positions.txt"
+    said = write_calibration(road.session.calibration(), "icub", path, method)
+    file = read_icub(path)
+    assert np.flatnonzero(file.positions.any(axis=1)).tolist() == list(TAXELS)
+    for channel in TAXELS:
+        assert np.linalg.norm(file.positions[channel] - part.places[channel]) < 0.3e-3
+        assert file.normals[channel] @ part.normals[channel] > np.cos(np.radians(12))
+    left_out = "30 of 34 taxels have no position (30 unseen): rows of six zeros, which readers take as no position."
+    assert said == (f"{method.value}: {left_out}",)
+
+
+def test_the_json_of_the_log_computes_again(played, tmp_path):
+    from skincal.estimate.solve import estimate_taxels
+
+    _, road = played
+    calibration = road.session.calibration()
+    write_calibration(calibration, "json", tmp_path / "c.json", Method.FREE)
+    file = read_json(tmp_path / "c.json")
+    assert road.session.surface is not None
+    for method, estimates in calibration.estimates.items():
+        again = estimate_taxels(file.used_contacts, file.channels, method, file.noise, road.session.surface, file.dead)
+        for one in estimates:
+            other = again[one.channel]
+            assert one.state is other.state
+            if one.position is not None:
+                assert other.position is not None
+                assert one.position.tobytes() == other.position.tobytes()
