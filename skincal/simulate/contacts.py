@@ -1,0 +1,117 @@
+"""Pokes straight to contacts, without bytes: what an accepted poke's mean wrench and answers would be.
+
+Gates are not run: every poke here is one still touch of one place, so none would be rejected but for too little force
+or too many taxels. For slides, double touches, clocks and losses use `device`.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.readings import FloatArray
+from skincal.simulate.noise import drift_step, slow_mean_sd
+from skincal.simulate.operator import Habits, aim
+from skincal.simulate.poke import Pokes, tangents
+from skincal.simulate.rig import Rig, Stance
+
+CYCLE_S = 2.5
+"""s, one poke and the way to the next (`Habits`)."""
+WRENCH_HZ = 1000.0
+"""Hz, readings that enter a mean."""
+SKIN_HZ = 50.0
+"""Hz, frames that enter a mean."""
+TARE_TO_STILL_S = 0.8
+"""s, from the middle of a quiet window to the middle of the still one."""
+
+
+class Tare(Enum):
+    """When the sensor's offset is taken."""
+
+    POKE = "around every poke"
+    SESSION = "once, at the start"
+
+
+def simulate_contacts(
+    rig: Rig,
+    pokes: Pokes,
+    rng: np.random.Generator,
+    pose: str | None = None,
+    first_poke: int = 1,
+    tare: Tare = Tare.POKE,
+) -> list[Contact]:
+    """Return the contacts that pokes end as, in their order; those that no taxel answers are left out.
+
+    Parameters
+    ----------
+    pokes : n places, pressed one after another; from `operator.aim`
+    pose : name of the arm pose; the scene's first for None
+    first_poke : number of the first poke
+    """
+    stance = rig.stance(pose)
+    wrenches = _mean_wrenches(rig, pokes, stance, rng)
+    noise, change = _tared_noise(rig, len(pokes), rng, tare)
+    wrenches = wrenches + noise
+    rows, answers = rig.answers(pokes, pokes.forces)
+    settings = rig.scene.contacts
+    frames = settings.still_s * SKIN_HZ, settings.quiet_s * SKIN_HZ
+    sd = rig.errors.skin_noise * rig.counts * np.sqrt(1 / frames[0] + 1 / frames[1])
+    answers = answers + sd * rng.standard_normal(answers.shape)
+    heard = answers > settings.response_min
+    starts = first_poke * CYCLE_S + CYCLE_S * np.arange(len(pokes))
+    contacts: list[Contact] = []
+    for i in np.flatnonzero(heard.any(axis=1)):
+        channels, responses = rig.channels[rows[i][heard[i]]], answers[i][heard[i]]
+        order = np.argsort(channels)
+        contacts.append(
+            Contact(
+                poke=first_poke + int(i),
+                start_s=float(starts[i]),
+                end_s=float(starts[i] + settings.still_s),
+                force=wrenches[i, :3],
+                moment=wrenches[i, 3:],
+                channels=channels[order],
+                responses=responses[order],
+                link_from_sensor=stance.told,
+                pose=stance.name,
+                tare_change=float(change[i]),
+                final=True,
+            )
+        )
+    return contacts
+
+
+def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> Pokes:
+    """Return unguided pokes, `per_taxel` at each taxel, each round in a new random order."""
+    targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
+    return aim(rig, targets, habits or Habits.careful(), rng)
+
+
+def _mean_wrenches(rig: Rig, pokes: Pokes, stance: Stance, rng: np.random.Generator) -> FloatArray:
+    """Return (n, 6) what the sensor makes of the forces, before noise."""
+    e1, e2 = tangents(pokes.normals)
+    beside = rig.errors.scatter * rng.standard_normal((len(pokes), 2))
+    points = pokes.points + beside[:, :1] * e1 + beside[:, 1:] * e2
+    return rig.read_wrenches(rig.true_wrenches(points, pokes.forces[:, None] * pokes.directions, stance))
+
+
+def _window_noise(rig: Rig, count: int, seconds: float, rng: np.random.Generator) -> FloatArray:
+    """Return (n, 6) noise of the mean over a window."""
+    errors = rig.errors
+    white = np.repeat([errors.force_noise, errors.moment_noise], 3) / np.sqrt(seconds * WRENCH_HZ)
+    return np.hypot(white, slow_mean_sd(errors, seconds)) * rng.standard_normal((count, 6))
+
+
+def _tared_noise(rig: Rig, count: int, rng: np.random.Generator, tare: Tare) -> tuple[FloatArray, FloatArray]:
+    """Return (n, 6) noise and drift that a tare leaves, and (n,) by how many newtons the tares differ."""
+    settings, step = rig.scene.contacts, drift_step(rig.errors)
+    still = _window_noise(rig, count, settings.still_s, rng)
+    if tare is Tare.SESSION:
+        walk = np.cumsum(step * np.sqrt(CYCLE_S) * rng.standard_normal((count, 6)), axis=0)
+        return still + walk - _window_noise(rig, 1, settings.quiet_s, rng), np.full(count, np.nan)
+    walk = step * np.sqrt(TARE_TO_STILL_S)
+    before = _window_noise(rig, count, settings.quiet_s, rng) - walk * rng.standard_normal((count, 6))
+    after = _window_noise(rig, count, settings.quiet_s, rng) + walk * rng.standard_normal((count, 6))
+    return still - (before + after) / 2, np.linalg.norm((after - before)[:, :3], axis=1)

@@ -1,0 +1,315 @@
+"""The rig's devices as bytes on a time line.
+
+`Timeline` is the shared core: block after block it asks the operator, computes what each device reads, encodes it, and
+lets each link delay, hold back, lose and damage the bytes. It knows no clock but its own, so it runs in real time
+(`serve`) and as fast as it goes (`session`) with the same bytes.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.readings import FloatArray, IntArray, Stream
+from skincal.simulate.encode import About, Encoder, make_encoder
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.noise import WrenchNoise
+from skincal.simulate.operator import Action, Move, Operator, Press
+from skincal.simulate.rig import Rig, Stance
+
+MICROSECONDS = 1_000_000
+NANOSECONDS = 1_000_000_000
+CLOCK_WRAP_S = 2**32 / MICROSECONDS
+"""s, after which a device's clock starts again."""
+
+TAIL_S = 0.5
+"""s that a finite time line goes on after the last action: the quiet for the tare after it (0.2 s) and the slowest link's
+latency."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSettings:
+    """How the devices speak."""
+
+    format: str = "skb"
+    """"skb", "skt" or "text"."""
+    wrench_hz: float = 1000.0
+    """Hz. The rate that the program must bear; Bota's sensors reach 1004 Hz."""
+    skin_hz: float = 50.0
+    """Hz. The paper's taxels (section III-B)."""
+    joints_hz: float = 100.0
+    """Hz. The iCub's controllers."""
+    block_s: float = 0.010
+    """s. Readings computed and sent together: a USB poll's worth."""
+    header_s: float = 2.0
+    """s. A board says what it is at its start and this often (SKT/1)."""
+    start_quiet_s: float = 1.0
+    """s before the operator sets out."""
+
+
+class Clock:
+    """A device's clock: somewhere in its range at the start, and a little fast or slow."""
+
+    def __init__(self, errors: RigErrors, rng: np.random.Generator) -> None:
+        self._start = rng.uniform(1.0, CLOCK_WRAP_S)
+        self._rate = 1.0 + errors.clock_skew * rng.standard_normal()
+
+    def us(self, times: FloatArray) -> IntArray:
+        """Return (n,) microseconds of the device's clock, wrapped, at true times in seconds."""
+        total = np.round((self._start + self._rate * times) * MICROSECONDS).astype(np.int64)
+        return total % 2**32
+
+
+class Line:
+    """The way from a device to the host: delays, holds back, loses and damages bytes.
+
+    Parameters
+    ----------
+    latency : s
+    """
+
+    def __init__(self, latency: float, errors: RigErrors, rng: np.random.Generator) -> None:
+        self._latency, self._errors, self._rng = latency, errors, rng
+        self._last = 0.0
+        self._held_until = 0.0
+
+    def send(self, data: bytes, now: float, seconds: float) -> tuple[float, bytes]:
+        """Return when bytes sent at `now` arrive, seconds, and what arrives.
+
+        Parameters
+        ----------
+        seconds : length of the block, for rates per second
+        """
+        errors, rng = self._errors, self._rng
+        if rng.uniform() < errors.burst_rate * seconds:
+            self._held_until = now + errors.burst_s
+        delay = self._latency + (rng.exponential(errors.jitter) if errors.jitter else 0.0)
+        self._last = max(self._last, now + delay, self._held_until)
+        return self._last, self._damage(data)
+
+    def _damage(self, data: bytes) -> bytes:
+        flips = self._rng.binomial(len(data), self._errors.corrupted)
+        losses = self._rng.binomial(len(data), self._errors.dropped)
+        if not flips and not losses:
+            return data
+        raw = np.frombuffer(data, dtype=np.uint8).copy()
+        places = self._rng.integers(0, len(raw), flips)
+        raw[places] ^= np.left_shift(1, self._rng.integers(0, 8, flips)).astype(np.uint8)
+        return np.delete(raw, self._rng.integers(0, len(raw), losses)).tobytes()
+
+
+@dataclass(slots=True)
+class Board:
+    """One device: its link, clock, encoder, way to the host and pace."""
+
+    link: str
+    stream: Stream
+    hz: float
+    clock: Clock
+    encoder: Encoder
+    line: Line
+    header: str
+    width: int
+    made: int = 0
+    """Readings made so far."""
+    next_header: float = 0.0
+
+    def due(self, end: float) -> FloatArray:
+        """Return (n,) the times of the readings that fall before `end`, and count them as made."""
+        until = int(np.ceil(end * self.hz - 1e-9))
+        times = np.arange(self.made, until) / self.hz
+        self.made = max(self.made, until)
+        return times
+
+
+class Timeline:
+    """Runs rig, operator and devices along one time line.
+
+    Parameters
+    ----------
+    rig : with its scene; a joints link where the scene has an arm
+    operator : what happens
+    rng : noise, clocks and losses
+    settings : how the devices speak
+    """
+
+    def __init__(self, rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None) -> None:
+        noise, boards, self._skin_rng = rng.spawn(3)
+        self.rig, self.operator, self.settings = rig, operator, settings or DeviceSettings()
+        self.now = 0.0
+        """s, end of what is computed."""
+        self.stance = rig.stance()
+        self._noise = WrenchNoise(rig.errors, noise)
+        self._boards = _boards(rig, self.settings, boards)
+        self._actions: list[Action] = []
+        self._free = self.settings.start_quiet_s
+        self._from = self.stance
+        self._arrivals: list[tuple[int, int, str, bytes]] = []
+        self._sent = 0
+        self._blocks = 0
+
+    @property
+    def links(self) -> dict[str, Stream]:
+        """Name of each link to what it carries."""
+        return {board.link: board.stream for board in self._boards}
+
+    @property
+    def finished(self) -> bool:
+        """The operator is done, and the quiet after the last poke has arrived."""
+        return self.operator.done and self.now >= self._free + TAIL_S
+
+    def greeting(self, link: str) -> bytes:
+        """Return the header that a board sends when somebody opens its port or asks for it."""
+        board = next(b for b in self._boards if b.link == link)
+        return _header(board, self.now)
+
+    def step(self) -> list[tuple[int, str, bytes]]:
+        """Compute one block; return what arrives in it as (virtual nanoseconds, link, bytes), in that order."""
+        begin, end = self.now, (self._blocks + 1) * self.settings.block_s
+        self._schedule(end)
+        for board in self._boards:
+            data = self._bytes(board, begin, end)
+            if data:
+                at, data = board.line.send(data, end, end - begin)
+                heapq.heappush(self._arrivals, (round(at * NANOSECONDS), self._sent, board.link, data))
+                self._sent += 1
+        self._blocks += 1
+        self.now = end
+        arrived: list[tuple[int, str, bytes]] = []
+        limit = round(end * NANOSECONDS)
+        while self._arrivals and self._arrivals[0][0] <= limit:
+            at_ns, _, link, data = heapq.heappop(self._arrivals)
+            arrived.append((at_ns, link, data))
+        return arrived
+
+    def _schedule(self, end: float) -> None:
+        """Ask the operator for what begins in this block, and forget what is over."""
+        if not self.operator.done:
+            self._free = max(self._free, self.now)
+        while self._free < end:
+            action = self.operator.next(self._free)
+            if action is None:
+                break
+            self._free = action.free
+            self._actions.append(action)
+        for action in self._actions:
+            if isinstance(action, Move) and action.free <= self.now:
+                self._from = self.stance = action.stance
+        self._actions = [action for action in self._actions if action.free > self.now]
+
+    def _bytes(self, board: Board, begin: float, end: float) -> bytes:
+        data = b""
+        if begin >= board.next_header:
+            data = _header(board, begin)
+            board.next_header += self.settings.header_s
+        times = board.due(end)
+        if board.stream is Stream.WRENCH:
+            stamps = board.clock.us(times)
+            return data + board.encoder.wrenches(stamps, self._wrenches(times, begin, end))
+        if not len(times):
+            return data
+        stamps = board.clock.us(times).tolist()
+        if board.stream is Stream.SKIN:
+            frames = self._skin(times)
+            return data + b"".join(board.encoder.skin(t, v) for t, v in zip(stamps, frames, strict=True))
+        angles = np.degrees(self._joints(times))
+        return data + b"".join(board.encoder.joints(t, v) for t, v in zip(stamps, angles, strict=True))
+
+    def _wrenches(self, times: FloatArray, begin: float, end: float) -> FloatArray:
+        """Return (n, 6) what the force/torque device sends, with the sign of the scene's sensor."""
+        rig = self.rig
+        total = self._weight(times)
+        for action in self._actions:
+            if isinstance(action, Press) and action.begin < end and action.end > begin:
+                total += self._press_wrench(action, times)
+        return rig.scene.wrench_sign * (rig.read_wrenches(total) + rig.offset + self._noise.block(times, begin, end))
+
+    def _press_wrench(self, press: Press, times: FloatArray) -> FloatArray:
+        load, travel = press.load(times)[:, None], press.travel(times)
+        total = np.zeros((len(times), 6))
+        for point, direction, force in zip(press.pokes.points, press.pokes.directions, press.pokes.forces, strict=True):
+            total += self.rig.true_wrenches(point + travel, load * force * direction, self.stance)
+        return total
+
+    def _skin(self, times: FloatArray) -> FloatArray:
+        """Return (n, width) raw frames; the foam answers to the load of a moment ago."""
+        felt = times - self.rig.foam.lag
+        answers = np.zeros((len(times), len(self.rig.channels)))
+        for action in self._actions:
+            if not isinstance(action, Press) or action.begin > times[-1]:
+                continue
+            loads, travel = action.load(felt), action.travel(felt)
+            for i in np.flatnonzero(loads > 0):
+                rows, values = self.rig.answers(action.moved(travel[i]), loads[i] * action.pokes.forces)
+                np.add.at(answers[i], rows.ravel(), values.ravel())
+        return self.rig.skin_frame(answers, self._skin_rng)
+
+    def _move(self) -> Move | None:
+        return next((a for a in self._actions if isinstance(a, Move)), None)
+
+    def _share_moved(self, times: FloatArray) -> tuple[FloatArray, Stance]:
+        """Return (n,) how far the arm is on its way, 0 to 1, and where to."""
+        move = self._move()
+        if move is None:
+            return np.zeros(len(times)), self.stance
+        share = np.clip((times - move.begin) / (move.free - move.begin), 0.0, 1.0)
+        return 0.5 - 0.5 * np.cos(np.pi * share), move.stance
+
+    def _weight(self, times: FloatArray) -> FloatArray:
+        share, target = self._share_moved(times)
+        return self._from.weight + share[:, None] * (target.weight - self._from.weight)
+
+    def _joints(self, times: FloatArray) -> FloatArray:
+        """Return (n, columns) joint angles as told, radians; joints that are no part of the chain are 0."""
+        arm = self.rig.scene.arm
+        if arm is None:
+            return np.zeros((len(times), 0))
+        share, target = self._share_moved(times)
+        angles = np.zeros((len(times), max(arm.arm.joints) + 1))
+        angles[:, arm.arm.joints] = self._from.angles + share[:, None] * (target.angles - self._from.angles)
+        return angles
+
+
+def _header(board: Board, now: float) -> bytes:
+    return board.encoder.header(About(int(board.clock.us(np.array([now]))[0]), board.header, board.width))
+
+
+def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[Board]:
+    errors, top, width = rig.errors, rig.range[1], rig.scene.skin.channels
+    ft, skin, joints = rng.spawn(3)
+    polarity = "up" if rig.polarity > 0 else "down"
+    bits = int(np.ceil(np.log2(top + 1)))
+    boards = [
+        Board(
+            "wrench", Stream.WRENCH, settings.wrench_hz, Clock(errors, ft), make_encoder(settings.format, top, 0),
+            Line(errors.wrench_latency, errors, ft), f"board=ft,rate={settings.wrench_hz:g},unit=N,kind=ft,fw=1", 6,
+        ),
+        Board(
+            "skin", Stream.SKIN, settings.skin_hz, Clock(errors, skin), make_encoder(settings.format, top, width),
+            Line(errors.skin_latency, errors, skin),
+            f"board={rig.scene.name},n={width},rate={settings.skin_hz:g},unit=raw,bits={bits},kind=taxel,polarity={polarity},fw=1",
+            width,
+        ),
+    ]  # fmt: skip
+    if rig.scene.arm is not None:
+        columns = max(rig.scene.arm.arm.joints) + 1
+        boards.append(
+            Board(
+                "joints", Stream.JOINTS, settings.joints_hz, Clock(errors, joints), make_encoder(settings.format, top, 0),
+                Line(errors.skin_latency, errors, joints), f"board=arm,rate={settings.joints_hz:g},unit=deg,kind=joints,fw=1",
+                columns,
+            )
+        )  # fmt: skip
+    return boards
+
+
+def timeline(
+    rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None
+) -> Iterator[tuple[int, str, bytes]]:
+    """Yield (virtual nanoseconds, link, bytes) in order of arrival, until the operator is done and `TAIL_S` has passed."""
+    line = Timeline(rig, operator, rng, settings)
+    while not line.finished:
+        yield from line.step()

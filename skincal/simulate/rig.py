@@ -1,0 +1,261 @@
+"""A part with its skin, its arm pose and its force/torque sensor, and what each really is.
+
+The true places of the taxels are the plan's layout laid on the surface, displaced as a patch. The sensor reads
+(I + E) w + weight + offset; the arm really is a little beside the pose that its joints tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skincal.arm import inverse_pose
+from skincal.errors import InputError
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import Scene
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.foam import Foam, answer, felt_share
+from skincal.simulate.poke import Pokes, tip_axes
+from skincal.skin import Anchor, Layout
+from skincal.surface.lay import lay
+from skincal.surface.mesh import Surface
+from skincal.surface.nearest import nearest_points
+
+__all__ = ["Rig", "RigErrors", "Stance"]
+
+NEIGHBOURS = 40
+"""Taxels looked at around a tip: within `Foam.reach` of a point of any layout here there are fewer."""
+NEAR_BLOCK = 256
+"""Points whose neighbours are looked up at once: 9 MB of distances to 4,200 taxels."""
+DEFAULT_RANGE = (0.0, 255.0)
+"""Raw range of a skin whose scene names none: eight bits."""
+REST_SHARE = 240 / 255
+"""Untouched reading, as a share of the range away from the end that pressure drives to (an iCub's: 235 to 244)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stance:
+    """One arm pose: what the joints tell and what is."""
+
+    name: str
+    angles: FloatArray
+    """(joints,) float, radians, as told; empty without an arm."""
+    told: FloatArray
+    """(4, 4) float: link_from_sensor by the chain."""
+    true: FloatArray
+    """(4, 4) float: link_from_sensor as it is."""
+    weight: FloatArray
+    """(6,) float, N and N m, sensor frame: what the part's weight adds."""
+
+
+class Rig:
+    """What a simulated rig is, and what its sensors say of pokes.
+
+    Parameters
+    ----------
+    scene : with a layout and an anchor
+    surface : of the scene; None where it has none
+    errors : how wrong the rig is
+    rng : draws everything that stays for a session
+
+    Raises
+    ------
+    InputError
+        The scene does not say where taxels lie.
+    """
+
+    def __init__(
+        self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator, foam: Foam | None = None
+    ) -> None:
+        mount, skin, arm, sensor = rng.spawn(4)
+        self.scene, self.surface, self.errors, self.foam = scene, surface, errors, foam or Foam()
+        self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
+        if surface is not None:
+            # Loads what the search needs (0.3 s) now rather than in the middle of the first poke.
+            nearest_points(surface, self.places[:1])
+        self._squares = np.sum(self.places * self.places, axis=1)
+        self._row = np.full(scene.skin.channels, -1, dtype=np.int64)
+        self._row[self.channels] = np.arange(len(self.channels))
+        self._set_up_skin(skin)
+        nominal = _nominal(scene)
+        self.stances = {name: self._stance(name, angles, pose, arm) for name, (angles, pose) in nominal.items()}
+        self._set_up_sensor(sensor)
+
+    def _set_up_skin(self, rng: np.random.Generator) -> None:
+        low, high = self.scene.skin.range or DEFAULT_RANGE
+        self.polarity = self.scene.skin.polarity
+        self.range = (low, high)
+        self.counts = (high - low) / 255.0
+        """Raw units per count of 255."""
+        start = high - REST_SHARE * (high - low) if self.polarity > 0 else low + REST_SHARE * (high - low)
+        spread = self.errors.baseline_spread * self.counts
+        count = len(self.channels)
+        self.baselines = np.clip(start + spread * rng.standard_normal(count), low, high)
+        self.gains = np.maximum(1.0 + self.errors.gain_spread * rng.standard_normal(count), 0.1)
+        self.stuck = self.channels[rng.choice(count, min(self.errors.stuck, count), replace=False)]
+        self._idle = np.full(self.scene.skin.channels, low if self.polarity > 0 else high)
+        self._idle[self.channels] = self.baselines
+
+    def _set_up_sensor(self, rng: np.random.Generator) -> None:
+        units = np.repeat([1.0, self.errors.matrix_arm], 3)
+        e = self.errors.matrix * rng.standard_normal((6, 6)) * units[:, None] / units[None, :]
+        self.matrix = np.eye(6) + e
+        scale = np.repeat([self.errors.offset_force, self.errors.offset_moment], 3)
+        self.offset = scale * rng.standard_normal(6)
+
+    def _stance(self, name: str, angles: FloatArray, told: FloatArray, rng: np.random.Generator) -> Stance:
+        error = np.eye(4)
+        error[:3, :3] = _rotation(self.errors.pose_turn * rng.standard_normal(3))
+        error[:3, 3] = self.errors.pose_shift * rng.standard_normal(3)
+        true = told @ error
+        middle = self.places.mean(axis=0)
+        down = rng.standard_normal(3)
+        pull = self.errors.weight * down / np.linalg.norm(down)
+        centre = inverse_pose(true)[:3] @ np.append(middle, 1.0)
+        return Stance(name, angles, told, true, np.concatenate([pull, np.cross(centre, pull)]))
+
+    def row_of(self, channel: int) -> int:
+        """Return the index of a channel in `channels`, `places` and `normals`.
+
+        Raises
+        ------
+        InputError
+            The channel is not a taxel.
+        """
+        if not 0 <= channel < len(self._row) or self._row[channel] < 0:
+            raise InputError(f"channel {channel} is not a taxel of {self.scene.name}; it has {self._some_channels()}.")
+        return int(self._row[channel])
+
+    def _some_channels(self) -> str:
+        return f"{len(self.channels)} taxels, channels {self.channels[0]} to {self.channels[-1]} with gaps"
+
+    def stance(self, name: str | None = None) -> Stance:
+        """Return an arm pose by its name; the first one for None.
+
+        Raises
+        ------
+        InputError
+            The scene has no such pose.
+        """
+        if name is None:
+            return next(iter(self.stances.values()))
+        if name not in self.stances:
+            raise InputError(f"arm pose {name!r} is not in {self.scene.name}; it has {', '.join(map(repr, self.stances))}.")
+        return self.stances[name]
+
+    def true_wrenches(self, points: FloatArray, forces: FloatArray, stance: Stance) -> FloatArray:
+        """Return the wrenches of pure forces at points (eqs. 1-2), about the sensor's origin.
+
+        Parameters
+        ----------
+        points : (n, 3) float, metres, link frame
+        forces : (n, 3) float, N, link frame, on the part
+        stance : the arm pose; its true one counts
+
+        Returns
+        -------
+        (n, 6) float, N and N m, sensor frame, before the sensor's errors
+        """
+        sensor_from_link = inverse_pose(stance.true)
+        f = forces @ sensor_from_link[:3, :3].T
+        c = points @ sensor_from_link[:3, :3].T + sensor_from_link[:3, 3]
+        return np.concatenate([f, np.cross(c, f)], axis=1)
+
+    def read_wrenches(self, wrenches: FloatArray) -> FloatArray:
+        """Return (n, 6) wrenches as the sensor's matrix gives them, (I + E) w."""
+        return wrenches @ self.matrix.T
+
+    def answers(self, pokes: Pokes, loads: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return which taxels answer each place pressed and by how much, without noise.
+
+        Parameters
+        ----------
+        pokes : n places
+        loads : (n,) float, N, force at each now
+
+        Returns
+        -------
+        rows : (n, k) int, indices into `channels`
+        answers : (n, k) float >= 0, raw units above the baseline
+        """
+        rows = self._near(pokes.points)
+        share = felt_share(self.foam, self.places[rows] - pokes.points[:, None], *tip_axes(pokes))
+        normal_load = -loads * np.sum(pokes.directions * pokes.normals, axis=1)
+        low, high = self.range
+        room = high - self.baselines if self.polarity > 0 else self.baselines - low
+        return rows, self.gains[rows] * room[rows] * answer(self.foam, normal_load[:, None], share)
+
+    def _near(self, points: FloatArray) -> IntArray:
+        """Return (n, k) the taxels that may feel a tip at each point."""
+        near = min(NEIGHBOURS, len(self.places))
+        if near == len(self.places):
+            return np.tile(np.arange(near), (len(points), 1))
+        rows = np.empty((len(points), near), dtype=np.int64)
+        for start in range(0, len(points), NEAR_BLOCK):
+            # |p - q|^2 without |p|^2, which is the same for all taxels of a point.
+            block = points[start : start + NEAR_BLOCK]
+            distances = self._squares - 2.0 * (block @ self.places.T)
+            rows[start : start + NEAR_BLOCK] = np.argpartition(distances, near, axis=1)[:, :near]
+        return rows
+
+    def skin_frame(self, answers: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return raw frames for answers, with noise, clipped and rounded as the device does.
+
+        Parameters
+        ----------
+        answers : (n, taxels) float, raw units above the baseline, in the order of `channels`
+
+        Returns
+        -------
+        (n, width) float, whole numbers
+        """
+        frames: FloatArray = np.tile(self._idle, (len(answers), 1))
+        noise = self.errors.skin_noise * self.counts * rng.standard_normal(answers.shape)
+        frames[:, self.channels] += self.polarity * answers + noise
+        low, high = self.range
+        if len(self.stuck):
+            frames[:, self.stuck] = (low + high) / 2
+        return np.clip(np.rint(frames), low, high, dtype=np.float64)
+
+
+def _mounted(
+    scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return channels, places and normals of the skin as it really is mounted."""
+    layout, anchor = scene.skin.layout, scene.skin.anchor
+    if layout is None or (anchor is None and all(m.anchor is None for m in layout.modules)):
+        raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
+    modules = tuple(m if m.anchor is None else replace(m, anchor=_displaced(m.anchor, errors, rng)) for m in layout.modules)
+    laid = lay(Layout(modules, layout.width), None if anchor is None else _displaced(anchor, errors, rng), surface)
+    if laid is None:
+        raise InputError(f"{scene.path}: the layout could not be laid; check its anchor.")
+    channels = layout.channels
+    places, normals = laid.places[channels], laid.normals[channels]
+    known = np.isfinite(places).all(axis=1)
+    return channels[known], places[known], normals[known]
+
+
+def _displaced(anchor: Anchor, errors: RigErrors, rng: np.random.Generator) -> Anchor:
+    """Return the anchor of a skin that was stuck on beside its plan: shifted and turned in its own plane."""
+    angle = errors.mount_turn * rng.standard_normal()
+    x = np.cos(angle) * anchor.x + np.sin(angle) * np.cross(anchor.normal, anchor.x)
+    return replace(anchor, at=anchor.at + errors.mount_shift * rng.standard_normal(2), x=x)
+
+
+def _nominal(scene: Scene) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return name to (angles, link_from_sensor) of every pose there is."""
+    if scene.arm is None:
+        return {"": (np.empty(0), scene.sensor_pose)}
+    poses = scene.arm.poses or {"zero": np.zeros(len(scene.arm.arm.joints))}
+    return {name: (angles, scene.arm.arm.link_from_sensor(angles)) for name, angles in poses.items()}
+
+
+def _rotation(vector: FloatArray) -> FloatArray:
+    """Return the (3, 3) turn about `vector` by its length in radians (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    s = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * s + (1 - np.cos(angle)) * (s @ s)

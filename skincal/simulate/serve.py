@@ -1,0 +1,85 @@
+"""Plays a time line in real time: a device process that a program cannot tell from hardware."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import TracebackType
+
+from skincal.simulate.device import Timeline
+from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
+from skincal.streams.links import LinkSpec
+
+LATE_MAX_S = 1.0
+"""s. When the machine slept longer than this, the boards go on from now rather than send it all at once."""
+
+
+class Server:
+    """One outlet a link, and the loop that feeds them.
+
+    Boards understand the commands of SKT/1 and SKB/1: `?` sends the header, `P` pauses, `S` starts again.
+
+    Parameters
+    ----------
+    line : what happens
+    tcp : ports on this machine; else pseudo-terminals
+
+    Raises
+    ------
+    InputError
+        Pseudo-terminals are wanted and this platform has none.
+    """
+
+    def __init__(self, line: Timeline, *, tcp: bool) -> None:
+        self._line = line
+        self._outlets: dict[str, Outlet] = {}
+        try:
+            for name in line.links:
+                self._outlets[name] = TcpOutlet() if tcp else PtyOutlet()
+        except BaseException:
+            self.close()
+            raise
+        self._paused: set[str] = set()
+
+    @property
+    def links(self) -> tuple[LinkSpec, ...]:
+        """What a host opens."""
+        return tuple(LinkSpec(name, self._outlets[name].address, (stream,)) for name, stream in self._line.links.items())
+
+    def run(self, stop: threading.Event) -> None:
+        """Play until `stop` is set."""
+        start = time.monotonic() - self._line.now
+        while not stop.is_set():
+            late = time.monotonic() - start - self._line.now
+            if late > LATE_MAX_S:
+                start += late
+            elif late < self._line.settings.block_s:
+                stop.wait(self._line.settings.block_s - late)
+                continue
+            self._listen()
+            for _, link, data in self._line.step():
+                if link not in self._paused:
+                    self._outlets[link].write(data)
+
+    def _listen(self) -> None:
+        for name, outlet in self._outlets.items():
+            came, said = outlet.poll()
+            if b"P" in said:
+                self._paused.add(name)
+            if b"S" in said or came:
+                self._paused.discard(name)
+            if b"?" in said or came:
+                outlet.write(self._line.greeting(name))
+
+    def close(self) -> None:
+        """Close every outlet."""
+        for outlet in self._outlets.values():
+            outlet.close()
+
+    def __enter__(self) -> Server:
+        """Return itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        """Close every outlet."""
+        self.close()

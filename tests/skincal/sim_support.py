@@ -1,0 +1,19 @@
+"""Scenes and rigs that the tests of the simulator share."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from skincal.scene import Scene, load_scene, resource
+from skincal.simulate.rig import Rig, RigErrors
+from skincal.surface.mesh import Surface, load_surface
+
+
+@lru_cache
+def scene_and_surface(name: str = "icub-forearm") -> tuple[Scene, Surface | None]:
+    scene = load_scene(resource(f"scenes/{name}/scene.toml"))
+    return scene, None if scene.surface is None else load_surface(scene.surface)[0]
+
+
+def make_rig(errors: RigErrors, seed: int = 1, name: str = "icub-forearm") -> Rig:
+    return Rig(*scene_and_surface(name), errors, np.random.default_rng(seed))

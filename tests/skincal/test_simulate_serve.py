@@ -1,0 +1,168 @@
+import os
+import select
+import socket
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import serial
+
+from skincal.readings import Stream
+from skincal.simulate.device import DeviceSettings, Timeline
+from skincal.simulate.operator import Auto, Habits
+from skincal.simulate.outlets import PtyOutlet, TcpOutlet
+from skincal.simulate.rig import RigErrors
+from skincal.simulate.serve import Server
+from skincal.streams.formats import make_format
+from tests.skincal.sim_support import make_rig
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="this platform has no pseudo-terminals")
+WAIT_S = 10.0
+
+
+@contextmanager
+def serving(*, tcp, form="skb", name="flat-patch"):
+    rig = make_rig(RigErrors.noise(), 1, name)
+    rng = np.random.default_rng(1)
+    line = Timeline(rig, Auto(rig, Habits.careful(), rng), rng, DeviceSettings(format=form))
+    stop = threading.Event()
+    with Server(line, tcp=tcp) as server:
+        thread = threading.Thread(target=server.run, args=(stop,))
+        thread.start()
+        try:
+            yield server
+        finally:
+            stop.set()
+            thread.join(WAIT_S)
+            assert not thread.is_alive()
+
+
+def connect(server, name):
+    address = next(link.address for link in server.links if link.name == name)
+    host, port = address.removeprefix("socket://").split(":")
+    client = socket.create_connection((host, int(port)))
+    client.settimeout(WAIT_S)
+    return client
+
+
+def receive(client, seconds):
+    data, end = b"", time.monotonic() + seconds
+    while time.monotonic() < end:
+        if select.select([client], [], [], 0.05)[0]:
+            data += client.recv(65536)
+    return data
+
+
+def receive_some(client, enough):
+    data = b""
+    while enough not in data:
+        data += client.recv(65536)
+    return data
+
+
+def test_one_port_a_link():
+    with serving(tcp=True, name="icub-forearm") as server:
+        assert [(link.name, link.carries) for link in server.links] == [
+            ("wrench", (Stream.WRENCH,)),
+            ("skin", (Stream.SKIN,)),
+            ("joints", (Stream.JOINTS,)),
+        ]
+        assert len({link.address for link in server.links}) == 3
+        assert all(link.address.startswith("socket://127.0.0.1:") for link in server.links)
+
+
+def test_readings_come_in_real_time_over_tcp():
+    with serving(tcp=True) as server, connect(server, "wrench") as client:
+        receive_some(client, b"kind=ft")
+        begin = time.monotonic()
+        data = receive(client, 1.5)
+        elapsed = time.monotonic() - begin
+    decoder = make_format("skb", 64, (Stream.WRENCH,))
+    batches = decoder.feed(data)
+    count = sum(len(b.seq) for b in batches)
+    assert count == pytest.approx(1000 * elapsed, rel=0.25)
+    seq = np.concatenate([b.seq for b in batches])
+    assert (np.diff(seq) == 1).all()
+    assert decoder.counts.total() == 0
+
+
+def test_a_client_may_leave_and_come_back():
+    with serving(tcp=True) as server:
+        decoder = make_format("skb", 64, (Stream.WRENCH,))
+        with connect(server, "wrench") as client:
+            first = np.concatenate([b.seq for b in decoder.feed(receive(client, 0.3))])
+        time.sleep(0.3)
+        with connect(server, "wrench") as client:
+            second = np.concatenate([b.seq for b in make_format("skb", 64, (Stream.WRENCH,)).feed(receive(client, 0.3))])
+    assert len(first) > 50
+    assert second[0] > first[-1] + 100  # what came in between is gone
+
+
+def test_a_board_answers_and_pauses():
+    with serving(tcp=True, form="skt") as server, connect(server, "skin") as client:
+        assert receive_some(client, b"\n").startswith(b"H,skt1,")  # as after a boot
+        client.sendall(b"P\n")
+        time.sleep(0.2)
+        receive(client, 0.1)
+        client.sendall(b"?\n")
+        time.sleep(0.2)
+        answer = client.recv(65536)
+        assert answer.startswith(b"H,skt1,")
+        assert answer.count(b"\n") == 1
+        client.sendall(b"S\n")
+        assert receive_some(client, b"\nT,")
+
+
+def test_a_slow_client_does_not_hold_up_the_others():
+    outlet = TcpOutlet()
+    host, port = outlet.address.removeprefix("socket://").split(":")
+    with socket.create_connection((host, int(port))) as deaf, socket.create_connection((host, int(port))) as keen:
+        while len(outlet._clients) < 2:
+            outlet.poll()
+        heard = 0
+        for _ in range(400):  # 26 MB: more than any kernel buffers
+            outlet.write(bytes(65536))
+            while select.select([keen], [], [], 0)[0]:
+                heard += len(keen.recv(1 << 20))
+        assert heard > 20_000_000
+        assert len(outlet._clients) == 1
+        deaf.settimeout(WAIT_S)
+    outlet.close()
+
+
+@needs_pty
+def test_readings_come_over_a_pty_and_go_on_after_it_was_closed():
+    with serving(tcp=False, name="icub-forearm") as server:
+        port = next(link.address for link in server.links if link.name == "joints")
+        for _ in range(2):
+            decoder = make_format("skb", 384, (Stream.JOINTS,))
+            count, end = 0, time.monotonic() + WAIT_S
+            with serial.Serial(port, timeout=0.1) as link:
+                while count < 30 and time.monotonic() < end:
+                    count += sum(len(b.seq) for b in decoder.feed(link.read(256)))
+            assert count >= 30
+            assert decoder.counts.total() == 0
+
+
+@needs_pty
+def test_bytes_without_a_listener_are_gone():
+    outlet = PtyOutlet()
+    for _ in range(100):
+        outlet.poll()
+        outlet.write(b"x" * 1000)
+    slave = os.open(outlet.address, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    assert outlet.poll()[0]
+    outlet.write(b"fresh")
+    assert os.read(slave, 100) == b"fresh"
+    assert not outlet.poll()[0]
+    os.write(slave, b"?\n")
+    time.sleep(0.05)
+    assert outlet.poll() == (False, b"?\n")
+    for _ in range(100):
+        outlet.write(b"x" * 1000)  # overrun: never waits
+    os.close(slave)
+    outlet.close()
+    outlet.close()

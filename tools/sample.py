@@ -1,0 +1,48 @@
+"""Make the recorded session that ships, anew, with the same readings each time: `.venv/bin/python tools/sample.py`.
+
+One careful poke for each taxel on the simulated forearm with sensor noise, in two arm poses, at 100 Hz of wrenches (the
+iCub's rate) so that it stays small.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(CHECKOUT))
+
+FOLDER = CHECKOUT / "resources" / "sessions" / "sample"
+POKES = 84
+SEED = 11
+
+
+def main() -> int:
+    """Write `resources/sessions/sample`."""
+    from skincal.scene import load_scene, resource
+    from skincal.simulate.device import DeviceSettings
+    from skincal.simulate.operator import Habits
+    from skincal.simulate.rig import RigErrors
+    from skincal.simulate.session import simulate_session
+    from skincal.surface.mesh import load_surface
+
+    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
+    assert scene.surface is not None
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    simulate_session(
+        scene,
+        load_surface(scene.surface)[0],
+        FOLDER,
+        POKES,
+        SEED,
+        RigErrors.noise(),
+        poses=("1", "6"),
+        habits=Habits.careful(),
+        settings=DeviceSettings(wrench_hz=100.0, joints_hz=10.0),
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
