@@ -1,0 +1,94 @@
+"""The commands: `skincal solve | simulate | record | import | export`.
+
+Results go to stdout, as text or with `--json` as one JSON value; everything else goes to stderr. Exit codes: 0 done,
+2 the user's input is at fault (one sentence, no traceback), 1 ours.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+
+import typer
+
+from skincal import __version__
+from skincal.errors import InputError
+
+app = typer.Typer(
+    name="skincal",
+    help="Find where every taxel of a robot skin is, from pokes measured by a force/torque sensor. "
+    "Without a command the window opens; it takes --scene, --wrench, --skin, --joints and --new FOLDER, or --session FOLDER.",
+    epilog="Example: skincal simulate --scene icub-forearm --pokes 252 --out trial, then skincal solve trial --out results",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"skincal {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Print the version."),
+) -> None:
+    pass
+
+
+def _register() -> None:
+    """Add the commands; a function, so that each module is imported after `app` exists."""
+    from skincal.cli import calibrate, record, simulate
+
+    calibrate.add_to(app)
+    record.add_to(app)
+    simulate.add_to(app)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    Parameters
+    ----------
+    arguments : without the program's name; those of the process when None
+    """
+    _register_once()
+    try:
+        result = typer.main.get_command(app).main(
+            args=None if arguments is None else list(arguments), prog_name="skincal", standalone_mode=False
+        )
+    except InputError as error:
+        typer.echo(f"skincal: {error}", err=True)
+        return 2
+    except typer.Abort:
+        return 2
+    except Exception as error:  # noqa: BLE001 - the last handler: a usage error, or a fault of ours that is shown whole
+        return _other_failure(error)
+    return result if isinstance(result, int) else 0
+
+
+_registered = False
+
+
+def _register_once() -> None:
+    global _registered
+    if not _registered:
+        _register()
+        _registered = True
+
+
+def _other_failure(error: Exception) -> int:
+    """Report a usage error of the command line as the user's, anything else as ours."""
+    show = getattr(error, "show", None)
+    if show is not None:  # a ClickException: typer carries its own copy of click, or uses the installed one
+        show()
+        return 2
+    if isinstance(error, BrokenPipeError):
+        return 0
+    traceback.print_exception(error, file=sys.stderr)
+    typer.echo(f"skincal: {error!r} is a fault of skincal, not of your input; please report it with the lines above.", err=True)
+    return 1

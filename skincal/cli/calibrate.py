@@ -1,0 +1,174 @@
+"""`solve` and `export`: from a recorded session to estimates and calibration files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from skincal.errors import InputError
+from skincal.estimate.result import Method
+
+if TYPE_CHECKING:
+    from skincal.readings import FloatArray
+    from skincal.session.road import Road
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Replay = Annotated[
+    bool, typer.Option("--replay", help="Play the recorded bytes again instead of taking the pokes as they were judged.")
+]
+Speed = Annotated[
+    float | None,
+    typer.Option(help="With --replay: times real time, 1 = as it happened; else as fast as it goes.", show_default=False),
+]
+Part = Annotated[
+    str | None,
+    typer.Option(help="Skin part named in the iCub file, such as r_forearm; else the one that the scene's link begins with."),
+]
+SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
+
+
+class Format(Enum):
+    """A calibration file's format."""
+
+    ICUB = "icub"
+    JSON = "json"
+    CSV = "csv"
+    PLY = "ply"
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(epilog="Example: skincal solve my-session --out results")(solve)
+    app.command(epilog="Example: skincal export my-session --format icub --out right_forearm.txt")(export)
+
+
+def solve(
+    session: SessionArgument,
+    out: Annotated[Path | None, typer.Option(help="Folder for the calibration in every format.")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="Known places, a truth.json or an iCub position file: report the error against them.")
+    ] = None,
+    per_pose: Annotated[
+        bool, typer.Option("--per-pose", help="Also solve each arm pose alone and average the results, as the paper does.")
+    ] = False,
+    part: Part = None,
+    replay: Replay = False,
+    speed: Speed = None,
+    as_json: Json = False,
+) -> None:
+    """Estimate every taxel of a session by each method of its scene."""
+    from skincal.cli import report
+    from skincal.files.reference import read_reference
+
+    if part is not None and out is None:
+        raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
+    known = None if reference is None else read_reference(reference)
+    road = _opened(session, replay, speed)
+    snapshot = road.snapshot()
+    counts = report.poke_counts(snapshot)
+    methods = {method.value: report.method_summary(items, known) for method, items in snapshot.estimates.items()}
+    if per_pose:
+        methods |= _per_pose(road, known)
+    files, written = ([], []) if out is None else _write_all(road, out, part)
+    findings = [*road.findings, *written]
+    totals = road.totals()
+    losses = report.loss_counts(totals.links, totals.unpaired)
+    text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
+    dead = {str(channel): why for channel, why in snapshot.dead.items()}
+    text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
+    text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
+    result = {
+        "session": str(session),
+        **counts,
+        "methods": methods,
+        **losses,
+        "dead": dead,
+        "files": files,
+        "findings": findings,
+    }
+    report.print_result({**result, "text": text}, as_json)
+
+
+def _opened(session: Path, from_bytes: bool, speed: float | None) -> Road:
+    from skincal.session.replay import load, replay
+
+    if speed is not None and not from_bytes:
+        raise InputError("--speed needs --replay: without it nothing is played.")
+    if speed is not None and not 0 < speed < float("inf"):
+        raise InputError(f"--speed is {speed:g}; expected a number above 0, such as 1 for real time.")
+    return replay(session, speed) if from_bytes else load(session)
+
+
+def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
+    from skincal.cli import report
+    from skincal.estimate.solve import average_over_poses
+
+    session = road.session
+    summaries: dict[str, Any] = {}
+    for method in session.snapshot().estimates:
+        averaged = average_over_poses(session.contacts, session.channels, method, session.scene.noise, session.surface)
+        summaries[f"{method.value}-per-pose"] = report.method_summary(tuple(averaged.values()), known)
+    return summaries
+
+
+def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
+    """Write every format for every method the scene has; return the files and what was found."""
+    from skincal.files.export import write_calibration
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
+    calibration = road.session.calibration()
+    files: list[str] = []
+    findings: list[str] = []
+
+    def write(format_: Format, name: str, method: Method) -> None:
+        path = folder / name
+        for sentence in write_calibration(calibration, format_.value, path, method, part):
+            if sentence not in findings:
+                findings.append(sentence)
+        files.append(str(path))
+
+    methods = tuple(calibration.estimates)
+    write(Format.JSON, "calibration.json", methods[0])
+    write(Format.CSV, "calibration.csv", methods[0])
+    for method in methods:
+        write(Format.ICUB, f"positions-{method.value}.txt", method)
+        write(Format.PLY, f"taxels-{method.value}.ply", method)
+    return files, findings
+
+
+def export(
+    session: SessionArgument,
+    format_: Annotated[Format, typer.Option("--format", help="Format of the file.")],
+    out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak.")],
+    method: Annotated[
+        Method | None, typer.Option(help="Whose positions to write; the surface method where the scene has a surface.")
+    ] = None,
+    part: Part = None,
+    replay: Replay = False,
+    as_json: Json = False,
+) -> None:
+    """Write the calibration file of a session."""
+    from skincal.cli import report
+    from skincal.files.export import write_calibration
+
+    if part is not None and format_ is not Format.ICUB:
+        raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
+    road = _opened(session, replay, None)
+    calibration = road.session.calibration()
+    chosen = method or (Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE)
+    if chosen not in calibration.estimates:
+        raise InputError(f"{session}: its scene has no surface; expected --method free.")
+    findings = [*road.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
+    summary = report.method_summary(calibration.estimates[chosen], None)
+    text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]
+    report.print_result(
+        {"file": str(out), "format": format_.value, "method": chosen.value, **summary, "findings": findings, "text": text},
+        as_json,
+    )

@@ -1,0 +1,312 @@
+"""`record` and `import`: from devices or from other programs' recordings to a session."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from skincal.cli.calibrate import Json
+from skincal.errors import InputError
+from skincal.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.scene import Scene, load_scene, scene_file
+
+if TYPE_CHECKING:
+    from skincal.readings import FloatArray
+    from skincal.session.road import Road
+    from skincal.streams.links import LinkSpec
+    from skincal.streams.reader import Reader
+
+SceneOption = Annotated[
+    Path, typer.Option(help="Scene file (*.toml), or the name of one that ships: icub-forearm, flat-patch, ...")
+]
+OutOption = Annotated[Path, typer.Option(help="Folder of the new session.")]
+LinkOption = Annotated[str, typer.Option(help="Port such as /dev/ttyUSB0@460800 or COM3, socket://HOST:PORT, or a file.")]
+BOARD = "board"
+"""Name of a link that carries several streams."""
+SILENT_NS = 2_000_000_000
+"""ns. Joints at 1 Hz are slow, not silent."""
+DRAIN_WAIT_S = 0.05
+"""s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
+
+importing = typer.Typer(
+    help="Make a session from another program's recording.",
+    no_args_is_help=True,
+    epilog="Example: skincal import yarp --wrench log/analog --skin log/skin --scene icub-forearm --out monday",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(
+        epilog="Example: skincal record --wrench /dev/ttyUSB0@460800 --skin /dev/ttyACM0 --scene icub-forearm --out monday"
+    )(record)
+    importing.command(
+        "yarp", epilog="Example: skincal import yarp --wrench log/analog --skin log/skin --scene icub-forearm --out monday"
+    )(import_yarp)
+    importing.command(
+        "csv", epilog="Example: skincal import csv --wrench ft.csv --skin skin.csv --scene flat-patch --out monday"
+    )(import_csv)
+    app.add_typer(importing, name="import")
+
+
+def find_scene(path: Path) -> Scene:
+    """Load a scene file, or by name one that ships with skincal."""
+    return load_scene(scene_file(path))
+
+
+def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec]) -> Road:
+    """Open a new session's journal and the road into it; the mesh is loaded where the scene has one."""
+    from skincal.session.journal import create_session
+    from skincal.session.road import Road
+
+    surface = None
+    if scene.surface is not None:
+        from skincal.surface.mesh import load_surface
+
+        surface, findings = load_surface(scene.surface)
+        for finding in findings:
+            typer.echo(f"{scene.surface.path.name}: {finding.sentence}", err=True)
+    return Road(scene, links, surface, create_session(out, scene, links))
+
+
+def record(
+    wrench: LinkOption,
+    skin: LinkOption,
+    scene: SceneOption,
+    out: OutOption,
+    joints: Annotated[str | None, typer.Option(help="Link of the joint angles, where they are streamed.")] = None,
+    pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints are not streamed.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
+    pokes: Annotated[int | None, typer.Option(min=1, help="Stop after this many pokes.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Record devices into a session, until Ctrl-C, and estimate as pokes come in."""
+    from skincal.streams.reader import Reader
+
+    loaded = find_scene(scene)
+    _check_pose(loaded, pose, streamed=joints is not None)
+    links = links_of({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
+    road = new_road(loaded, out, links)
+    items: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
+    readers = {link.name: Reader(link, items) for link in links}
+    try:
+        _choose_pose(road, pose)
+        for reader in readers.values():
+            reader.start()
+        _loop(road, items, readers, seconds, pokes)
+    except KeyboardInterrupt:
+        typer.echo("stopped", err=True)
+    finally:
+        for reader in readers.values():
+            reader.stop()
+        while not items.empty():
+            road.feed(items.get())
+        road.close()
+    finish(road, out, as_json)
+
+
+def links_of(addresses: Mapping[Stream, str | None]) -> list[LinkSpec]:
+    """Describe the links by what each carries; one address for several streams is one board."""
+    from skincal.streams.links import LinkSpec
+
+    carried: dict[str, list[Stream]] = {}
+    for stream, address in addresses.items():
+        if address is not None:
+            carried.setdefault(address, []).append(stream)
+    return [
+        LinkSpec(streams[0].value if len(streams) == 1 else BOARD, address, tuple(streams))
+        for address, streams in carried.items()
+    ]
+
+
+def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
+    """Refuse a pose that the scene does not have, or an arm without one, before anything is made."""
+    known = [] if scene.arm is None else list(scene.arm.poses)
+    if scene.arm is not None and pose is None and not streamed:
+        raise InputError(
+            f"{scene.name} has an arm, and no pose of it was given; "
+            f"add --joints, or --pose with one of {', '.join(known) or 'none'}."
+        )
+    if pose is not None and pose not in known:
+        raise InputError(f"--pose is {pose!r}; the scene has {', '.join(known) or 'no named poses'}.")
+
+
+def _choose_pose(road: Road, pose: str | None) -> None:
+    from skincal.session.actions import SetPose
+
+    if pose is not None:
+        road.act(SetPose(pose), time.monotonic_ns())
+
+
+def _loop(
+    road: Road,
+    items: queue.SimpleQueue[Chunk | LinkEvent],
+    readers: Mapping[str, Reader],
+    seconds: float | None,
+    pokes: int | None,
+) -> None:
+    """Take items until the time or the pokes are over, every link ended, or one is given up."""
+    end = None if seconds is None else time.monotonic() + seconds
+    told = 0
+    states: dict[str, LinkState] = {}
+    silence = Silence()
+    while (end is None or time.monotonic() < end) and not road.journal_failure:
+        for sentence in silence.sentences(time.monotonic_ns()):
+            typer.echo(sentence, err=True)
+        try:
+            item = items.get(timeout=DRAIN_WAIT_S)
+        except queue.Empty:
+            road.tick(time.monotonic_ns())
+            over = [states.get(name) for name, reader in readers.items() if not reader.running]
+            if LinkState.FAILED in over or len(over) == len(readers):
+                return
+            continue
+        if isinstance(item, LinkEvent):
+            typer.echo(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
+            states[item.link] = item.state
+        silence.hear(item)
+        road.feed(item)
+        road.tick(item.host_ns)
+        told = _tell_new_pokes(road, told)
+        if pokes is not None and told >= pokes:
+            return
+
+
+class Silence:
+    """Says once that an open link sends nothing, and that it sends again."""
+
+    def __init__(self) -> None:
+        self._heard_ns: dict[str, int] = {}
+        """Of each link that is open: when it opened or sent last."""
+        self._silent: set[str] = set()
+        self._again: list[str] = []
+
+    def hear(self, item: Chunk | LinkEvent) -> None:
+        """Take the next item of the queue."""
+        if isinstance(item, LinkEvent) and item.state is not LinkState.OPEN:
+            self._heard_ns.pop(item.link, None)
+            self._silent.discard(item.link)
+            return
+        self._heard_ns[item.link] = item.host_ns
+        if item.link in self._silent and isinstance(item, Chunk):
+            self._silent.discard(item.link)
+            self._again.append(f"{item.link}: sends again")
+
+    def sentences(self, now_ns: int) -> list[str]:
+        """Return what is new at `now_ns` of the host's monotonic clock."""
+        said, self._again = self._again, []
+        for name, heard_ns in self._heard_ns.items():
+            if name not in self._silent and now_ns - heard_ns > SILENT_NS:
+                self._silent.add(name)
+                said.append(
+                    f"{name}: is open but silent for {SILENT_NS / 1e9:g} s; check the device's power, its cable, its baud rate "
+                    "and that it was started."
+                )
+        return said
+
+
+def _tell_new_pokes(road: Road, told: int) -> int:
+    """Say each poke's outcome once it is final; return how many were told."""
+    from skincal.contacts.outcome import Contact
+
+    records = road.snapshot().pokes
+    while told < len(records) and records[told].outcome.final:
+        outcome = records[told].outcome
+        if isinstance(outcome, Contact):
+            typer.echo(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
+        else:
+            numbers = f"{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}".rstrip()
+            typer.echo(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
+        told += 1
+    return told
+
+
+def finish(
+    road: Road,
+    out: Path,
+    as_json: bool,
+    findings: Iterable[str] = (),
+    reference: Mapping[int, FloatArray] | None = None,
+) -> None:
+    """Print what a recording came to; with `reference` also the error against it.
+
+    Raises
+    ------
+    InputError
+        Not everything could be recorded, or a link gave nothing that could be used.
+    """
+    from skincal.cli import report
+
+    snapshot = road.snapshot()
+    counts = report.poke_counts(snapshot)
+    live = road.live(0)
+    losses = report.loss_counts(live.links, live.losses_unpaired)
+    methods = {method.value: report.method_summary(items, reference) for method, items in snapshot.estimates.items()}
+    found = [*findings, *report.link_notes(live.links)]
+    text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
+    text += [*report.loss_lines(losses), f"session {out}"]
+    result: dict[str, Any] = {"session": str(out), **counts, "methods": methods, **losses, "findings": found, "text": text}
+    report.print_result(result, as_json)
+    trouble = road.journal_failure or report.silent_links(live.links)
+    if trouble:
+        raise InputError(trouble)
+
+
+def import_yarp(
+    wrench: Annotated[Path, typer.Option(help="yarpdatadumper folder of the force/torque port.")],
+    skin: Annotated[Path, typer.Option(help="yarpdatadumper folder of the skin port.")],
+    scene: SceneOption,
+    out: OutOption,
+    joints: Annotated[Path | None, typer.Option(help="yarpdatadumper folder of the arm's state port.")] = None,
+    pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a session from `yarpdatadumper` folders of one recording."""
+    from skincal.files.yarp import read_yarp
+
+    loaded = find_scene(scene)
+    _check_pose(loaded, pose, streamed=joints is not None)
+    _import(loaded, out, pose, as_json, read_yarp(wrench, skin, joints))
+
+
+def import_csv(
+    wrench: Annotated[Path, typer.Option(help="CSV file: time and fx fy fz mx my mz.")],
+    skin: Annotated[Path, typer.Option(help="CSV file: time and one column a channel.")],
+    scene: SceneOption,
+    out: OutOption,
+    joints: Annotated[Path | None, typer.Option(help="CSV file: time and one column a joint.")] = None,
+    pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a session from CSV files of one recording."""
+    from skincal.files.csv_log import read_csv
+
+    loaded = find_scene(scene)
+    _check_pose(loaded, pose, streamed=joints is not None)
+    _import(loaded, out, pose, as_json, read_csv(wrench, skin, joints))
+
+
+def _import(
+    scene: Scene,
+    out: Path,
+    pose: str | None,
+    as_json: bool,
+    recording: tuple[Sequence[LinkSpec], Iterable[Chunk], Sequence[str]],
+) -> None:
+    links, chunks, findings = recording
+    road = new_road(scene, out, links)
+    try:
+        _choose_pose(road, pose)
+        for chunk in chunks:
+            road.feed(chunk)
+            road.tick(chunk.host_ns)
+            if road.journal_failure:
+                break
+    finally:
+        road.close()
+    finish(road, out, as_json, findings)

@@ -1,0 +1,120 @@
+"""What a command prints: one summary of a session, as text and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import typer
+
+from skincal.contacts.outcome import Contact, Rejection
+from skincal.estimate.result import Estimate, Method, State
+from skincal.files.reference import error_summary
+from skincal.readings import FloatArray, LinkHealth, LinkState
+from skincal.session.snapshot import Snapshot
+from skincal.session.totals import LinkTotals
+
+
+def print_result(result: Mapping[str, Any], as_json: bool) -> None:
+    """Print a command's result on stdout: JSON, or the entries of `"text"`."""
+    if as_json:
+        typer.echo(json.dumps({key: value for key, value in result.items() if key != "text"}, allow_nan=False))
+    else:
+        for line in result["text"]:
+            typer.echo(line)
+
+
+def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
+    """Count pokes by what became of them."""
+    records = snapshot.pokes
+    reasons = Counter(r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection))
+    return {
+        "pokes": len(records),
+        "accepted": sum(isinstance(r.outcome, Contact) and not r.excluded for r in records),
+        "excluded": sum(r.excluded for r in records),
+        "rejected": dict(sorted(reasons.items())),
+    }
+
+
+def method_summary(estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None) -> dict[str, Any]:
+    """Summarise one method: taxels by state, predicted error, and the error where a reference is known; millimetres."""
+    states = Counter(e.state.value for e in estimates)
+    rms = [e.rms * 1e3 for e in estimates if e.rms is not None]
+    summary: dict[str, Any] = {
+        "states": {state.value: states.get(state.value, 0) for state in State},
+        "predicted_rms_mm": {"mean": float(np.mean(rms)), "max": float(np.max(rms))} if rms else None,
+    }
+    if reference is not None:
+        error = error_summary(estimates, reference)
+        summary["error_mm"] = None if error is None else {
+            "taxels": error.taxels, "mean": error.mean * 1e3, "sd": error.sd * 1e3,
+            "p95": error.p95 * 1e3, "max": error.max * 1e3, "worst_channel": error.worst_channel,
+        }  # fmt: skip
+    return summary
+
+
+def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict[str, Any]:
+    """Count good readings and losses by link and reason."""
+    counts = {
+        link.link: {
+            "format": link.format,
+            "readings": link.readings,
+            "lost": {loss.value: count for loss, count in link.losses.items() if count},
+        }
+        for link in links
+    }
+    return {"links": counts, "frames_without_wrench": unpaired}
+
+
+def poke_lines(counts: Mapping[str, Any]) -> list[str]:
+    """Return the text for `poke_counts`."""
+    rejected = ", ".join(f"{count} {reason}" for reason, count in counts["rejected"].items())
+    line = f"{counts['pokes']} pokes: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
+    return [line + (f" ({rejected})" if rejected else "") + (f", {counts['excluded']} excluded" if counts["excluded"] else "")]
+
+
+def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:
+    """Return one line of text for `method_summary`."""
+    name = method.value if isinstance(method, Method) else method
+    states = ", ".join(f"{count} {state}" for state, count in summary["states"].items() if count)
+    line = f"{name:8s} {states or 'no taxel seen'}"
+    if summary["predicted_rms_mm"] is not None:
+        line += (
+            f"; predicted error {summary['predicted_rms_mm']['mean']:.2f} mm mean, {summary['predicted_rms_mm']['max']:.2f} max"
+        )
+    error = summary.get("error_mm")
+    if error is not None:
+        line += f"; error against the reference {error['mean']:.2f} mm mean (sd {error['sd']:.2f}, max {error['max']:.2f})"
+    return line
+
+
+def loss_lines(losses: Mapping[str, Any]) -> list[str]:
+    """Return the text for `loss_counts`."""
+    lines: list[str] = []
+    for name, link in losses["links"].items():
+        lost = ", ".join(f"{count} {reason}" for reason, count in link["lost"].items())
+        lines.append(
+            f"{name}: {link['readings']} readings{' of ' + link['format'] if link['format'] else ''}; lost: {lost or 'none'}"
+        )
+    return lines
+
+
+def link_notes(links: Sequence[LinkHealth]) -> list[str]:
+    """Return what the boards of open links got wrong or said last."""
+    return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]
+
+
+def silent_links(links: Sequence[LinkHealth]) -> str:
+    """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
+    silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
+    return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
+
+
+def _seen(link: LinkHealth) -> str:
+    if not link.last_host_ns:
+        return "nothing arrived; check the device's power, its cable and its baud rate"
+    expected = " and ".join(stream.value for stream in link.carries)
+    return f"bytes arrived, but none of them {expected} readings; check the baud rate and what the device sends"

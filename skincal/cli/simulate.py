@@ -1,0 +1,216 @@
+"""`simulate`: a simulated rig, recorded at once into a session or served live as devices."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from skincal.cli.calibrate import Json
+from skincal.cli.record import SceneOption, find_scene
+from skincal.errors import InputError
+
+if TYPE_CHECKING:
+    from skincal.scene import Scene
+    from skincal.simulate.device import DeviceSettings
+    from skincal.simulate.operator import Habits, Told
+    from skincal.simulate.rig import RigErrors
+    from skincal.simulate.serve import Server
+    from skincal.surface.mesh import Surface
+
+
+SESSION_POKES = 252
+"""Pokes of a recorded session unless told: three for each taxel of the paper's forearm."""
+
+
+class Errors(Enum):
+    """How wrong the simulated rig is."""
+
+    NONE = "none"
+    NOISE = "noise"
+    PAPER = "paper"
+
+
+class OperatorKind(Enum):
+    """Who decides where to poke."""
+
+    AUTO = "auto"
+    TOLD = "told"
+
+
+class Wire(Enum):
+    """What the simulated boards speak."""
+
+    SKB = "skb"
+    SKT = "skt"
+    TEXT = "text"
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command(
+        epilog="Examples: skincal simulate --scene icub-forearm --pokes 252 --out trial; "
+        "skincal simulate --scene icub-forearm --serve"
+    )(simulate)
+
+
+def simulate(
+    scene: SceneOption,
+    out: Annotated[Path | None, typer.Option(help="Folder of the new session; truth.json is written there too.")] = None,
+    serve: Annotated[bool, typer.Option("--serve", help="Be the devices, in real time, until stdin closes or Ctrl-C.")] = False,
+    pokes: Annotated[int | None, typer.Option(min=1, help="How many pokes; 252 for a session, no end when served.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same bytes.")] = 1,
+    errors: Annotated[
+        Errors, typer.Option(help="What is wrong with the rig: nothing, sensor noise, or what the paper's had.")
+    ] = Errors.NOISE,
+    poses: Annotated[str, typer.Option(help="Arm poses that share the pokes, by name, separated by commas.")] = "",
+    operator: Annotated[OperatorKind, typer.Option(help="auto pokes by itself; told obeys stdin.")] = OperatorKind.AUTO,
+    careful: Annotated[bool, typer.Option("--careful", help="An operator who neither slides nor touches two places.")] = False,
+    tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
+    wire: Annotated[Wire, typer.Option(help="What the boards speak: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
+    as_json: Json = False,
+) -> None:
+    """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
+
+    Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME.
+    """
+    from skincal.simulate.device import DeviceSettings
+    from skincal.simulate.operator import Habits
+
+    loaded = find_scene(scene)
+    if serve == (out is not None):
+        raise InputError("simulate needs either --out FOLDER, to record a session, or --serve, to be the devices.")
+    if not serve and (operator is OperatorKind.TOLD or tcp):
+        raise InputError("--operator told and --tcp are for --serve: a session is recorded at once, by an operator of its own.")
+    play = _Play(
+        scene=loaded,
+        surface=_surface(loaded),
+        pokes=pokes,
+        seed=seed,
+        errors=_errors(errors),
+        poses=tuple(name.strip() for name in poses.split(",") if name.strip()),
+        habits=Habits.careful() if careful else Habits(),
+        settings=DeviceSettings(format=wire.value),
+    )
+    if out is not None:
+        _record(play, out, as_json)
+    else:
+        _serve(play, operator, tcp)
+
+
+@dataclass(frozen=True, slots=True)
+class _Play:
+    """What is simulated."""
+
+    scene: Scene
+    surface: Surface | None
+    pokes: int | None
+    seed: int
+    errors: RigErrors
+    poses: tuple[str, ...]
+    habits: Habits
+    settings: DeviceSettings
+
+
+def _errors(errors: Errors) -> RigErrors:
+    from skincal.simulate.rig import RigErrors
+
+    return {Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors]()
+
+
+def _surface(scene: Scene) -> Surface | None:
+    if scene.surface is None:
+        return None
+    from skincal.surface.mesh import load_surface
+
+    return load_surface(scene.surface)[0]
+
+
+def _record(play: _Play, out: Path, as_json: bool) -> None:
+    from skincal.cli.record import finish
+    from skincal.files.reference import read_reference
+    from skincal.simulate.session import TRUTH_FILE, simulate_session
+
+    road = simulate_session(
+        play.scene,
+        play.surface,
+        out,
+        play.pokes or SESSION_POKES,
+        play.seed,
+        play.errors,
+        poses=play.poses,
+        habits=play.habits,
+        settings=play.settings,
+        progress=_show_progress if sys.stderr.isatty() else None,
+    )
+    finish(road, out, as_json, reference=read_reference(out / TRUTH_FILE))
+
+
+def _show_progress(pokes: int) -> None:
+    typer.echo(f"\rpoke {pokes} ", err=True, nl=False)
+
+
+def _serve(play: _Play, operator: OperatorKind, tcp: bool) -> None:
+    import numpy as np
+
+    from skincal.simulate.device import Timeline
+    from skincal.simulate.operator import Auto, Told
+    from skincal.simulate.rig import Rig
+    from skincal.simulate.serve import Server
+
+    rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)
+    rig = Rig(play.scene, play.surface, play.errors, rig_rng)
+    if operator is OperatorKind.TOLD:
+        someone: Auto | Told = Told(rig, play.habits, operator_rng)
+    else:
+        someone = Auto(rig, play.habits, operator_rng, play.pokes, play.poses)
+    line = Timeline(rig, someone, device_rng, play.settings)
+    with Server(line, tcp=tcp) as server:
+        _print_links(server)
+        _run(server, someone if isinstance(someone, Told) else None)
+
+
+def _print_links(server: Server) -> None:
+    links = [
+        {"name": link.name, "address": link.address, "carries": [stream.value for stream in link.carries]}
+        for link in server.links
+    ]
+    typer.echo(json.dumps({"links": links}))
+    sys.stdout.flush()
+
+
+def _run(server: Server, told: Told | None) -> None:
+    """Serve until stdin closes, Ctrl-C or a termination signal."""
+    stop = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
+        stop.set()
+
+    signal.signal(signal.SIGTERM, end)
+    threading.Thread(target=_listen, args=(told, stop), name="orders", daemon=True).start()
+    try:
+        server.run(stop)
+    except KeyboardInterrupt:
+        typer.echo("stopped", err=True)
+
+
+def _listen(told: Told | None, stop: threading.Event) -> None:
+    """Take orders from stdin; its end is the end of the program that started this one."""
+    from skincal.simulate.operator import read_order
+
+    for line in sys.stdin:
+        try:
+            order = read_order(line)
+            if order is not None and told is not None:
+                told.accept(order)
+        except InputError as error:
+            typer.echo(f"skincal: {error}", err=True)
+    stop.set()

@@ -1,0 +1,260 @@
+"""Commands with input that the user can mend: exit code 2, one sentence, nothing left behind that is in the way."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.cli import main
+from skincal.files.icub import read_icub
+
+SCENE = ["--scene", "flat-patch"]
+CHANNELS = 64
+
+
+@pytest.fixture
+def run(capsys):
+    def run(*arguments):
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err, err
+        return code, out, err
+
+    return run
+
+
+def write_logs(folder: Path, seconds: float = 2.0, width: int = CHANNELS) -> list[str]:
+    """Write logs of a still rig; return the options that name them."""
+    rng = np.random.default_rng(1)
+    for name, rate, values in (("wrench", 100, 6), ("skin", 50, width)):
+        (folder / name).mkdir(parents=True)
+        with (folder / name / "data.log").open("w") as file:
+            for k in range(int(seconds * rate)):
+                numbers = " ".join(f"{value:.4f}" for value in rng.normal(size=values))
+                file.write(f"{k} {1.4e9 + k / rate:.6f} {numbers}\n")
+    return ["--wrench", str(folder / "wrench"), "--skin", str(folder / "skin")]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("cli") / "session"
+    assert main(["simulate", *SCENE, "--pokes", "2", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_width_of_the_scene_is_that_of_the_logs_here():
+    from skincal.cli.record import find_scene
+
+    assert find_scene(Path("flat-patch")).skin.channels == CHANNELS
+
+
+@pytest.mark.parametrize("command", ["record", "import yarp"])
+def test_an_unknown_pose_leaves_no_session_behind(run, tmp_path, command):
+    logs = write_logs(tmp_path)
+    code, _, err = run(*command.split(), *logs, "--scene", "icub-forearm", "--pose", "99", "--out", tmp_path / "s")
+    assert code == 2
+    assert "--pose is '99'; the scene has 1, 2, 3" in err
+    assert not (tmp_path / "s").exists()
+
+
+def test_an_address_that_cannot_be_right_ends_a_recording(run, tmp_path):
+    code, _, err = run("record", "--wrench", "socket://[::1", "--skin", tmp_path, *SCENE, "--out", tmp_path / "s")
+    assert code == 2
+    assert "socket://[::1 is no TCP address; expected socket://HOST:PORT" in err
+    assert f"{tmp_path} is not a serial port" in err
+
+
+def test_a_recording_without_a_reading_says_of_which_link(run, tmp_path):
+    options = ["record", "--wrench", "/dev/ttyNone1", "--skin", "/dev/ttyNone2", *SCENE, "--out", tmp_path / "s"]
+    code, out, err = run(*options, "--seconds", "0.5", "--json")
+    assert code == 2
+    assert "wrench gave no reading that can be used: There is no port /dev/ttyNone1" in err
+    assert json.loads(out)["links"]["skin"]["readings"] == 0
+
+
+@pytest.mark.parametrize("option", [["--seconds", "-1"], ["--pokes", "0"]])
+def test_a_recording_of_no_length_is_refused(run, tmp_path, option):
+    code, _, err = run("record", "--wrench", "a", "--skin", "b", *SCENE, "--out", tmp_path / "s", *option)
+    assert code == 2
+    assert f"Invalid value for '{option[0]}'" in err
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_link_that_is_open_and_silent_is_told_once_and_when_it_sends_again():
+    from skincal.cli.record import SILENT_NS, Silence
+    from skincal.readings import Chunk, LinkEvent, LinkState
+
+    silence = Silence()
+    silence.hear(LinkEvent("skin", 10, LinkState.OPEN))
+    silence.hear(LinkEvent("wrench", 10, LinkState.FAILED, "in use"))
+    assert silence.sentences(SILENT_NS) == []
+    said = silence.sentences(SILENT_NS + 11)
+    assert len(said) == 1
+    assert said[0].startswith("skin: is open but silent for 2 s; check")
+    assert silence.sentences(SILENT_NS + 12) == []
+    silence.hear(Chunk("skin", SILENT_NS + 20, b"x"))
+    assert silence.sentences(SILENT_NS + 30) == ["skin: sends again"]
+    silence.hear(LinkEvent("skin", SILENT_NS + 40, LinkState.LOST, "vanished"))
+    assert silence.sentences(9 * SILENT_NS) == []
+
+
+def test_one_address_for_several_streams_is_one_board():
+    from skincal.cli.record import links_of
+    from skincal.readings import Stream
+
+    wrench, skin, joints = Stream.WRENCH, Stream.SKIN, Stream.JOINTS
+    assert [(link.name, link.carries) for link in links_of({wrench: "a", skin: "a", joints: "a"})] == [
+        ("board", (wrench, skin, joints))
+    ]
+    assert [(link.name, link.carries) for link in links_of({wrench: "a", skin: "b", joints: "b"})] == [
+        ("wrench", (wrench,)), ("board", (skin, joints)),
+    ]  # fmt: skip
+    assert [link.name for link in links_of({wrench: "a", skin: "b", joints: None})] == ["wrench", "skin"]
+
+
+def test_a_skin_log_of_the_wrong_width_says_what_was_seen_and_expected(run, tmp_path):
+    code, _, err = run("import", "yarp", *write_logs(tmp_path, width=24), *SCENE, "--out", tmp_path / "s")
+    assert code == 2
+    assert f"skin readings of 24 values arrive where {CHANNELS} are expected" in err
+
+
+def test_some_frames_of_the_wrong_width_are_said_and_the_rest_is_used(run, tmp_path):
+    logs = write_logs(tmp_path)
+    path = tmp_path / "skin" / "data.log"
+    lines = path.read_text().splitlines()
+    lines[7] += " 1.0"
+    path.write_text("\n".join(lines) + "\n")
+    code, out, _ = run("import", "yarp", *logs, *SCENE, "--out", tmp_path / "s", "--json")
+    assert code == 0
+    result = json.loads(out)
+    assert result["links"]["skin"]["lost"] == {"wrong number of values": 1}
+    assert any(f"values arrive where {CHANNELS} are expected" in finding for finding in result["findings"])
+
+
+def test_a_frame_without_a_wrench_is_named_once(run, tmp_path):
+    logs = write_logs(tmp_path)
+    path = tmp_path / "wrench" / "data.log"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:50] + lines[150:]) + "\n")
+    code, out, _ = run("import", "yarp", *logs, *SCENE, "--out", tmp_path / "s")
+    assert code == 0
+    assert out.count("no wrench at the time of the skin frame") == 1
+    assert "skin frames" not in out
+
+
+def test_a_full_disk_is_said(tmp_path):
+    """A limit on the size of files stands for a disk that is full."""
+    resource = pytest.importorskip("resource")
+    logs = write_logs(tmp_path, seconds=30.0)
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+
+    command = [sys.executable, "-m", "skincal.cli", "import", "yarp", *logs, *SCENE, "--out", str(tmp_path / "s")]
+    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=limit, timeout=60, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "segment-0001.mcap: cannot be written any more (File too large)" in done.stderr
+    assert main(["solve", str(tmp_path / "s")]) == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="the platform has no pty")
+def test_a_port_in_use_is_said(run, tmp_path):
+    import serial
+
+    ends = [os.openpty() for _ in range(2)]
+    names = [os.ttyname(slave) for _, slave in ends]
+    try:
+        with serial.Serial(names[0], exclusive=True):
+            options = ["record", "--wrench", names[0], "--skin", names[1], *SCENE, "--out", tmp_path / "s"]
+            code, _, err = run(*options, "--seconds", "0.5")
+    finally:
+        for pair in ends:
+            for end in pair:
+                os.close(end)
+    assert code == 2
+    assert f"used: {names[0]}: port is used by another program; close that program, or choose another port." in err
+    assert "skin gave no reading that can be used: nothing arrived; check the device's power" in err
+
+
+def test_the_part_is_written_to_the_icub_file(run, session, tmp_path):
+    assert run("export", session, "--format", "icub", "--out", tmp_path / "p.txt", "--part", "chest")[0] == 0
+    assert read_icub(tmp_path / "p.txt").name == "chest"
+    assert run("solve", session, "--out", tmp_path / "all", "--part", "l_foot")[0] == 0
+    assert {read_icub(path).name for path in (tmp_path / "all").glob("positions-*.txt")} == {"l_foot"}
+    code, _, err = run("export", session, "--format", "csv", "--out", tmp_path / "p.csv", "--part", "chest")
+    assert (code, (tmp_path / "p.csv").exists()) == (2, False)
+    assert "expected --format icub" in err
+    code, _, err = run("solve", session, "--part", "chest")
+    assert code == 2
+    assert "expected --out" in err
+
+
+@pytest.mark.parametrize(
+    "taxel", ['{"channel": 1, "position_m": [1, 2]}', '{"channel": 1, "position_m": null}', '{"channel": 1}', "3"]
+)
+def test_a_reference_that_is_none_is_said(run, session, tmp_path, taxel):
+    path = tmp_path / "truth.json"
+    path.write_text(f'{{"taxels": [{taxel}]}}')
+    code, _, err = run("solve", session, "--reference", path)
+    assert code == 2
+    assert "not a reference; expected JSON" in err
+
+
+@pytest.mark.parametrize("options", [["--operator", "told"], ["--tcp"]])
+def test_what_only_serving_can_do_is_refused_for_a_session(run, tmp_path, options):
+    code, _, err = run("simulate", *SCENE, "--out", tmp_path / "s", *options)
+    assert code == 2
+    assert "are for --serve" in err
+    assert not (tmp_path / "s").exists()
+
+
+COMMANDS = ["", "solve", "export", "simulate", "record", "import", "import yarp", "import csv"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(run, command):
+    code, out, _ = run(*command.split(), "--help")
+    assert code == 0
+    assert "Example" in out
+    assert f"skincal {command}".strip() in out.partition("Example")[2]
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("", "import")])
+def test_every_command_can_print_json(run, command):
+    assert "--json" in run(*command.split(), "--help")[1]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["solve", "{tmp}/none"], ["solve", "{tmp}"], ["solve", "{tmp}/file"], ["export", "{tmp}", "--format", "icub"],
+        ["simulate", "--scene", "nope"], ["simulate", "--scene", "{tmp}"], ["simulate", *SCENE, "--pokes", "-1"],
+        ["simulate", *SCENE, "--poses", "9"],
+        ["import", "csv", "--wrench", "{tmp}/file", "--skin", "{tmp}/file", *SCENE],
+        ["import", "csv", "--wrench", "{tmp}", "--skin", "{tmp}", *SCENE],
+        ["import", "yarp", "--wrench", "{tmp}/none", "--skin", "{tmp}/none", *SCENE],
+        ["import", "yarp", "--wrench", "{tmp}/file", "--skin", "{tmp}/file", *SCENE],
+    ],
+)  # fmt: skip
+def test_bad_input_is_the_users(run, tmp_path, arguments):
+    (tmp_path / "file").write_bytes(b"")
+    filled = [argument.format(tmp=tmp_path) for argument in arguments]
+    code, out, err = run(*filled, "--out", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert err.strip()
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_arm_without_a_pose_is_refused_before_anything_is_recorded(tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = ["record", "--wrench", "socket://127.0.0.1:9", "--skin", "socket://127.0.0.1:9", "--scene", "icub-forearm"]
+    assert main([*arguments, "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "--joints" in said
+    assert "--pose" in said
+    assert not out.exists()

@@ -1,0 +1,172 @@
+"""From device bytes to a written calibration file, and what the headless way needs."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.cli import main
+from skincal.estimate.result import Method, State
+from skincal.files.icub import read_icub
+from skincal.files.reference import error_summary, read_reference
+from skincal.readings import Loss
+from skincal.scene import load_scene, resource
+from skincal.session.road import Road
+from skincal.simulate.device import DeviceSettings
+from skincal.simulate.operator import Habits
+from skincal.simulate.rig import RigErrors
+from skincal.simulate.session import simulate_session
+from skincal.surface.mesh import load_surface
+
+PATCH = resource("scenes/flat-patch/scene.toml")
+FOREARM = resource("scenes/icub-forearm/scene.toml")
+SERVE = ("simulate", "--serve", "--tcp", "--operator", "told", "--careful", "--seed", "4", "--scene")
+SLOW = DeviceSettings(wrench_hz=200.0, joints_hz=20.0, block_s=0.02)
+"""A fifth of the readings: the same road in less time."""
+
+
+@pytest.fixture(scope="module")
+def forearm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Road]:
+    """84 careful pokes on the forearm with sensor noise, in two arm poses."""
+    scene = load_scene(FOREARM)
+    assert scene.surface is not None
+    folder = tmp_path_factory.mktemp("forearm") / "trial"
+    surface, _ = load_surface(scene.surface)
+    road = simulate_session(
+        scene, surface, folder, 84, 5, RigErrors.noise(), poses=("1", "6"), habits=Habits.careful(), settings=SLOW
+    )
+    return folder, road
+
+
+@pytest.fixture(scope="module")
+def patch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """24 pokes on the flat patch."""
+    folder = tmp_path_factory.mktemp("patch") / "trial"
+    simulate_session(load_scene(PATCH), None, folder, 24, 2, RigErrors.noise(), habits=Habits.careful(), settings=SLOW)
+    return folder
+
+
+def test_bytes_become_a_calibration_file_that_is_right(forearm, tmp_path):
+    folder, _ = forearm
+    out = tmp_path / "results"
+    assert main(["solve", str(folder), "--out", str(out)]) == 0
+    truth = read_reference(folder / "truth.json")
+    surface = read_icub(out / "positions-surface.txt")
+    free = read_icub(out / "positions-free.txt")
+    assert surface.positions.shape == (384, 3)
+    distance = [np.linalg.norm(surface.positions[c] - place) for c, place in truth.items() if surface.positions[c].any()]
+    assert len(distance) > 70
+    assert np.mean(distance) < 3e-3
+    free_distance = [np.linalg.norm(free.positions[c] - place) for c, place in truth.items() if free.positions[c].any()]
+    assert np.median(free_distance) < 8e-3
+    touched = [c for c in truth if surface.positions[c].any()]
+    assert np.allclose(np.linalg.norm(surface.normals[touched], axis=1), 1.0, atol=1e-5)
+    assert not surface.positions[[c for c in range(384) if c not in truth]].any()
+
+
+def test_the_file_of_the_session_is_the_session(forearm, tmp_path, capsys):
+    """`solve` on the journal says what the live road said, to the last bit."""
+    folder, road = forearm
+    assert main(["solve", str(folder), "--out", str(tmp_path / "r"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    live = road.snapshot()
+    document = json.loads((tmp_path / "r" / "calibration.json").read_text(encoding="utf-8"))
+    assert said["accepted"] == sum(not r.excluded for r in live.pokes if hasattr(r.outcome, "responses"))
+    summary = error_summary(live.estimates[Method.SURFACE], read_reference(folder / "truth.json"))
+    assert summary is not None
+    states = [e.state for e in live.estimates[Method.SURFACE]]
+    assert said["methods"]["surface"]["states"]["estimated"] == states.count(State.ESTIMATED)
+    text = json.dumps(document)
+    for estimate in live.estimates[Method.SURFACE][:20]:
+        if estimate.position is not None:
+            assert repr(float(estimate.position[0])) in text
+
+
+def test_every_reading_of_a_clean_line_arrives(forearm):
+    _, road = forearm
+    live = road.live(0)
+    for link in live.links:
+        assert link.readings > 1000
+        assert link.losses.get(Loss.BAD_CHECKSUM, 0) == 0
+        assert link.losses.get(Loss.MISSING, 0) == 0
+
+
+LEAN = """
+import sys, threading
+from skincal.cli import main
+code = main(["solve", {folder!r}, "--json"])
+heavy = ("PySide6", "shiboken6", "vtkmodules", "pyvista", "pyvistaqt", "pyqtgraph", "matplotlib", "scipy", "trimesh", "serial")
+present = [name for name in (*heavy, "skincal.surface.mesh", "skincal.simulate.rig") if name in sys.modules]
+print(code, present, threading.active_count(), file=sys.stderr)
+"""
+
+
+def test_solving_a_patch_imports_and_starts_nothing_it_does_not_need(patch):
+    """Headless, without a mesh: no Qt, no VTK, no mesh code, no serial port, one thread."""
+    done = subprocess.run(
+        [sys.executable, "-c", LEAN.format(folder=str(patch))], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stderr.strip().splitlines()[-1] == "0 [] 1"
+    assert set(json.loads(done.stdout)["methods"]) == {"free"}
+
+
+def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
+    """The shipped patch served over TCP, told where to poke, recorded like any device, exported."""
+    server = subprocess.Popen(
+        [sys.executable, "-m", "skincal.cli", *SERVE, str(PATCH)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert server.stdin is not None
+    assert server.stdout is not None
+    with server:
+        try:
+            links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
+            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\npoke 3 25 210 9\n")
+            server.stdin.flush()
+            folder = tmp_path / "live"
+            arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--out", str(folder)]
+            assert main(["record", *arguments, "--pokes", "3", "--seconds", "40", "--json"]) == 0
+        finally:
+            server.terminate()
+    said = json.loads(capsys.readouterr().out)
+    assert said["pokes"] == 3
+    assert said["accepted"] == 3
+    assert main(["export", str(folder), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
+    rows = [line.split(",") for line in (tmp_path / "c.csv").read_text(encoding="utf-8").splitlines()]
+    assert ",".join(rows[0]) == "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm"
+    poked = next(row for row in rows if row[0] == "3")
+    assert poked[2:5] == ["free", "estimated", "3"]
+    unseen = next(row for row in rows[1:] if row[3] == "unseen")
+    assert unseen[5:] == [""] * 7
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["solve", "nowhere"], ["nowhere"]),
+        (["export", "nowhere", "--format", "icub", "--out", "x"], ["nowhere"]),
+        (["simulate", "--scene", "icub-forearm"], ["--out", "--serve"]),
+        (["simulate", "--scene", "icub-leg", "--out", "x"], ["icub-leg"]),
+        (["export", "x", "--format", "urdf", "--out", "y"], ["urdf"]),
+        (["import", "yarp", "--wrench", "none", "--skin", "none", "--scene", "flat-patch", "--out", "x"], ["none"]),
+        (["fly"], ["fly"]),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    for word in words:
+        assert word in said
+
+
+def test_every_command_shows_an_example(capsys):
+    for command in (["solve"], ["simulate"], ["record"], ["export"], ["import", "yarp"], ["import", "csv"]):
+        assert main([*command, "--help"]) == 0
+        assert "Example" in capsys.readouterr().out
