@@ -1,0 +1,1 @@
+"""The window of skincal: knows `skincal`, and nothing knows it."""

@@ -1,0 +1,149 @@
+"""Force axes: thick for the poke in progress, thin for the last poke's and the selected taxel's."""
+
+from __future__ import annotations
+
+import numpy as np
+from vtkmodules.vtkRenderingCore import vtkRenderer
+
+from app.scene3d.entry import contact_point
+from app.scene3d.ground import Frame, Ground
+from app.scene3d.looks import ColourArray, Look
+from app.scene3d.shapes import Balls, Segments
+from skincal.contacts.outcome import Contact, Phase, Progress
+from skincal.readings import FloatArray
+from skincal.session.snapshot import Snapshot
+from skincal.wrench import axis_point, move_wrench
+
+MOST_AXES = 30
+"""Axes of the selected taxel: more are a tangle, and the newest tell most."""
+OUTSIDE, INSIDE = 0.035, 0.012
+"""m. Length of an axis before and beyond the contact: a tool's tip, and enough depth to see where axes cross."""
+PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
+
+
+class AxesLayer:
+    """The axis of the poke in progress with its contact, the last poke's, and those of the selected taxel."""
+
+    name = "axes"
+
+    def __init__(self, renderer: vtkRenderer, ground: Ground) -> None:
+        self.ground = ground
+        self.current = Segments(pixels=5.0)
+        self.contact = Balls(pixels=13.0)
+        self.past = Segments(pixels=1.5)
+        self._middle = ground.extent.mean(axis=0) if len(ground.extent) else np.zeros(3)
+        self._look: Look | None = None
+        self._past_key: object = None
+        self._axis: bytes = b""
+        for shape in (self.past, self.current, self.contact):
+            renderer.AddActor(shape.actor)
+
+    def dress(self, look: Look) -> None:
+        """Take the colours of a theme."""
+        self._look = look
+        self._past_key = None
+        self._axis = b"\0"
+
+    def show(self, frame: Frame) -> bool:
+        """Show the axes of a moment; return whether anything changed."""
+        changed = self._show_current(frame)
+        key = (frame.snapshot.generation, frame.method, frame.selected)
+        if key == self._past_key:
+            return changed
+        self._past_key = key
+        self._show_past(frame)
+        return True
+
+    def _show_current(self, frame: Frame) -> bool:
+        progress = None if frame.live is None else frame.live.progress
+        axis = b"" if progress is None else _key(progress)
+        if axis == self._axis:
+            return False
+        self._axis = axis
+        if progress is None or not axis:
+            self.current.join(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8))
+            self.contact.set(np.empty((0, 3)), np.empty((0, 3), np.uint8))
+            return True
+        direction = progress.force / np.linalg.norm(progress.force)
+        at = contact_point(self.ground.surface, progress.axis_point, direction, self._near(frame, progress))
+        self.current.join(_span(at[None], direction[None]), self._ink("ink", 1))
+        self.contact.set(at[None], self._ink("ink", 1))
+        return True
+
+    def _near(self, frame: Frame, progress: Progress) -> FloatArray:
+        """Where the taxels are that answer now, by estimate or plan; else the middle of the part."""
+        estimates = frame.estimates()
+        places: list[FloatArray] = []
+        for row in (self.ground.row.get(int(channel), -1) for channel in progress.channels):
+            position = estimates[row].position if 0 <= row < len(estimates) else None
+            if position is not None:
+                places.append(position)
+            elif row >= 0 and np.isfinite(self.ground.places[row, 0]):
+                places.append(self.ground.places[row])
+        return np.mean(places, axis=0) if places else self._middle
+
+    def _show_past(self, frame: Frame) -> None:
+        last = _last(frame.snapshot)
+        groups = [self._group([last], self._middle, "ink")] if last is not None else []
+        if frame.selected is not None and frame.selected in self.ground.row:
+            contacts = _touching(frame.snapshot, frame.selected)
+            groups.append(self._group(contacts, self._place_of(frame, frame.selected), "faint"))
+        ends = [ends for ends, _ in groups] or [np.empty((0, 2, 3))]
+        colours = [colours for _, colours in groups] or [np.empty((0, 3), np.uint8)]
+        self.past.join(np.concatenate(ends), np.concatenate(colours))
+
+    def _place_of(self, frame: Frame, channel: int) -> FloatArray:
+        row = self.ground.row[channel]
+        estimates = frame.estimates()
+        position = estimates[row].position if row < len(estimates) else None
+        if position is not None:
+            return position
+        planned = self.ground.places[row]
+        return planned if np.isfinite(planned[0]) else self._middle
+
+    def _group(self, contacts: list[Contact], near: FloatArray, colour: str) -> tuple[FloatArray, ColourArray]:
+        lines = [_axis_of(contact) for contact in contacts]
+        points = np.array([point for point, _ in lines]).reshape(-1, 3)
+        directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
+        if len(contacts) == 1:
+            at = np.array([contact_point(self.ground.surface, points[0], directions[0], near)])
+        else:
+            at = points + directions * np.einsum("ix,ix->i", near - points, directions)[:, None]
+        return _span(at, directions), self._ink(colour, len(contacts))
+
+    def _ink(self, colour: str, count: int) -> ColourArray:
+        return np.tile(np.array(getattr(self._look, colour), np.uint8), (count, 1))
+
+
+def _key(progress: Progress) -> bytes:
+    """Return what decides the axis in progress; empty while nothing presses."""
+    known = np.isfinite([progress.force, progress.axis_point]).all() and progress.force.any()
+    if progress.phase not in PRESSING or not known:
+        return b""
+    return progress.force.tobytes() + progress.axis_point.tobytes()
+
+
+def _span(at: FloatArray, directions: FloatArray) -> FloatArray:
+    return np.stack([at - OUTSIDE * directions, at + INSIDE * directions], axis=1)
+
+
+def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
+    """Return a point of the contact's force axis and its unit direction, link frame."""
+    force, moment = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
+    return axis_point(force, moment), force / np.linalg.norm(force)
+
+
+def _last(snapshot: Snapshot) -> Contact | None:
+    record = snapshot.pokes[-1] if snapshot.pokes else None
+    return record.outcome if record is not None and not record.excluded and isinstance(record.outcome, Contact) else None
+
+
+def _touching(snapshot: Snapshot, channel: int) -> list[Contact]:
+    """Return the newest contacts in which a channel answered and that are not excluded."""
+    found: list[Contact] = []
+    for record in reversed(snapshot.pokes):
+        if not record.excluded and isinstance(record.outcome, Contact) and channel in record.outcome.channels:
+            found.append(record.outcome)
+        if len(found) == MOST_AXES:
+            break
+    return found

@@ -1,0 +1,93 @@
+"""The modules as planned: outlines in their hues, the taxels of the plan as faint dots, the modules' numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D, vtkRenderer
+
+from app.scene3d.ground import Frame, Ground
+from app.scene3d.looks import HUES, ColourArray, Look, unit
+from app.scene3d.shapes import Dots, Segments, closed
+from skincal.readings import FloatArray
+from skincal.skin import Layout
+from skincal.surface.lay import LaidSkin
+
+LIFT = 4e-4
+"""m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""
+TOWARD_CORNER = 0.8
+"""Share of the way from a module's middle to its first corner: its number stands where no taxel is."""
+NUMBER_LIFT = 2e-3
+"""m. Numbers float above the curved part between their corner and its chord."""
+MOST_NUMBERS = 40
+"""Numbers on more modules than this would cover the skin that they name."""
+FADE = 0.55
+"""Share of the hue in a dot of the plan, the rest is the mesh's grey: fainter than any estimate."""
+
+
+class ModulesLayer:
+    """What the maker of the skin says; nothing in it changes during a session."""
+
+    name = "modules"
+
+    def __init__(self, renderer: vtkRenderer, ground: Ground, layout: Layout, laid: LaidSkin) -> None:
+        self.outlines = Segments(pixels=2.0)
+        self.outlines.join(*_outline_segments(layout, laid))
+        self.dots = Dots(pixels=3.0)
+        self.known = np.isfinite(ground.places[:, 0])
+        self.places = (ground.places + LIFT * ground.normals)[self.known]
+        self.hues = ground.hues[self.known]
+        self.numbers = _numbers(layout, laid) if len(layout.modules) <= MOST_NUMBERS else []
+        for actor in (self.outlines.actor, self.dots.actor, *self.numbers):
+            renderer.AddActor(actor)
+
+    def dress(self, look: Look) -> None:
+        """Take the colours of a theme."""
+        grey = np.array(look.faint, dtype=float)
+        self.dots.set(self.places, (FADE * self.hues + (1 - FADE) * grey).astype(np.uint8))
+        for number in self.numbers:
+            number.GetTextProperty().SetColor(*unit(look.ink))
+
+    def show(self, frame: Frame) -> bool:  # noqa: ARG002
+        """Return False: a session does not change the plan."""
+        return False
+
+
+def _outline_segments(layout: Layout, laid: LaidSkin) -> tuple[FloatArray, ColourArray]:
+    ends: list[FloatArray] = []
+    hues: list[ColourArray] = []
+    for index, (module, outline) in enumerate(zip(layout.modules, laid.outlines, strict=True)):
+        near = laid.places[module.channels], laid.normals[module.channels]
+        sides = closed(_lifted(outline, *near)) if len(outline) else np.empty((0, 2, 3))
+        sides = sides[np.isfinite(sides).all(axis=(1, 2))]
+        ends.append(sides)
+        hues.append(np.tile(HUES[index % len(HUES)], (len(sides), 1)))
+    return np.concatenate(ends), np.concatenate(hues)
+
+
+def _lifted(outline: FloatArray, places: FloatArray, normals: FloatArray) -> FloatArray:
+    """Move each corner outward along the normal of the nearest taxel of the module."""
+    known = np.isfinite(places[:, 0]) & np.isfinite(normals[:, 0])
+    if not known.any():
+        return outline
+    distance = np.linalg.norm(outline[:, None] - places[known], axis=-1)
+    return outline + LIFT * normals[known][np.where(np.isfinite(distance), distance, np.inf).argmin(axis=1)]
+
+
+def _numbers(layout: Layout, laid: LaidSkin) -> list[vtkBillboardTextActor3D]:
+    numbers: list[vtkBillboardTextActor3D] = []
+    for module, outline in zip(layout.modules, laid.outlines, strict=True):
+        places, normals = laid.places[module.channels], laid.normals[module.channels]
+        known, corners = np.isfinite(places[:, 0]), outline[np.isfinite(outline).all(axis=1)]
+        if not known.any() or not len(corners):
+            continue
+        middle = places[known].mean(axis=0)
+        number = vtkBillboardTextActor3D()
+        number.SetInput(str(module.id))
+        number.SetPosition(*(middle + TOWARD_CORNER * (corners[0] - middle) + NUMBER_LIFT * normals[known].mean(axis=0)))
+        text = number.GetTextProperty()
+        text.SetFontSize(15)
+        text.SetBold(True)
+        text.SetJustificationToCentered()
+        text.SetVerticalJustificationToCentered()
+        numbers.append(number)
+    return numbers

@@ -1,0 +1,168 @@
+"""Points, line segments and triangles on the screen, whose arrays change in place.
+
+Each shape is one polydata, one mapper and one actor, made once. `set` writes into the arrays that VTK already holds
+while the number of points stays, and swaps them otherwise; the actor stays in either case.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
+
+from app.scene3d.looks import ColourArray
+from skincal.readings import FloatArray, IntArray
+
+
+def cells(connectivity: IntArray) -> vtkCellArray:
+    """Return the cells whose point indices are the rows of `connectivity`, (n, k) int."""
+    count, size = connectivity.shape
+    array = vtkCellArray()
+    offsets = np.arange(0, count * size + 1, size, dtype=np.int64)
+    array.SetData(numpy_to_vtkIdTypeArray(offsets, deep=True), numpy_to_vtkIdTypeArray(connectivity.ravel(), deep=True))
+    return array
+
+
+class Shape:
+    """Coloured points and the actor that draws them; subclasses say how points form cells."""
+
+    def __init__(self) -> None:
+        self.data = vtkPolyData()
+        self.actor = vtkActor()
+        self.actor.SetMapper(_mapper(self.data))
+        self.actor.VisibilityOff()
+        self._points: NDArray[np.float32] = np.empty((0, 3), dtype=np.float32)
+        self._colours: ColourArray = np.empty((0, 3), dtype=np.uint8)
+
+    def set(self, points: FloatArray, colours: ColourArray) -> None:
+        """Show other points.
+
+        Parameters
+        ----------
+        points : (n, 3) float, metres; n = 0 hides the shape
+        colours : (n, 3) uint8
+        """
+        if len(points) != len(self._points):
+            self._allocate(len(points))
+        self.actor.SetVisibility(len(points) > 0)
+        if len(points) == 0:
+            return
+        self._points[:] = points
+        self._colours[:] = colours
+        self.data.GetPoints().GetData().Modified()
+        self.data.GetPoints().Modified()
+        self.data.GetPointData().GetScalars().Modified()
+        self.data.Modified()
+
+    def connect(self, count: int) -> None:
+        """Make the cells for `count` points."""
+        raise NotImplementedError
+
+    def _allocate(self, count: int) -> None:
+        self._points = np.zeros((count, 3), dtype=np.float32)
+        self._colours = np.zeros((count, 3), dtype=np.uint8)
+        points = vtkPoints()
+        points.SetData(numpy_to_vtk(self._points))
+        self.data.SetPoints(points)
+        self.data.GetPointData().SetScalars(numpy_to_vtk(self._colours))
+        self.connect(count)
+
+
+def _mapper(data: vtkPolyData) -> vtkPolyDataMapper:
+    mapper = vtkPolyDataMapper()
+    mapper.SetInputData(data)
+    mapper.SetColorModeToDirectScalars()
+    mapper.SetStatic(False)
+    return mapper
+
+
+class Dots(Shape):
+    """Points drawn as flat dots of one size in pixels."""
+
+    def __init__(self, pixels: float) -> None:
+        super().__init__()
+        self.actor.GetProperty().SetPointSize(pixels)
+        self.actor.GetProperty().LightingOff()
+
+    def connect(self, count: int) -> None:
+        """One vertex a point."""
+        self.data.SetVerts(cells(np.arange(count).reshape(-1, 1)))
+
+
+class Balls(Dots):
+    """Points drawn as lit balls of one size in pixels; a ball bulges towards the camera, a dot does not."""
+
+    def __init__(self, pixels: float) -> None:
+        super().__init__(pixels)
+        look = self.actor.GetProperty()
+        look.LightingOn()
+        look.SetRenderPointsAsSpheres(True)
+        look.SetAmbient(0.35)
+        look.SetDiffuse(0.75)
+
+
+class Segments(Shape):
+    """Line segments, two points each, not lit."""
+
+    def __init__(self, pixels: float) -> None:
+        super().__init__()
+        look = self.actor.GetProperty()
+        look.SetLineWidth(pixels)
+        look.LightingOff()
+
+    def connect(self, count: int) -> None:
+        """One segment a pair of points."""
+        self.data.SetLines(cells(np.arange(count).reshape(-1, 2)))
+
+    def join(self, ends: FloatArray, colours: ColourArray) -> None:
+        """Show segments.
+
+        Parameters
+        ----------
+        ends : (n, 2, 3) float, metres
+        colours : (n, 3) uint8
+        """
+        self.set(ends.reshape(-1, 3), np.repeat(colours, 2, axis=0))
+
+
+def closed(corners: FloatArray) -> FloatArray:
+    """Return the sides of a closed line, (n, 2, 3), from its corners, (n, 3)."""
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+def rings(centres: FloatArray, normals: FloatArray, radius: float, sides: int = 24) -> FloatArray:
+    """Return circles about `centres` across `normals`.
+
+    Parameters
+    ----------
+    centres, normals : (n, 3) float, metres and unit
+    radius : metres
+
+    Returns
+    -------
+    (n, sides, 2, 3) float, the sides as segments
+    """
+    first, second = tangents(normals)
+    turn = np.arange(sides + 1) * (2 * np.pi / sides)
+    around = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
+    corners = centres[:, None] + radius * around
+    return np.stack([corners[:, :-1], corners[:, 1:]], axis=2)
+
+
+def crosses(centres: FloatArray, normals: FloatArray, radius: float) -> FloatArray:
+    """Return two crossing strokes across each normal, (n, 2, 2, 3) float; parameters as in `rings`."""
+    first, second = tangents(normals)
+    strokes = np.stack([first + second, first - second], axis=1) * (radius / np.sqrt(2))
+    return np.stack([centres[:, None] - strokes, centres[:, None] + strokes], axis=2)
+
+
+def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return two unit vectors across each normal, (n, 3) float each, that make a right-handed frame with it."""
+    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first: FloatArray = np.cross(helper, normals)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second: FloatArray = np.cross(normals, first)
+    return first, second

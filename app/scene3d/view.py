@@ -1,0 +1,252 @@
+"""The 3D view as the window sees it: one widget that takes snapshots and says which taxel was clicked.
+
+Importing this module loads neither VTK nor pyvistaqt; `begin` does, in a worker, while the window lives on.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtGui import QShowEvent
+from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
+
+from app.scene3d import camera
+from app.scene3d.ground import Frame, Ground
+from app.scene3d.loading import Loaded, load, mount
+from app.scene3d.looks import DARK, LIGHT
+from app.scene3d.pointer import Pointer
+from app.scene3d.probe import Canvas, best_canvas
+from skincal.errors import InputError
+from skincal.estimate.result import Method
+from skincal.scene import Scene
+from skincal.session.snapshot import LiveView, Snapshot
+from skincal.surface.lay import LaidSkin
+from skincal.surface.mesh import Surface
+
+if TYPE_CHECKING:
+    from app.scene3d.loading import AnyCanvas
+    from app.scene3d.stage import Stage
+
+LOG = logging.getLogger(__name__)
+POLL_MS = 10
+"""How often the window's thread asks whether the worker is done."""
+SWITCH_S = 0.0005
+"""s. Python's thread switch while VTK is imported: at its default of 5 ms the window would answer in jumps."""
+
+
+class View3D(QWidget):
+    """The surface, the modules, the estimates, the force axes and the uncertainty of a session.
+
+    Parameters
+    ----------
+    canvas : how the picture is made; by default what suits the machine
+    """
+
+    taxel_picked = Signal(int)
+    """Channel whose estimate was clicked."""
+    ready = Signal()
+    """The picture is there."""
+
+    def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
+        super().__init__(parent)
+        self.setAccessibleName("3D view")
+        self.setMinimumSize(240, 180)
+        self._choice = canvas
+        self._look = DARK
+        self._ground: Ground | None = None
+        self._frame: Frame | None = None
+        self._difference = False
+        self._stage: Stage | None = None
+        self._canvas: AnyCanvas | None = None
+        self._worker: ThreadPoolExecutor | None = None
+        self._future: Future[Loaded] | None = None
+        self._switch_s = sys.getswitchinterval()
+        self._message = QLabel("The 3D view is loading …", self)
+        self._message.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._message.setWordWrap(True)
+        self._poll = QTimer(self)
+        self._poll.setInterval(POLL_MS)
+        self._stack = QStackedLayout(self)
+        self._stack.addWidget(self._message)
+        self._poll.timeout.connect(self._take_loaded)
+
+    def begin(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
+        """Start to build the layers that a scene supports; call once the window is on the screen.
+
+        Returns at once; `ready` follows. A second call replaces the scene.
+
+        Parameters
+        ----------
+        surface, laid : None where the scene has none
+        channels : taxels, in the order of the snapshots' estimates
+        """
+        self.close_view()
+        self._ground = Ground(scene, surface, laid, channels)
+        self._choice = self._choice or best_canvas()
+        density = self.devicePixelRatioF()
+        size = round(self.width() * density), round(self.height() * density)
+        self._switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(min(self._switch_s, SWITCH_S))
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="scene3d")
+        self._future = self._worker.submit(load, self._choice, self._ground, self._look, size, self._frame)
+        self._poll.start()
+
+    @overload
+    def show(self) -> None: ...
+
+    @overload
+    def show(self, snapshot: Snapshot, live: LiveView | None, method: Method, selected: int | None) -> bool: ...
+
+    def show(
+        self,
+        snapshot: Snapshot | None = None,
+        live: LiveView | None = None,
+        method: Method = Method.FREE,
+        selected: int | None = None,
+    ) -> bool | None:
+        """Show a moment of a session; without arguments, be visible as any widget.
+
+        Asks for one picture at most, and for none when nothing changed. While the view is not built or not visible, the
+        moment is kept, and shown as soon as it is.
+
+        Returns
+        -------
+        Whether the picture changes.
+        """
+        if snapshot is None:
+            super().show()
+            return None
+        self._frame = Frame(snapshot, live, method, selected, self._difference)
+        return self.isVisible() and self._show_frame()
+
+    def set_difference(self, wanted: bool) -> None:
+        """Draw a line from each estimate to the other method's, or do not."""
+        self._difference = wanted
+        if self._frame is not None:
+            self._frame = replace(self._frame, difference=wanted)
+            self._show_frame()
+
+    def set_dark(self, dark: bool) -> None:
+        """Take the dark or the light theme."""
+        self._look = DARK if dark else LIGHT
+        if self._stage is not None:
+            self._stage.dress(self._look)
+            self._show_frame()
+            self._request()
+
+    def reset_camera(self) -> None:
+        """Bring the whole part into the picture, seen from the skin's side."""
+        if self._stage is not None:
+            self._stage.fit()
+            self._request()
+
+    def orbit(self, right_deg: float, up_deg: float) -> None:
+        """Turn the part under the camera, as a drag of the mouse does."""
+        if self._stage is not None:
+            camera.orbit(self._stage.renderer.GetActiveCamera(), right_deg, up_deg)
+            self._stage.moved = True
+            self._request()
+
+    def approach(self, factor: float) -> None:
+        """Bring the camera `factor` times nearer, as the mouse's wheel does."""
+        if self._stage is not None:
+            camera.approach(self._stage.renderer.GetActiveCamera(), factor)
+            self._stage.moved = True
+            self._request()
+
+    def list_layers(self) -> tuple[str, ...]:
+        """Return the names of the layers that exist; empty while the view is not built."""
+        return () if self._stage is None else self._stage.list_layers()
+
+    def screen_place(self, channel: int) -> tuple[float, float] | None:
+        """Return where a taxel's estimate appears, in the widget's coordinates; None where it does not."""
+        if self._stage is None or self._canvas is None or channel not in self._stage.estimates.shown:
+            return None
+        channels, places = self._stage.screen_places()
+        x, y = places[list(channels).index(channel), :2] / self.devicePixelRatioF()
+        return (float(x), float(self._canvas.height() - y)) if x == x else None
+
+    def screenshot(self, path: Path) -> None:
+        """Write the picture as it stands to an image file, of the kind that the name's ending says.
+
+        Raises
+        ------
+        InputError
+            There is no picture yet, or the file cannot be written.
+        """
+        if self._canvas is None:
+            raise InputError("The 3D view has no picture yet; wait until it is ready.")
+        if not self._canvas.image().save(str(path)):
+            raise InputError(f"{path}: the picture cannot be written; choose a folder that exists and a name ending in .png.")
+
+    def close_view(self) -> None:
+        """Stop everything and give it back; the widget stays, empty. Safe at any time and more than once."""
+        self._poll.stop()
+        if self._worker is not None and self._future is not None:
+            self._worker.shutdown(wait=True)
+            if self._stage is None and self._future.exception() is None:
+                self._future.result().close()
+            sys.setswitchinterval(self._switch_s)
+        self._worker = self._future = None
+        if self._stage is not None:
+            self._stage.close()
+        if self._canvas is not None:
+            self._stack.removeWidget(self._canvas)
+            self._canvas.release()
+            self._canvas.deleteLater()
+        self._stage = self._canvas = None
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Show the newest moment, which was only kept while the view was hidden."""
+        super().showEvent(event)
+        self._show_frame()
+
+    def _show_frame(self) -> bool:
+        if self._stage is None or self._frame is None or not self._stage.show(self._frame):
+            return False
+        self._request()
+        return True
+
+    def _request(self) -> None:
+        if self._canvas is not None:
+            self._canvas.request()
+
+    def _take_loaded(self) -> None:
+        """Make the widget once the worker is done, or say why there is none."""
+        if self._future is None or self._worker is None or not self._future.done():
+            return
+        self._poll.stop()
+        self._worker.shutdown(wait=True)
+        sys.setswitchinterval(self._switch_s)
+        error = self._future.exception()
+        if error is None:
+            self._mount(self._future.result())
+        else:
+            LOG.error("the 3D view cannot be made", exc_info=error)
+            self._message.setText(f"There is no 3D view: {error}\n\nEverything else works.")
+        self._worker = self._future = None
+
+    def _mount(self, loaded: Loaded) -> None:
+        if self._choice is None or self._ground is None:
+            return
+        self._canvas, self._stage = mount(self._choice, loaded, self._ground, self._look, self)
+        Pointer(self._canvas, self._stage, self._request, self._pick)
+        self._stack.addWidget(self._canvas)
+        self._stack.setCurrentWidget(self._canvas)
+        self._stage.dress(self._look)
+        self._stage.fit()
+        self._show_frame()
+        self._request()
+        self.ready.emit()
+
+    def _pick(self, x: float, y: float) -> None:
+        channel = None if self._stage is None else self._stage.pick(x, y)
+        if channel is not None:
+            self.taxel_picked.emit(channel)

@@ -1,0 +1,89 @@
+"""A small part with skin on it, and sessions on it, for the tests of the 3D view."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Outcome, Phase, Progress
+from skincal.estimate.result import Estimate, Method, State
+from skincal.scene import ContactSettings, NoiseSettings, Scene, SkinSpec
+from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
+from skincal.skin import KINDS, Layout, Module
+from skincal.surface.lay import LaidSkin
+from skincal.surface.mesh import Surface, make_surface
+
+HALF = 0.04
+"""m. The part is a box whose top face, at z = 0, carries the skin."""
+
+
+def box() -> Surface:
+    """A closed box, 80 x 80 x 20 mm, outward wound, its top at z = 0."""
+    vertices = np.array([(x, y, z) for z in (-0.02, 0.0) for y in (-HALF, HALF) for x in (-HALF, HALF)])
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return make_surface(vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+
+
+def layout(modules: int = 2) -> Layout:
+    """Triangles of 12 taxels in a row; module i starts at channel 12 i."""
+    kind = KINDS["triangle_12"]
+    places = [np.array([-0.018 + 0.036 * i, 0.0]) for i in range(modules)]
+    return Layout(tuple(Module(10 + i, kind, 12 * i, place, 0.0, False) for i, place in enumerate(places)), 12 * modules)
+
+
+def laid(plan: Layout) -> LaidSkin:
+    """The layout on the plane z = 0."""
+
+    def lift(flat: np.ndarray) -> np.ndarray:
+        return np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
+
+    up = np.tile([0.0, 0.0, 1.0], (plan.width, 1))
+    return LaidSkin(lift(plan.places), up, tuple(lift(m.outline) for m in plan.modules), np.empty(0, dtype=np.int64))
+
+
+def scene(plan: Layout | None) -> Scene:
+    channels = 24 if plan is None else plan.width
+    skin = SkinSpec(channels, 1, plan, None, None)
+    return Scene("test", "link", skin, None, None, np.eye(4), 1, ContactSettings(), NoiseSettings(), Path())
+
+
+def estimate(channel: int, at: Sequence[float], method: Method = Method.FREE, sd: float = 1e-3) -> Estimate:
+    return Estimate(
+        channel, method, State.ESTIMATED, 4, np.array(at, dtype=float), np.array([0.0, 0.0, 1.0]), sd**2 * np.eye(3),
+        np.array([1.0, 0.0, 0.0]), sd, sd * 3**0.5,
+    )  # fmt: skip
+
+
+def snapshot(
+    generation: int,
+    free: Mapping[int, Estimate],
+    surface: Mapping[int, Estimate] | None = None,
+    pokes: Sequence[Outcome] = (),
+    channels: int = 24,
+) -> Snapshot:
+    """A session with these estimates; all other channels are unseen."""
+    estimates = {
+        method: tuple(known.get(c, Estimate(c, method, State.UNSEEN, 0)) for c in range(channels))
+        for method, known in ((Method.FREE, free), (Method.SURFACE, free if surface is None else surface))
+    }
+    records = tuple(PokeRecord(poke, False) for poke in pokes)
+    return Snapshot(generation, records, estimates, np.empty(0, dtype=np.int64), "", np.eye(4), {}, "")
+
+
+def contact(poke: int, channel: int, at: Sequence[float], force: Sequence[float] = (0.0, 0.0, -8.0)) -> Contact:
+    pushed = np.array(force, dtype=float)
+    return Contact(
+        poke, 0.0, 0.3, pushed, np.cross(at, pushed), np.array([channel]), np.array([50.0]), np.eye(4), "", float("nan"), True
+    )
+
+
+def live(at: Sequence[float] | None = None, force: Sequence[float] = (0.0, 0.0, -8.0)) -> LiveView:
+    """Nothing pressing, or a poke whose axis goes through `at`."""
+    none = np.empty(0, dtype=np.int64)
+    if at is None:
+        progress = Progress(Phase.READY, np.zeros(3), np.zeros(3), none, np.empty(0), 0.0)
+    else:
+        progress = Progress(Phase.PRESSING, np.array(force, dtype=float), np.array(at, dtype=float), none, np.empty(0), 0.5)
+    return LiveView(np.empty(0), np.empty((0, 6)), np.zeros(24), 0.0, progress, (), 0)
