@@ -1,0 +1,72 @@
+"""`skincal`: a command where one is named, else the window.
+
+Commands import no Qt. The window is on the screen before anything heavy is imported or read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from app.preflight import no_display, objection
+from skincal.errors import InputError
+
+HELP = ("-h", "--help", "--version")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command or the window and return the exit code: 0 done, 2 the user's input is at fault, 1 ours."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
+        from skincal.cli import main as run_command
+
+        return run_command(arguments)
+    try:
+        options = _parser().parse_args(arguments)
+    except SystemExit as end:
+        return int(end.code or 0)
+    try:
+        return _run(options)
+    except InputError as error:
+        sys.stderr.write(f"skincal: {error}\n")
+        return 2
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Open the window; where there is no display and no device was named, run the simulated session without it."""
+    named = options.wrench or options.skin or options.joints or options.session
+    no_window = "" if named else no_display()
+    if options.headless or no_window:
+        from app.headless import run_headless
+        from app.plan import find_scene
+
+        return run_headless(find_scene(options.scene), options.new, no_window)
+    reason = objection()
+    if reason:
+        sys.stderr.write(reason + "\n")
+        return 2
+    return _open_window(options)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("skincal", description="Open the window.", add_help=False)
+    parser.add_argument("--scene", type=Path, help="scene file (*.toml), or the name of one that ships")
+    parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")
+    parser.add_argument("--wrench", default="", help="device of the force/torque sensor")
+    parser.add_argument("--skin", default="", help="device of the skin")
+    parser.add_argument("--joints", default="", help="device that streams the arm's joints")
+    parser.add_argument("--new", type=Path, help="folder of the new session")
+    parser.add_argument("--headless", action="store_true", help="run the simulated session without a window, to files")
+    return parser
+
+
+def _open_window(options: argparse.Namespace) -> int:
+    from app.run import plan_of, run_window
+
+    return run_window(plan_of(options))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

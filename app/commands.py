@@ -1,0 +1,155 @@
+"""Every action of the window with its key and its place in the menus.
+
+Keys are given explicitly, so that one hand, a pedal or a test can do everything; each menu entry prints its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QObject
+from PySide6.QtGui import QAction, QActionGroup, QKeySequence
+from PySide6.QtWidgets import QMenuBar
+
+from app.theme import Choice
+
+if TYPE_CHECKING:
+    from app.policies import Allowed
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One entry of a menu."""
+
+    name: str
+    """By which the window finds it."""
+    menu: str
+    text: str
+    keys: tuple[str, ...] = ()
+    hint: str = ""
+    checkable: bool = False
+
+
+SEPARATOR = Command("", "", "")
+
+COMMANDS: tuple[Command, ...] = (
+    Command("new", "Session", "New session\N{HORIZONTAL ELLIPSIS}", ("Ctrl+N",), "Choose a scene, the devices and a folder"),
+    Command("open", "Session", "Open session\N{HORIZONTAL ELLIPSIS}", ("Ctrl+O",), "Go on with a recorded session"),
+    Command("keep", "Session", "Keep this session", ("Ctrl+S",), "Copy a temporary recording to where it stays"),
+    Command(
+        "export", "Session", "Export calibration\N{HORIZONTAL ELLIPSIS}", ("Ctrl+E",), "Write the file that the robot loads"
+    ),
+    Command("picture", "Session", "Save 3D picture\N{HORIZONTAL ELLIPSIS}", ("Ctrl+P",), "Write the 3D view as it stands"),
+    Command("quit", "Session", "Quit", ("Ctrl+Q",), "Everything recorded is on the disk already"),
+    Command("space", "Poke", "Pause", ("Space",), "Do the obvious thing: pause, or go on"),
+    Command("undo", "Poke", "Undo", ("Backspace", "Ctrl+Z"), "Take back the last poke or action"),
+    Command("exclude", "Poke", "Exclude selected pokes", ("E",), "Selected pokes count no more, or count again"),
+    Command("last", "Poke", "Select last poke", ("L",), "Show the newest poke in the list"),
+    Command(
+        "dead", "Poke", "Do not use selected taxel", ("D",), "Leave a taxel out that is stuck or always on, or use it again"
+    ),
+    Command("method", "View", "Next method", ("V",), "Show the estimates of the other method"),
+    Command("difference", "View", "Lines to the other method", ("X",), "Join the estimates of both methods", checkable=True),
+    Command("camera", "View", "Whole part", ("Home",), "Bring the whole part into the 3D view"),
+    Command("none", "View", "Select nothing", ("Esc",), "Dismiss the message, or the selection"),
+    Command("full", "View", "Full screen", ("F11",), "", checkable=True),
+    Command("what", "Help", "What is this?", ("F1",), "Then click what you want explained"),
+    Command("keys", "Help", "Keys", ("F2",), "Every key in one list"),
+)
+
+
+_THEME_WORDS = {Choice.SYSTEM: "Colours of the desktop", Choice.LIGHT: "Light colours", Choice.DARK: "Dark colours"}
+
+
+class Commands(QObject):
+    """The actions, made once and enabled by policy.
+
+    Parameters
+    ----------
+    bar : gets the menus
+    slots : what each command does, by its name
+    """
+
+    def __init__(self, bar: QMenuBar, slots: dict[str, Callable[[], object]], parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.actions: dict[str, QAction] = {}
+        self.menus = {name: bar.addMenu(f"&{name}") for name in dict.fromkeys(c.menu for c in COMMANDS)}
+        for command in COMMANDS:
+            action = QAction(command.text, self)
+            action.setShortcuts([QKeySequence(key) for key in command.keys])
+            action.setStatusTip(command.hint)
+            action.setCheckable(command.checkable)
+            # Lambdas drop the `checked` argument that Qt would pass.
+            action.triggered.connect(lambda _checked=False, slot=slots[command.name]: slot())
+            self.menus[command.menu].addAction(action)
+            self.actions[command.name] = action
+
+    def add_themes(self, chosen: Choice, choose: Callable[[Choice], None]) -> None:
+        """Add the choice of the theme to the view menu."""
+        self.menus["View"].addSeparator()
+        group = QActionGroup(self)
+        for choice in Choice:
+            action = self.menus["View"].addAction(_THEME_WORDS[choice])
+            action.setCheckable(True)
+            action.setChecked(choice is chosen)
+            action.triggered.connect(lambda _checked=False, choice=choice: choose(choice))
+            group.addAction(action)
+
+    def add_tabs(self, titles: Iterable[str], show: Callable[[int], object]) -> list[QAction]:
+        """Add an entry for each tab, with its number as the key; return the actions, to be removed with the tabs."""
+        menu = self.menus["View"]
+        added = [menu.addSeparator()]
+        for index, title in enumerate(titles):
+            action = menu.addAction(title)
+            action.setShortcut(QKeySequence(str(index + 1)))
+            action.triggered.connect(lambda _checked=False, index=index: show(index))
+            added.append(action)
+        return added
+
+    def follow(self, may: Allowed, *, can_keep: bool) -> None:
+        """Enable what may be done, and name it."""
+        actions = self.actions
+        _set(actions["undo"], bool(may.undo), f"Undo {may.undo}".strip())
+        restore = bool(may.restore) and not may.exclude
+        _set(
+            actions["exclude"],
+            bool(may.exclude or may.restore),
+            "Restore selected pokes" if restore else "Exclude selected pokes",
+        )
+        _set(
+            actions["dead"],
+            may.mark_dead or may.revive,
+            "Use selected taxel again" if may.revive else "Do not use selected taxel",
+        )
+        _set(actions["space"], bool(may.space), may.space or "Pause")
+        for name, enabled in (
+            ("export", may.export),
+            ("method", may.switch_method),
+            ("difference", may.switch_method),
+            ("keep", can_keep),
+        ):
+            _set(actions[name], enabled, actions[name].text())
+
+
+def _set(action: QAction, enabled: bool, text: str) -> None:
+    if action.isEnabled() != enabled:
+        action.setEnabled(enabled)
+    if action.text() != text:
+        action.setText(text)
+
+
+def key_words() -> str:
+    """Return every key with what it does, as a table in HTML."""
+    rows = "".join(
+        f"<tr><td><b>{' or '.join(c.keys)}</b>&nbsp;&nbsp;&nbsp;</td><td>{c.text.rstrip(chr(0x2026))}</td></tr>"
+        for c in COMMANDS
+        if c.keys
+    )
+    more = (
+        "<tr><td><b>1 to 5</b></td><td>Tabs</td></tr>"
+        "<tr><td><b>Arrows</b></td><td>On the map: the next taxel. In a list: the next row</td></tr>"
+        "<tr><td><b>Tab</b></td><td>The next part of the window</td></tr>"
+    )
+    return f"<table>{rows}{more}</table>"

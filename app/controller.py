@@ -1,0 +1,385 @@
+"""Owns what is open and the one timer; its slots are the operator's wishes.
+
+Each tick takes what arrived, lets the road work on it for a bounded time, and tells the window once, and only if
+something changed. Everything slow is done in the background and comes back in a tick.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from PySide6.QtCore import QObject, QTimer, Signal
+
+from app.background import Background
+from app.link_server import LinkServer
+from app.panels.message_bar import Message
+from app.plan import Plan, find_scene, link_specs
+from app.recording import Recording, stop_all
+from app.running import Running
+from app.storage import Storage
+from skincal.errors import InputError
+
+if TYPE_CHECKING:
+    from app.opening import Part
+    from skincal.estimate.result import Method
+    from skincal.session.actions import Action
+    from skincal.session.road import Road
+    from skincal.session.snapshot import LiveView, Snapshot
+    from skincal.streams.links import LinkSpec
+
+TICK_MS = 33
+"""One picture a tick: 30 a second."""
+BEHIND_MS = 4
+"""The next tick comes this soon while readings still wait."""
+DRAIN_S = 0.012
+"""s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
+DRAW_S = 0.010
+"""s. Pictures come no faster than this. Well below a tick: after a long one the timer comes early, to keep its pace, and that
+picture must not be left out."""
+DRAW_BEHIND_S = 0.1
+"""s. While readings wait, pictures come no faster than this: readings go before pictures."""
+IDLE_S = 0.5
+"""s. While nothing arrives the links are looked at this often, to say that one fell silent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """What a tick found."""
+
+    snapshot: Snapshot
+    live: LiveView
+    now_ns: int
+    """Host's monotonic clock; while readings wait, the arrival of the newest that was worked on."""
+    behind_s: float
+    """How long ago that was, while readings wait; else 0."""
+
+
+class Controller(QObject):
+    """What happens between devices and window.
+
+    Parameters
+    ----------
+    documents : folder under which sessions are kept
+    """
+
+    part_loaded = Signal(object)
+    """`Part`: the scene is known, views can be built."""
+    session_opened = Signal(object)
+    """`Snapshot` of the session as it was opened."""
+    ticked = Signal(object)
+    """`Picture`."""
+    running_changed = Signal(object)
+    """`Running`."""
+    said = Signal(object)
+    """`Message`."""
+    stored = Signal(str)
+    """Where the recording is, in words."""
+
+    def __init__(self, documents: Path, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._documents = documents
+        self._background = Background()
+        self._server: LinkServer | None = None
+        self._links: tuple[LinkSpec, ...] = ()
+        self._storage: Storage | None = None
+        self._part: Part | None = None
+        self._recording: Recording | None = None
+        self._opening = 0
+        self._shown: Snapshot | None = None
+        self._told_ns = 0
+        self.running = Running.OPENING
+        self._timer = QTimer(self)
+        self._timer.setInterval(TICK_MS)
+        self._timer.timeout.connect(self.tick)
+
+    # Opening and closing
+
+    def open(self, plan: Plan) -> None:
+        """Open something in place of what is open; returns at once, `part_loaded` and `session_opened` follow."""
+        self._release()
+        self._set_running(Running.OPENING)
+        self._storage = storage = Storage(plan, self._documents)
+        self._timer.start()
+        if plan.session is not None:
+            folder, self._links = plan.session, link_specs(plan.addresses)
+            links = self._links
+            self._run(
+                lambda: _load_session(folder, links),
+                lambda found: self._take_session(storage, found),
+                lambda found: found[1].close(),
+            )
+            return
+        if plan.addresses:
+            self._links = link_specs(plan.addresses)
+        elif plan.server:
+            self._start_server(plan.server)
+        self._run(lambda: _load_scene(plan.scene), self._take_part)
+
+    def _release(self) -> None:
+        """Let go of what is open; its end takes too long for the window and happens in the background."""
+        self._opening += 1
+        server, self._server = self._server, None
+        if server is not None:
+            server.release()
+        recording, self._recording = self._recording, None
+        storage, self._storage = self._storage, None
+        self._part = self._shown = None
+        self._links = ()
+        if recording is not None:
+            self._run(recording.end, _nothing)
+        elif storage is not None:
+            self._run(storage.finish, _nothing)
+
+    def stop(self) -> None:
+        """Stop the timer, then the readers: nothing comes to the window any more."""
+        self._timer.stop()
+        self._opening += 1
+        if self._recording is not None:
+            stop_all(self._recording.let_go())
+
+    def close(self) -> None:
+        """Stop, end the process behind the links, and close the journal, in that order."""
+        self.stop()
+        recording, self._recording = self._recording, None
+        if self._server is not None:
+            self._server.stop()
+            self._server = None
+        self._background.close()
+        try:
+            if recording is not None:
+                recording.end()
+            elif self._storage is not None:
+                self._storage.finish()
+        finally:
+            self._storage = None
+
+    def _start_server(self, command: tuple[str, ...]) -> None:
+        self._server = LinkServer(self)
+        self._server.served.connect(self._take_links)
+        self._server.failed.connect(self._fail)
+        self._server.start(command)
+
+    def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
+        self._links = links
+        self._make_road()
+
+    def _take_part(self, part: Part, *, make_road: bool = True) -> None:
+        self._part = part
+        self.part_loaded.emit(part)
+        for finding in part.findings:
+            self.said.emit(Message(finding))
+        if make_road:
+            self._make_road()
+
+    def _make_road(self) -> None:
+        part, links, storage = self._part, self._links, self._storage
+        if part is not None and links and storage is not None:
+            self._run(
+                lambda: _begin_session(part, links, storage.folder),
+                lambda road: self._take_recording(Recording(road, storage)),
+                lambda road: road.close(),
+            )
+
+    def _take_session(self, storage: Storage, found: tuple[Part, Road]) -> None:
+        part, road = found
+        self._take_part(part, make_road=False)
+        self._take_recording(Recording(road, storage), connect=bool(self._links))
+
+    def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
+        self._recording = recording
+        self._links = recording.links
+        if connect:
+            recording.start()
+        self._set_running(Running.STREAMING if connect else Running.OFFLINE)
+        self.session_opened.emit(recording.road.snapshot())
+        self._tell_storage()
+        self._publish(recording, time.monotonic_ns())
+
+    @property
+    def links(self) -> tuple[LinkSpec, ...]:
+        """The links of what is open."""
+        return self._links
+
+    # The tick
+
+    def tick(self) -> None:
+        """Take what arrived, and tell the window if something changed."""
+        delivered = self._background.deliver()
+        recording = self._recording
+        if recording is None:
+            return
+        drained = self._take_in(recording)
+        wanted = BEHIND_MS if recording.behind else TICK_MS
+        if self._timer.interval() != wanted:
+            self._timer.setInterval(wanted)
+        now_ns = time.monotonic_ns()
+        since_s = (now_ns - self._told_ns) * 1e-9
+        pause_s = DRAW_BEHIND_S if recording.behind else DRAW_S if drained or delivered else IDLE_S
+        if since_s >= pause_s or recording.road.snapshot() is not self._shown:
+            self._publish(recording, now_ns)
+
+    def _take_in(self, recording: Recording) -> bool:
+        drained = recording.drain(DRAIN_S)
+        recording.road.tick(time.monotonic_ns())
+        if recording.journal_failure and self.running is Running.STREAMING:
+            text = f"{recording.journal_failure} Recording is paused; what was recorded until now is safe."
+            self.said.emit(Message(text, error=True))
+            self.pause()
+        return drained
+
+    def _publish(self, recording: Recording, now_ns: int) -> None:
+        self._told_ns = now_ns
+        self._shown = recording.road.snapshot()
+        reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
+        live = recording.road.live(reached_ns)
+        self.ticked.emit(Picture(self._shown, live, reached_ns, (now_ns - reached_ns) * 1e-9))
+
+    # The operator's wishes
+
+    def toggle(self) -> None:
+        """Do the obvious thing: pause what streams, go on with what is paused, connect what is not."""
+        if self.running is Running.STREAMING:
+            self.pause()
+        elif self.running in (Running.PAUSED, Running.OFFLINE):
+            self.go_on()
+
+    def pause(self) -> None:
+        """Let go of the devices; nothing is recorded until it goes on."""
+        if self._recording is not None and self.running is Running.STREAMING:
+            readers = self._recording.let_go()
+            self._set_running(Running.PAUSED)
+            self._run(lambda: stop_all(readers), _nothing)
+
+    def go_on(self) -> None:
+        """Take the devices, in a new segment of the recording."""
+        if self._recording is None or self.running is Running.STREAMING:
+            return
+        try:
+            self._recording.go_on()
+        except InputError as failure:
+            self.said.emit(Message(str(failure), error=True))
+            return
+        self._set_running(Running.STREAMING)
+
+    def act(self, action: Action) -> bool:
+        """Do an action on the session; return whether it could be done."""
+        if self._recording is None:
+            return False
+        try:
+            self._recording.road.act(action, time.monotonic_ns())
+        except InputError as error:
+            self.said.emit(Message(str(error), error=True))
+            return False
+        self._publish(self._recording, time.monotonic_ns())
+        return True
+
+    def act_all(self, actions: Iterable[Action]) -> None:
+        """Do several actions, and stop at the first that cannot be done."""
+        for action in actions:
+            if not self.act(action):
+                return
+
+    def keep(self) -> None:
+        """Copy a temporary recording to where it stays."""
+        if self._recording is not None and self.can_keep:
+            self._recording.sync()
+            self._run(self._recording.storage.keep, self._kept)
+
+    def _kept(self, folder: Path) -> None:
+        self.said.emit(
+            Message(f"This session is kept in {folder}; what is recorded from now on is added when the window closes.")
+        )
+        self._tell_storage()
+
+    @property
+    def can_keep(self) -> bool:
+        """Whether the recording would go with the window."""
+        return self._recording is not None and self._recording.storage.can_keep
+
+    def export(
+        self, format_: str, path: Path, method: Method, done: Callable[[tuple[str, ...]], None], failed: Callable[[str], None]
+    ) -> None:
+        """Write a calibration file in the background; `done` gets the sentences of its lint, `failed` why there is none."""
+        if self._recording is None:
+            return
+        calibration = self._recording.road.session.calibration()
+
+        def write() -> tuple[str, ...]:
+            from skincal.files.export import write_calibration
+
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
+            return write_calibration(calibration, format_, path, method)
+
+        self._run(write, done, failed=failed)
+
+    # Helpers
+
+    def _run(
+        self,
+        work: Callable[[], Any],
+        done: Callable[[Any], None],
+        dropped: Callable[[Any], None] | None = None,
+        failed: Callable[[str], None] | None = None,
+    ) -> None:
+        """Do `work` in the background; where something else was opened meanwhile, what it brings goes to `dropped`."""
+        opening = self._opening
+
+        def take(result: Any) -> None:
+            if opening == self._opening:
+                done(result)
+            elif dropped is not None:
+                dropped(result)
+
+        def fail(error: BaseException) -> None:
+            if not isinstance(error, InputError):
+                raise error
+            if opening == self._opening:
+                (failed or self._fail)(str(error))
+
+        self._background.run(work, take, fail)
+
+    def _fail(self, sentence: str) -> None:
+        self.said.emit(Message(sentence, error=True))
+        if self._recording is None:
+            self._set_running(Running.OFFLINE)
+
+    def _set_running(self, running: Running) -> None:
+        if running is not self.running:
+            self.running = running
+            self.running_changed.emit(running)
+
+    def _tell_storage(self) -> None:
+        if self._recording is not None:
+            self.stored.emit(self._recording.storage.words())
+
+
+def _load_scene(scene: Path | None) -> Part:
+    """Load a scene, and import what shows it, beside the window."""
+    import app.desk  # noqa: F401
+    from app.opening import load_part
+
+    return load_part(find_scene(scene))
+
+
+def _load_session(folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Road]:
+    import app.desk  # noqa: F401
+    from app.opening import open_road
+
+    return open_road(folder, links)
+
+
+def _begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path) -> Road:
+    from app.opening import new_road
+
+    return new_road(part, links, folder)
+
+
+def _nothing(_result: Any) -> None:
+    pass

@@ -1,0 +1,245 @@
+"""One open session as the operator works on it: panels, selection, method, and the wishes that concern a session.
+
+It is imported beside the window, after the window is on the screen: numpy and all that stands on it comes with it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from PySide6.QtCore import QByteArray, QObject, QSettings, QTimer, Signal
+from PySide6.QtGui import QAction
+from PySide6.QtWidgets import QFileDialog, QSplitter, QWidget
+
+from app.commands import Commands
+from app.controller import Controller, Picture
+from app.dialogs.export import ExportDialog
+from app.frame import Frame, same_results
+from app.opening import Part
+from app.panels.devices import LinkChips
+from app.panels.message_bar import Message
+from app.policies import Allowed, allowed, link_lines
+from app.scene3d.view import View3D
+from app.theme import Colours
+from app.workspace import Workspace
+from skincal.errors import InputError
+from skincal.estimate.result import Method
+from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
+from skincal.session.snapshot import Snapshot
+
+
+class Desk(QObject):
+    """What exists as long as a session is open.
+
+    Parameters
+    ----------
+    part : what is calibrated
+    controller : gets the wishes
+    commands : are enabled by what may be done
+    documents : where files go unless the operator says otherwise
+    make_view : the 3D view
+    """
+
+    said = Signal(object)
+    """`Message`."""
+
+    def __init__(
+        self,
+        part: Part,
+        controller: Controller,
+        commands: Commands,
+        documents: Path,
+        make_view: Callable[[], View3D] = View3D,
+        parent: QObject | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self._controller = controller
+        self._commands = commands
+        self._documents = documents
+        self._picture: Picture | None = None
+        self._revision = 0
+        self._clock_offset = time.time() - time.monotonic()
+        self._allowed: Allowed | None = None
+        self.frame: Frame | None = None
+        self.selected: int | None = None
+        self.workspace = Workspace(part, make_view)
+        self.method = self.workspace.methods[0]
+        self.chips = LinkChips()
+        self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
+        self._connect()
+        self.workspace.wait("opening", part.scene.name)
+        self.set_addresses()
+
+    def _connect(self) -> None:
+        workspace = self.workspace
+        workspace.taxel_selected.connect(self.select_taxel)
+        workspace.method_chosen.connect(self.show_method)
+        workspace.pokes.selection_changed.connect(self.refresh_allowed)
+        for panel in (workspace.map, workspace.inspect):
+            panel.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
+            panel.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
+        workspace.pokes.actions_offered = [self._commands.actions[name] for name in ("exclude", "undo")]
+        if workspace.arm is not None:
+            workspace.arm.pose_requested.connect(lambda name: self._controller.act(SetPose(name)))
+
+    def begin(self) -> None:
+        """Start to build the 3D view, once the panels are on the screen."""
+        QTimer.singleShot(0, self.workspace, self.workspace.begin)
+
+    def set_addresses(self) -> None:
+        """Show where the links of the session go."""
+        self.workspace.devices.set_addresses({link.name: link.address for link in self._controller.links})
+
+    def session_opened(self, snapshot: Snapshot) -> None:
+        """Start with a session whose pokes are known already."""
+        self.set_addresses()
+        self.workspace.session_opened(snapshot)
+
+    # What is shown
+
+    def take_picture(self, picture: Picture) -> None:
+        """Show what a tick found."""
+        before = self.frame
+        if before is None or not same_results(before.snapshot, picture.snapshot):
+            self._revision += 1
+        self._picture = picture
+        self.frame = Frame(
+            snapshot=picture.snapshot,
+            live=picture.live,
+            scene=self.workspace.part.scene,
+            names=self.workspace.names,
+            method=self.method,
+            selected=self.selected,
+            running=self._controller.running,
+            now_ns=picture.now_ns,
+            revision=self._revision,
+            links=link_lines(picture.live.links, picture.now_ns, self._clock_offset, self._controller.running),
+        )
+        self.workspace.show_frame(self.frame)
+        self.chips.show_frame(self.frame)
+        self.chips.show_behind(picture.behind_s)
+        if before is None or before.revision != self._revision or before.snapshot.can_undo != picture.snapshot.can_undo:
+            self.refresh_allowed()
+
+    def show_again(self) -> None:
+        """Show the same moment again, after the selection, the method or the colours changed."""
+        if self._picture is not None:
+            self.take_picture(self._picture)
+
+    def refresh_allowed(self) -> None:
+        """Enable what may be done now."""
+        if self.frame is None:
+            return
+        frame, pokes = self.frame, self.workspace.pokes.selected()
+        running = self._controller.running
+        self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected)
+        self._commands.follow(self._allowed, can_keep=self._controller.can_keep)
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self.chips.set_colours(colours)
+        self.workspace.set_colours(colours)
+        self.show_again()
+
+    def show_method(self, method: Method) -> None:
+        """Show another method's estimates."""
+        self.method = method
+        self.show_again()
+
+    def next_method(self) -> None:
+        """Show the next method's estimates."""
+        methods = self.workspace.methods
+        self.show_method(methods[(methods.index(self.method) + 1) % len(methods)])
+
+    def show_difference(self) -> None:
+        """Join the estimates of both methods by lines, or do not."""
+        self.workspace.view.set_difference(self._commands.actions["difference"].isChecked())
+
+    def select_taxel(self, channel: int | None) -> None:
+        """Select a taxel in every view, or none."""
+        if channel != self.selected:
+            self.selected = channel
+            self.show_again()
+            self.refresh_allowed()
+
+    def select_nothing(self) -> None:
+        """Select no taxel."""
+        self.select_taxel(None)
+
+    def select_last(self) -> None:
+        """Show the newest poke in the list."""
+        if self.frame is not None and self.frame.snapshot.pokes:
+            self.workspace.tabs.setCurrentWidget(self.workspace.pokes)
+            self.workspace.pokes.select(self.frame.snapshot.pokes[-1].outcome.poke)
+
+    def reset_camera(self) -> None:
+        """Bring the whole part into the 3D view."""
+        self.workspace.view.reset_camera()
+
+    # What the operator wants
+
+    def undo(self) -> None:
+        """Take back the last poke or action."""
+        self._controller.act(Undo())
+
+    def exclude_or_restore(self) -> None:
+        """Take the selected pokes out, or in again where all of them are out."""
+        may = self._allowed
+        if may is not None:
+            self._controller.act_all([Exclude(poke) for poke in may.exclude] or [Restore(poke) for poke in may.restore])
+            self.refresh_allowed()
+
+    def mark_or_revive(self) -> None:
+        """Leave the selected taxel out, or use it again."""
+        if self.selected is not None and self._allowed is not None:
+            self._controller.act(Revive(self.selected) if self._allowed.revive else MarkDead(self.selected))
+            self.refresh_allowed()
+
+    def ask_export(self, parent: QWidget) -> None:
+        """Ask what to write, write it and show what was found."""
+        stem = self._documents / self.workspace.part.scene.name
+        dialog = ExportDialog(self.workspace.methods, self.method, stem, parent)
+
+        def write(format_: str, path: Path, method: Method) -> None:
+            self._controller.export(format_, path, method, dialog.show_findings, dialog.show_failure)
+
+        dialog.write_requested.connect(write)
+        dialog.open()
+
+    def ask_picture(self, parent: QWidget) -> None:
+        """Ask for a file and write the 3D view to it."""
+        path, _ = QFileDialog.getSaveFileName(
+            parent, "Save 3D picture", str(self._documents / "skincal.png"), "Picture (*.png)"
+        )
+        if not path:
+            return
+        try:
+            self.workspace.view.screenshot(Path(path))
+        except InputError as error:
+            self.said.emit(Message(str(error), error=True))
+
+    # Coming and going
+
+    def _splitters(self) -> dict[str, QSplitter]:
+        return {"window/across": self.workspace.across, "window/right": self.workspace.right}
+
+    def restore(self, settings: QSettings) -> None:
+        """Put the splitters where they were."""
+        for name, splitter in self._splitters().items():
+            state = settings.value(name)
+            if isinstance(state, QByteArray):
+                splitter.restoreState(state)
+
+    def save(self, settings: QSettings) -> None:
+        """Remember where the splitters are."""
+        for name, splitter in self._splitters().items():
+            settings.setValue(name, splitter.saveState())
+
+    def close(self) -> None:
+        """Give the 3D view's resources back, and take out of the window what belongs to this session."""
+        for action in self._tab_actions:
+            action.deleteLater()
+        self._tab_actions = []
+        self.workspace.close_all()

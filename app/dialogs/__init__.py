@@ -1,0 +1,1 @@
+"""The window's dialogs: each gathers one wish and emits it."""

@@ -1,0 +1,57 @@
+"""Everything that one picture of the window is a function of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from app.display_units import ChannelNames
+from app.running import Running
+from app.words import LinkWords
+from skincal.estimate.result import Estimate, Method
+from skincal.scene import Scene
+from skincal.session.snapshot import LiveView, Snapshot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """What the panels show; each compares it with what it showed before."""
+
+    snapshot: Snapshot
+    live: LiveView
+    scene: Scene
+    names: ChannelNames
+    method: Method
+    selected: int | None
+    """Channel of the selected taxel."""
+    running: Running
+    now_ns: int
+    """Host's monotonic clock."""
+    revision: int
+    """Another number where pokes, estimates or dead taxels are others than in the frame before; see `same_results`."""
+    links: tuple[LinkWords, ...] = ()
+
+    @property
+    def now_s(self) -> float:
+        """Host's monotonic clock, seconds."""
+        return self.now_ns * 1e-9
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Estimates of the method that is shown; empty where the scene has no such method."""
+        return self.snapshot.estimates.get(self.method, ())
+
+    def by_channel(self) -> Mapping[int, Estimate]:
+        """Return the shown method's estimates by their channel."""
+        return {estimate.channel: estimate for estimate in self.estimates}
+
+
+def same_results(first: Snapshot, second: Snapshot) -> bool:
+    """Return whether two snapshots tell the same of pokes and taxels.
+
+    Streamed joints make a new snapshot with every frame of the skin; tables and maps must not be made anew for that.
+    """
+    return first is second or (
+        first.generation == second.generation
+        or (first.pokes == second.pokes and first.estimates == second.estimates and first.dead == second.dead)
+    )

@@ -1,0 +1,90 @@
+"""The window's first session where there is no display: to a calibration file and a picture of it. Imports no Qt."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from skincal.errors import InputError
+from skincal.estimate.result import Method
+from skincal.files.export import write_calibration
+from skincal.files.reference import error_summary, read_reference
+from skincal.session.road import Road
+
+POKES = 168
+"""Two for each taxel of the paper's forearm: every taxel gets an estimate, in about half a minute of computing."""
+SEED = 1
+FOLDER = "skincal-headless"
+
+
+def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
+    """Poke the simulated rig of a scene, write the calibration file and draw it; return the exit code.
+
+    Parameters
+    ----------
+    folder : for the session and the results; a new one in the working directory if None
+    why : the sentence that says why there is no window
+
+    Raises
+    ------
+    InputError
+        The scene, the folder or the graphics are at fault.
+    """
+    out = folder or _unused(Path(FOLDER))
+    _say(f"{why}\nThe same session runs without it: {POKES} pokes on the simulated {scene_path.parent.name}, in {out}")
+    road = _simulate(scene_path, out)
+    calibration = road.session.calibration()
+    method = Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE
+    positions = out / "positions.txt"
+    for finding in write_calibration(calibration, "icub", positions, method):
+        _say(finding)
+    truth = read_reference(out / "truth.json")
+    for name, estimates in calibration.estimates.items():
+        error = error_summary(estimates, truth)
+        if error is not None:
+            _say(f"{name.value}: {error.taxels} taxels, {error.mean * 1e3:.1f} mm mean error, {error.max * 1e3:.1f} mm largest")
+    _say(f"calibration file: {positions}")
+    _say(f"picture: {_draw(road, method, out / 'picture.png')}")
+    return 0
+
+
+def _simulate(scene_path: Path, out: Path) -> Road:
+    from skincal.scene import load_scene
+    from skincal.simulate.rig import RigErrors
+    from skincal.simulate.session import simulate_session
+    from skincal.surface.mesh import load_surface
+
+    scene = load_scene(scene_path)
+    surface = None if scene.surface is None else load_surface(scene.surface)[0]
+    return simulate_session(scene, surface, out, POKES, SEED, RigErrors.noise(), progress=_show_progress)
+
+
+def _draw(road: Road, method: Method, path: Path) -> Path:
+    from app.scene3d.offscreen import picture
+    from skincal.surface.lay import lay
+
+    skin = road.scene.skin
+    laid = None if skin.layout is None else lay(skin.layout, skin.anchor, road.session.surface)
+    picture(road.scene, road.session.surface, laid, road.snapshot(), method, path)
+    return path
+
+
+def _unused(folder: Path) -> Path:
+    """Return `folder`, or with the first number behind it that is not taken."""
+    candidate, number = folder, 1
+    while candidate.exists():
+        number += 1
+        candidate = folder.with_name(f"{folder.name}-{number}")
+    if not candidate.absolute().parent.is_dir():
+        raise InputError(f"{candidate}: its folder does not exist; choose another with --new.")
+    return candidate
+
+
+def _show_progress(pokes: int) -> None:
+    if pokes % 42 == 0:
+        _say(f"{pokes} of {POKES} pokes")
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,109 @@
+"""A process that serves links: started and read without ever blocking the window.
+
+It prints one line of JSON that names its links, and runs until its standard input closes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, Signal
+
+import skincal
+
+STOP_MS = 700
+"""The process gets this long to end by itself after its input closed, before it is terminated."""
+TAIL = 400
+"""Characters of its error output that are shown where it ends too early."""
+
+
+class LinkServer(QObject):
+    """One process; `served` once it said its links, `failed` where it did not or ended by itself."""
+
+    served = Signal(object)
+    """tuple of `LinkSpec`."""
+    failed = Signal(str)
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._process = QProcess(self)
+        self._line = b""
+        self._stopping = False
+        self._process.readyReadStandardOutput.connect(self._read)
+        self._process.finished.connect(self._finished)
+        self._process.errorOccurred.connect(self._error)
+
+    def start(self, command: Sequence[str]) -> None:
+        """Start the process; returns at once."""
+        environment = QProcessEnvironment.systemEnvironment()
+        # The window may have been started from another folder than the package's.
+        paths = [str(Path(skincal.__file__).resolve().parent.parent), environment.value("PYTHONPATH")]
+        environment.insert("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+        self._process.setProcessEnvironment(environment)
+        self._process.start(command[0], list(command[1:]))
+
+    @property
+    def running(self) -> bool:
+        """Whether the process runs or starts."""
+        return self._process.state() is not QProcess.ProcessState.NotRunning
+
+    def release(self) -> None:
+        """Ask the process to end, without waiting; this object goes when it has."""
+        self._stopping = True
+        self._process.finished.connect(self.deleteLater)
+        if self.running:
+            self._process.closeWriteChannel()
+        else:
+            self.deleteLater()
+
+    def stop(self) -> None:
+        """End the process: by closing its input, then by asking, then by force."""
+        self._stopping = True
+        if not self.running:
+            return
+        self._process.closeWriteChannel()
+        if self._process.waitForFinished(STOP_MS):
+            return
+        self._process.terminate()
+        if not self._process.waitForFinished(STOP_MS):
+            self._process.kill()
+            self._process.waitForFinished(STOP_MS)
+
+    def _read(self) -> None:
+        self._line += bytes(self._process.readAllStandardOutput().data())
+        head, newline, _ = self._line.partition(b"\n")
+        if not newline:
+            return
+        self._line = b""
+        self._process.readyReadStandardOutput.disconnect(self._read)
+        try:
+            self.served.emit(parse_links(head))
+        except (ValueError, KeyError, TypeError) as error:
+            self.failed.emit(f"The device process said {head[:80]!r}; expected its links as JSON ({error}).")
+
+    def _finished(self) -> None:
+        if not self._stopping:
+            said = bytes(self._process.readAllStandardError().data()).decode(errors="replace").strip()[-TAIL:]
+            self.failed.emit(f"The device process ended (code {self._process.exitCode()}). {said}".strip())
+
+    def _error(self, error: QProcess.ProcessError) -> None:
+        if error is QProcess.ProcessError.FailedToStart and not self._stopping:
+            self.failed.emit(f"The device process cannot be started: {self._process.errorString()}.")
+
+
+def parse_links(line: bytes) -> tuple[object, ...]:
+    """Return the links that a process named, as `LinkSpec`.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        The line is not what a serving process prints.
+    """
+    from skincal.readings import Stream
+    from skincal.streams.links import LinkSpec
+
+    entries = json.loads(line)["links"]
+    return tuple(LinkSpec(e["name"], e["address"], tuple(Stream(s) for s in e["carries"])) for e in entries)

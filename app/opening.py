@@ -1,0 +1,102 @@
+"""What opening costs: scene, mesh, layout on the mesh, journal; done in the background, without Qt.
+
+The imports stand inside the functions so that they, too, happen beside the window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.readings import IntArray
+from skincal.scene import Scene, load_scene
+
+if TYPE_CHECKING:
+    from skincal.session.road import Road
+    from skincal.streams.links import LinkSpec
+    from skincal.surface.lay import LaidSkin
+    from skincal.surface.mesh import Surface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What is calibrated, as the scene describes it."""
+
+    scene: Scene
+    surface: Surface | None
+    laid: LaidSkin | None
+    channels: IntArray
+    """(n,) channels that can be taxels: those of the layout, or all."""
+    findings: tuple[str, ...]
+    """What the mesh loader has to say."""
+
+
+def load_part(path: Path) -> Part:
+    """Load a scene with its mesh and its layout.
+
+    Raises
+    ------
+    InputError
+        The scene or the mesh cannot be used.
+    """
+    scene = load_scene(path)
+    if scene.surface is None:
+        return _with_layout(scene, None, ())
+    from skincal.surface.mesh import load_surface
+
+    surface, findings = load_surface(scene.surface)
+    return _with_layout(scene, surface, tuple(finding.sentence for finding in findings))
+
+
+def _with_layout(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:
+    layout = scene.skin.layout
+    if layout is None:
+        return Part(scene, surface, None, np.arange(scene.skin.channels), findings)
+    from skincal.surface.lay import lay
+
+    # The layout works these out when they are first asked for: better here than in the window's thread.
+    _ = layout.places, layout.module_of, layout.spacing
+    return Part(scene, surface, lay(layout, scene.skin.anchor, surface), layout.channels, findings)
+
+
+def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Road:
+    """Start a recording in a new folder.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be made or is taken.
+    """
+    from skincal.session.journal import create_session
+    from skincal.session.road import Road
+
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    return _solved(Road(part.scene, links, part.surface, create_session(folder, part.scene, links)))
+
+
+def open_road(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Road]:
+    """Open a recorded session where it stopped.
+
+    Parameters
+    ----------
+    links : where readings come from now; none for those of the recording
+
+    Raises
+    ------
+    InputError
+        The folder is no session.
+    """
+    from skincal.session.replay import resume
+
+    road = _solved(resume(folder, links or None))
+    return _with_layout(road.scene, road.session.surface, road.findings), road
+
+
+def _solved(road: Road) -> Road:
+    """Return the road after its first snapshot, which looks at every taxel and so takes long."""
+    road.snapshot()
+    return road

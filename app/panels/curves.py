@@ -1,0 +1,163 @@
+"""Force and moment of the last ten seconds, as the sensor says them: six curves, drawn as envelopes.
+
+The time axis ends at the newest reading, not at the clock, so a curve without new readings costs nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+
+from app.display_units import number
+from app.envelope import envelope
+from app.frame import Frame
+from app.policies import curve_range
+from app.theme import GAP, LIGHT, Colours
+from skincal.readings import FloatArray
+
+SPAN = 10.0
+"""s, of the time axis: what the live view keeps."""
+COLUMNS = 500
+"""Columns of an envelope: about the width of the panel in pixels."""
+CURVES_S = 0.09
+"""s between two drawings of the curves: six of them cost as much as a picture of the 3D view, which comes thrice as often."""
+NUMBERS_S = 0.2
+"""s between two changes of the numbers: faster ones cannot be read."""
+MEAN_READINGS = 100
+"""Readings that the shown number is the mean of, a tenth of a second at 1 kHz."""
+
+
+class Curves(QWidget):
+    """Three curves of one quantity under a line of numbers.
+
+    Parameters
+    ----------
+    title, unit : of the quantity as shown
+    factor : shown unit per SI unit
+    floor : smallest half height of the axis, shown unit
+    decimals : of the numbers
+    """
+
+    def __init__(self, title: str, unit: str, factor: float, floor: float, decimals: int) -> None:
+        super().__init__()
+        self._title, self._unit, self._factor = title, unit, factor
+        self._floor, self._decimals = floor, decimals
+        self._half = floor
+        self._colours = LIGHT
+        self.header = QLabel()
+        self.header.setTextFormat(Qt.TextFormat.RichText)
+        self.header.setContentsMargins(GAP, 2, GAP, 0)
+        self.plot = pg.PlotWidget(enableMenu=False)
+        self._item: Any = self.plot.getPlotItem()
+        self.plot.setAccessibleName(f"curves of the {title.lower()}")
+        self.curves = [self.plot.plot() for _ in range(3)]
+        self._prepare()
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.header)
+        column.addWidget(self.plot, 1)
+
+    def _prepare(self) -> None:
+        item = self._item
+        item.hideButtons()
+        item.setMouseEnabled(False, False)
+        item.disableAutoRange()
+        item.setXRange(-SPAN, 0.0, padding=0.0)
+        item.getAxis("left").setWidth(44)
+        item.getAxis("bottom").setHeight(18)
+        self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.plot.setMinimumHeight(60)
+        for curve in self.curves:
+            # No NaN reaches the curves: the readings are whole, and the check costs a pass over them.
+            curve.setSkipFiniteCheck(True)
+        item.setYRange(-self._half, self._half, padding=0.02)
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self.plot.setBackground(colours.panel)
+        for name in ("left", "bottom"):
+            axis = self._item.getAxis(name)
+            axis.setPen(pg.mkPen(colours.line))
+            axis.setTextPen(pg.mkPen(colours.muted))
+        for curve, colour in zip(self.curves, colours.axes, strict=True):
+            curve.setPen(pg.mkPen(colour, width=1))
+
+    def draw(self, times: FloatArray, values: FloatArray) -> None:
+        """Draw curves.
+
+        Parameters
+        ----------
+        times : (m,) float, seconds before the newest reading, ascending to 0
+        values : (m, 3) float, SI
+        """
+        shown = values * self._factor
+        half = curve_range(self._half, float(np.abs(shown).max(initial=0.0)), self._floor)
+        if half != self._half:
+            self._half = half
+            self._item.setYRange(-half, half, padding=0.02)
+        for index, curve in enumerate(self.curves):
+            curve.setData(times, np.ascontiguousarray(shown[:, index]))
+
+    def tell(self, newest: FloatArray) -> None:
+        """Show the newest values, (3,) float, SI."""
+        shown = [number(float(v) * self._factor, self._decimals) for v in newest]
+        cells = "".join(
+            f'<span style="color:{colour}">&nbsp;&nbsp;{axis}&nbsp;<b>{text}</b></span>'
+            for axis, colour, text in zip("xyz", self._colours.axes, shown, strict=True)
+        )
+        self.header.setText(f'<span style="color:{self._colours.muted}">{self._title}, {self._unit}</span>{cells}')
+
+
+class CurvesPanel(QWidget):
+    """Force above, moment below."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.force = Curves("Force", "N", 1.0, 1.0, 2)
+        self.moment = Curves("Moment", "N mm", 1e3, 50.0, 0)
+        self._newest_s = -np.inf
+        self._told_s = -np.inf
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, GAP // 2, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.force, 1)
+        column.addWidget(self.moment, 1)
+        self.setWhatsThis(
+            "The last ten seconds of the force/torque sensor, in its own frame and as it says them: offset and drift are "
+            "not taken off here, but around each poke."
+        )
+
+    def show_frame(self, frame: Frame) -> None:
+        """Draw the newest readings; nothing where there are no newer ones."""
+        times, wrench = frame.live.wrench_s, frame.live.wrench
+        if not len(times) or 0.0 <= times[-1] - self._newest_s < CURVES_S:
+            return
+        self._newest_s = float(times[-1])
+        good = np.isfinite(wrench).all(axis=1)
+        if not good.all():
+            times, wrench = times[good], wrench[good]
+        if not len(times):
+            return
+        columns, reduced = envelope(times, wrench, COLUMNS, SPAN)
+        before = columns - self._newest_s
+        self.force.draw(before, reduced[:, :3])
+        self.moment.draw(before, reduced[:, 3:])
+        if self._newest_s - self._told_s >= NUMBERS_S:
+            self._told_s = self._newest_s
+            mean = wrench[-MEAN_READINGS:].mean(axis=0)
+            self.force.tell(mean[:3])
+            self.moment.tell(mean[3:])
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self.force.set_colours(colours)
+        self.moment.set_colours(colours)
+        self._newest_s = self._told_s = -np.inf
+        for curves in (self.force, self.moment):
+            curves.tell(np.full(3, np.nan))

@@ -1,0 +1,232 @@
+"""How each device does: rate, age of the last packet, what was lost and why."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QPointF, QRectF, Qt
+from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+
+from app.display_units import count
+from app.frame import Frame
+from app.panels.texts import ElidedLabel, on_panel, put, quiet
+from app.theme import GAP, LIGHT, Colours, digits_font
+from app.words import LinkLook, LinkWords
+from skincal.readings import LinkHealth
+
+ICON_PX = 18
+
+
+class LinkIcon(QWidget):
+    """State of a link by shape: full disc, hollow ring, bar in a ring, cross, square."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFixedSize(ICON_PX, ICON_PX)
+        self._look = LinkLook.WAITING
+        self._colours = LIGHT
+
+    def set(self, look: LinkLook) -> None:
+        """Show another state."""
+        if look is not self._look:
+            self._look = look
+            self.setToolTip(look.value)
+            self.update()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the shape."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        colours = self._colours
+        colour = QColor(
+            {
+                LinkLook.STREAMING: colours.accent,
+                LinkLook.SILENT: colours.warn,
+                LinkLook.LOST: colours.bad,
+            }.get(self._look, colours.muted)
+        )
+        painter.setPen(QPen(colour, 2))
+        area = QRectF(3, 3, ICON_PX - 6, ICON_PX - 6)
+        if self._look is LinkLook.STREAMING:
+            painter.setBrush(colour)
+            painter.drawEllipse(area)
+        elif self._look is LinkLook.LOST:
+            painter.drawLine(area.topLeft(), area.bottomRight())
+            painter.drawLine(area.topRight(), area.bottomLeft())
+        elif self._look is LinkLook.SILENT:
+            painter.drawPolygon(QPolygonF([QPointF(ICON_PX / 2, 3), area.bottomRight(), area.bottomLeft()]))
+        elif self._look is LinkLook.ENDED:
+            painter.drawRect(area.adjusted(1, 1, -1, -1))
+        else:
+            painter.drawEllipse(area)
+        painter.end()
+
+
+class LinkCard(QFrame):
+    """One link."""
+
+    def __init__(self, address: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setObjectName("card")
+        self.icon = LinkIcon()
+        self.name = QLabel()
+        font = self.name.font()
+        font.setBold(True)
+        self.name.setFont(font)
+        self.rate = QLabel()
+        self.rate.setFont(digits_font(13, bold=True))
+        self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self.about = ElidedLabel()
+        self._address = address
+        self.detail = quiet(wrap=True)
+        self.losses = QLabel()
+        self.losses.setWordWrap(True)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(GAP, GAP, GAP, GAP)
+        grid.setVerticalSpacing(3)
+        grid.setColumnStretch(1, 1)
+        grid.addWidget(self.icon, 0, 0)
+        grid.addWidget(self.name, 0, 1)
+        grid.addWidget(self.rate, 0, 2)
+        grid.addWidget(self.about, 1, 1, 1, 2)
+        grid.addWidget(self.detail, 2, 1, 1, 2)
+        grid.addWidget(self.losses, 3, 1, 1, 2)
+
+    def set(self, words: LinkWords, health: LinkHealth) -> None:
+        """Show how the link does; labels that are the same are left alone."""
+        self.icon.set(words.look)
+        put(self.name, words.name)
+        put(self.rate, words.rate)
+        carried = ", ".join(stream.value for stream in health.carries)
+        about = [health.format or "format not known yet", self._address]
+        if carried != words.name:
+            about.insert(0, carried)
+        self.about.setText(f"last bytes {words.age}  \N{MIDDLE DOT}  " + "  \N{MIDDLE DOT}  ".join(filter(None, about)))
+        put(self.detail, words.detail)
+        self.detail.setVisible(bool(words.detail))
+        lost = "\n".join(f"{n:,}  {reason}".replace(",", "\N{NARROW NO-BREAK SPACE}") for reason, n in words.losses)
+        put(self.losses, f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost"))
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self.icon.set_colours(colours)
+        self.about.set_colour(QColor(colours.muted))
+
+
+BEHIND_SAID_S = 0.6
+"""s. A shorter delay is not said: a hand does not notice it."""
+REFRESH_S = 0.25
+"""s between two changes of the numbers of a device: faster ones cannot be read."""
+
+
+class DevicesPanel(QScrollArea):
+    """One card a link, and what was lost between them."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.cards: dict[str, LinkCard] = {}
+        self.unpaired = quiet(wrap=True)
+        self._addresses: dict[str, str] = {}
+        self._colours = LIGHT
+        self._shown: tuple[object, ...] = ()
+        self._shown_s = 0.0
+        inner = on_panel(self)
+        self._column = QVBoxLayout(inner)
+        self._column.setContentsMargins(GAP, GAP, GAP, GAP)
+        self._column.addWidget(self.unpaired)
+        self._column.addStretch(1)
+        self.setWidget(inner)
+        self.setWhatsThis(
+            "Each device with its rate, when its last bytes came, and every reading that was lost, by reason. A device that "
+            "vanishes is taken up again by itself."
+        )
+
+    def set_addresses(self, addresses: dict[str, str]) -> None:
+        """Say where each link is connected to."""
+        self._addresses = addresses
+
+    def show_frame(self, frame: Frame) -> None:
+        """Show the links; numbers change a few times a second, states at once."""
+        looks = tuple((words.name, words.look, words.detail) for words in frame.links)
+        if looks == self._shown and frame.now_s - self._shown_s < REFRESH_S:
+            return
+        self._shown, self._shown_s = looks, frame.now_s
+        for words, health in zip(frame.links, frame.live.links, strict=True):
+            self._card(words.name).set(words, health)
+        for name in set(self.cards) - {words.name for words in frame.links}:
+            self.cards.pop(name).deleteLater()
+        missing = frame.live.losses_unpaired
+        put(self.unpaired, f"{count(missing, 'skin frame')} without a wrench." if missing else "")
+
+    def _card(self, name: str) -> LinkCard:
+        if name not in self.cards:
+            card = LinkCard(self._addresses.get(name, ""))
+            card.set_colours(self._colours)
+            self.cards[name] = card
+            self._column.insertWidget(len(self.cards) - 1, card)
+        return self.cards[name]
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        for card in self.cards.values():
+            card.set_colours(colours)
+
+
+class LinkChips(QWidget):
+    """The links in one short line, for the foot of the window."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._row = QHBoxLayout(self)
+        self._row.setContentsMargins(0, 0, GAP, 0)
+        self._row.setSpacing(4)
+        self._chips: dict[str, tuple[LinkIcon, QLabel]] = {}
+        self.behind = QLabel()
+        self.behind.hide()
+        self._row.addWidget(self.behind)
+        self._colours = LIGHT
+        self._shown_s = 0.0
+        self._looks: tuple[object, ...] = ()
+
+    def show_frame(self, frame: Frame) -> None:
+        """Show state and rate of each link."""
+        looks = tuple((words.name, words.look) for words in frame.links)
+        if looks == self._looks and frame.now_s - self._shown_s < 4 * REFRESH_S:
+            return
+        self._looks, self._shown_s = looks, frame.now_s
+        if {words.name for words in frame.links} != set(self._chips):
+            self._rebuild([words.name for words in frame.links])
+        for words in frame.links:
+            icon, label = self._chips[words.name]
+            icon.set(words.look)
+            put(label, words.short)
+
+    def show_behind(self, behind_s: float) -> None:
+        """Say that the program works on older readings than the newest; shown in whole seconds."""
+        late = behind_s >= BEHIND_SAID_S
+        put(self.behind, f"catching up, {round(behind_s)} s behind" if late else "")
+        self.behind.setVisible(late)
+
+    def _rebuild(self, names: list[str]) -> None:
+        for icon, label in self._chips.values():
+            icon.deleteLater()
+            label.deleteLater()
+        self._chips = {}
+        for name in names:
+            icon, label = LinkIcon(), quiet()
+            icon.set_colours(self._colours)
+            label.setContentsMargins(0, 0, GAP, 0)
+            self._row.addWidget(icon)
+            self._row.addWidget(label)
+            self._chips[name] = (icon, label)
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        for icon, _ in self._chips.values():
+            icon.set_colours(colours)

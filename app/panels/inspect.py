@@ -1,0 +1,157 @@
+"""One taxel by both methods, and the taxels that need pokes most."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QGridLayout, QLabel, QListWidget, QListWidgetItem, QPushButton, QScrollArea, QVBoxLayout, QWidget
+
+from app.display_units import DASH, ChannelNames, direction, millimetres, point_mm
+from app.frame import Frame
+from app.panels.texts import on_panel, put, quiet
+from app.policies import MARK_WORDS, mark_of, worst
+from app.theme import GAP
+from app.words import METHOD_NAMES, find_estimate
+from skincal.estimate.result import Estimate, Method, State
+
+ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
+LEFT_OUT = (
+    "The predicted error carries the noise of force, moment and touch. It leaves out wrong frames, a wrong arm chain, a "
+    "wrong mesh and errors of the F/T matrix, which shift all taxels together."
+)
+
+
+def estimate_cells(estimate: Estimate | None) -> tuple[str, ...]:
+    """Return the cells of `ROWS` for one estimate."""
+    if estimate is None:
+        return (DASH,) * len(ROWS)
+    return (
+        point_mm(estimate.position),
+        millimetres(estimate.rms),
+        direction(estimate.weakest),
+        millimetres(estimate.sd),
+        str(estimate.contacts),
+        MARK_WORDS[mark_of(estimate)],
+    )
+
+
+def distance_words(first: Estimate | None, second: Estimate | None) -> str:
+    """Return how far the two methods lie apart, empty where one of them does not know."""
+    if first is None or second is None or first.position is None or second.position is None:
+        return ""
+    return f"The methods lie {millimetres(float(np.linalg.norm(first.position - second.position)))} apart."
+
+
+class InspectPanel(QScrollArea):
+    """Details of the selected taxel above, the worst below."""
+
+    taxel_wanted = Signal(int)
+    mark_dead_requested = Signal(int)
+    revive_requested = Signal(int)
+
+    def __init__(self, methods: tuple[Method, ...], names: ChannelNames, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._methods = methods
+        self._names = names
+        self._shown: tuple[object, ...] = ()
+        self._selected: int | None = None
+        self._dead = False
+        self.title = QLabel("No taxel selected")
+        font = self.title.font()
+        font.setBold(True)
+        font.setPointSizeF(font.pointSizeF() + 2)
+        self.title.setFont(font)
+        self.cells = {method: [QLabel(DASH) for _ in ROWS] for method in methods}
+        self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
+        self.use = QPushButton("Do not use this taxel")
+        self.use.setEnabled(False)
+        self.worst = QListWidget()
+        self.worst.setAccessibleName("taxels that need pokes most")
+        self._arrange()
+        self.use.clicked.connect(self._use_clicked)
+        self.worst.itemActivated.connect(self._worst_chosen)
+        self.worst.itemClicked.connect(self._worst_chosen)
+        self.setWhatsThis("The selected taxel by each method. " + LEFT_OUT)
+
+    def _arrange(self) -> None:
+        grid = QGridLayout()
+        grid.setHorizontalSpacing(2 * GAP)
+        grid.setVerticalSpacing(2)
+        for column, method in enumerate(self._methods, start=1):
+            grid.addWidget(quiet(METHOD_NAMES[method]), 0, column)
+            grid.setColumnStretch(column, 1)
+            for row, label in enumerate(self.cells[method], start=1):
+                label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+                label.setWordWrap(True)
+                grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
+        for row, text in enumerate(ROWS, start=1):
+            grid.addWidget(quiet(text), row, 0, Qt.AlignmentFlag.AlignTop)
+        inner = on_panel(self)
+        column_box = QVBoxLayout(inner)
+        column_box.setContentsMargins(GAP, GAP, GAP, GAP)
+        column_box.addWidget(self.title)
+        column_box.addLayout(grid)
+        column_box.addWidget(self.reason)
+        column_box.addWidget(self.use, 0, Qt.AlignmentFlag.AlignLeft)
+        column_box.addWidget(quiet("Need pokes most"))
+        column_box.addWidget(self.worst, 1)
+        self.worst.setMinimumHeight(110)
+        self.setWidget(inner)
+
+    def show_frame(self, frame: Frame) -> None:
+        """Show the selected taxel of a frame and the worst; nothing happens where they are the same."""
+        shown = (frame.revision, frame.method, frame.selected)
+        if shown == self._shown:
+            return
+        changed_worst = shown[:2] != self._shown[:2]
+        self._shown = shown
+        if changed_worst:
+            self._list_worst(frame)
+        self._selected = frame.selected
+        if frame.selected is not None:
+            self._show_taxel(frame, frame.selected)
+
+    def _show_taxel(self, frame: Frame, channel: int) -> None:
+        found = {method: find_estimate(frame.snapshot, method, channel) for method in self._methods}
+        put(self.title, f"{self._names.short(channel)}   {self._names.long(channel)}")
+        for method, estimate in found.items():
+            for label, text in zip(self.cells[method], estimate_cells(estimate), strict=True):
+                put(label, text)
+        self._dead = channel in frame.snapshot.dead
+        shown = found.get(frame.method)
+        reason = frame.snapshot.dead.get(channel) or (shown.reason if shown is not None else "")
+        pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
+        put(self.reason, "  ".join(filter(None, (reason, distance_words(pair[0], pair[1])))))
+        put_button(self.use, "Use this taxel again" if self._dead else "Do not use this taxel")
+        self.use.setEnabled(True)
+
+    def _list_worst(self, frame: Frame) -> None:
+        entries = [(e.channel, self._worst_words(e)) for e in worst(frame.estimates)]
+        while self.worst.count() > len(entries):
+            self.worst.takeItem(self.worst.count() - 1)
+        while self.worst.count() < len(entries):
+            self.worst.addItem(QListWidgetItem())
+        for row, (channel, text) in enumerate(entries):
+            item = self.worst.item(row)
+            item.setData(Qt.ItemDataRole.UserRole, channel)
+            if item.text() != text:
+                item.setText(text)
+
+    def _worst_words(self, estimate: Estimate) -> str:
+        name = self._names.short(estimate.channel)
+        if estimate.state is State.ESTIMATED:
+            return f"{name}   {millimetres(estimate.rms)} predicted error, {estimate.contacts} contacts"
+        return f"{name}   {MARK_WORDS[mark_of(estimate)]}"
+
+    def _worst_chosen(self, item: QListWidgetItem) -> None:
+        self.taxel_wanted.emit(int(item.data(Qt.ItemDataRole.UserRole)))
+
+    def _use_clicked(self) -> None:
+        if self._selected is not None:
+            (self.revive_requested if self._dead else self.mark_dead_requested).emit(self._selected)
+
+
+def put_button(button: QPushButton, text: str) -> None:
+    """Set a button's text where it differs."""
+    if button.text() != text:
+        button.setText(text)

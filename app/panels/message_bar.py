@@ -1,0 +1,98 @@
+"""One line at the head of the window for what went wrong or was done; errors stay until they are read."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtGui import QPalette
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
+
+from app.theme import GAP, LIGHT, Colours
+
+INFO_MS = 8000
+"""A message that reports success goes away by itself after this many milliseconds."""
+KEPT = 20
+"""Messages that wait to be read; older ones are in the log."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """What the operator is told."""
+
+    text: str
+    error: bool = False
+    """It stays until it is dismissed."""
+
+
+class MessageBar(QFrame):
+    """The newest message; dismissing it shows the one before."""
+
+    dismissed = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._waiting: deque[Message] = deque(maxlen=KEPT)
+        self._colours = LIGHT
+        self.text = QLabel()
+        self.text.setWordWrap(True)
+        self.text.setTextFormat(Qt.TextFormat.PlainText)
+        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.close_button = QPushButton("Dismiss  (Esc)")
+        self.close_button.setFlat(True)
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(2 * GAP, GAP // 2, GAP, GAP // 2)
+        row.addWidget(self.text, 1)
+        row.addWidget(self.close_button)
+        self.setAutoFillBackground(True)
+        self.close_button.clicked.connect(self.dismiss)
+        self._timer.timeout.connect(self._expire)
+        self.hide()
+
+    def tell(self, message: Message) -> None:
+        """Show a message; the same one twice in a row is shown once."""
+        if self._waiting and self._waiting[-1] == message:
+            return
+        self._waiting.append(message)
+        self._show_newest()
+
+    def dismiss(self) -> None:
+        """Take the newest message away."""
+        if self._waiting:
+            self._waiting.pop()
+        self._show_newest()
+        self.dismissed.emit()
+
+    def stop(self) -> None:
+        """Stop the timer before the window goes."""
+        self._timer.stop()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self._show_newest()
+
+    def _expire(self) -> None:
+        if self._waiting and not self._waiting[-1].error:
+            self.dismiss()
+
+    def _show_newest(self) -> None:
+        self._timer.stop()
+        self.setVisible(bool(self._waiting))
+        if not self._waiting:
+            return
+        newest = self._waiting[-1]
+        colours = self._colours
+        palette = self.palette()
+        palette.setColor(QPalette.ColorRole.Window, colours.bad if newest.error else colours.raised)
+        text = colours.window if newest.error else colours.text
+        for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.ButtonText):
+            palette.setColor(role, text)
+        for widget in (self, self.text, self.close_button):
+            widget.setPalette(palette)
+        self.text.setText(("\N{BALLOT X}  " if newest.error else "\N{CHECK MARK}  ") + newest.text)
+        if not newest.error:
+            self._timer.start(INFO_MS)

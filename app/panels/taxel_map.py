@@ -1,0 +1,310 @@
+"""All taxels at once, flat: what is known of each by shape and fill, what answers now by brightness.
+
+A cylinder in 3D always hides half of itself; the map never does. Marks are drawn again only when the estimates change;
+a tick draws the few taxels that answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from PySide6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtGui import (
+    QColor,
+    QContextMenuEvent,
+    QHelpEvent,
+    QKeyEvent,
+    QMouseEvent,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+    QPolygonF,
+    QResizeEvent,
+)
+from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip, QWidget
+
+from app.display_units import ChannelNames, number
+from app.frame import Frame
+from app.panels.map_layout import Fit, MapPlan, fit, plan_map
+from app.panels.marks import SMALL, Stamps, draw_dots, draw_mark
+from app.policies import MARK_WORDS, Mark, answer_levels, marks
+from app.theme import HUES, LIGHT, Colours, mix
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import Scene
+
+LEGEND_PX = 22
+MARGIN_PX = 6
+SHARE_OF_SPACING = 0.30
+"""Radius of a mark in spacings: neighbours do not touch, and an answer shows around it."""
+NUMBER_SHARE = 0.42
+"""Height of a module's number in heights of the module."""
+NUMBER_LEAST = 9
+"""Pixels. A smaller number cannot be read and is left out."""
+REACH_PX = 14.0
+"""A click this near to a taxel means it."""
+
+_ARROWS: dict[int, tuple[float, float]] = {
+    Qt.Key.Key_Left: (-1, 0),
+    Qt.Key.Key_Right: (1, 0),
+    Qt.Key.Key_Up: (0, -1),
+    Qt.Key.Key_Down: (0, 1),
+}
+
+
+class TaxelMap(QWidget):
+    """The flat map of a skin."""
+
+    taxel_clicked = Signal(int)
+    mark_dead_requested = Signal(int)
+    revive_requested = Signal(int)
+
+    def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._plan: MapPlan = plan_map(scene.skin.layout, channels)
+        self._settings = scene.contacts
+        self._width = scene.skin.channels
+        self._names = names
+        owners = [names.module_index(int(channel)) for channel in channels]
+        self._hues = ["" if owner < 0 else HUES[owner % len(HUES)] for owner in owners]
+        """One a channel of the plan; empty where there is no module."""
+        self._colours = LIGHT
+        self._fit = Fit(1.0, (0.0, 0.0))
+        self._places: FloatArray = np.zeros((len(channels), 2))
+        self._marks: IntArray = np.zeros(self._width, dtype=np.int64)
+        self._levels: FloatArray = np.zeros(self._width)
+        self._answers: FloatArray = np.zeros(self._width)
+        self._selected: int | None = None
+        self._generation: tuple[object, object] = (None, None)
+        self._base = QPixmap()
+        self._states = QPixmap()
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setAccessibleName("map of the taxels")
+        self.setWhatsThis(
+            "Every taxel at its place in the maker's flat drawing. The fill tells what is known, the halo how strongly "
+            "it answers now. Click one to select it, or use the arrow keys."
+        )
+
+    def sizeHint(self) -> QSize:
+        """Return a size at which 84 taxels are told apart."""
+        return QSize(380, 260)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the size below which taxels overlap their neighbours' halos."""
+        return QSize(220, 150)
+
+    def show_frame(self, frame: Frame) -> None:
+        """Show states, answers and the selection of a frame; draws nothing where all are the same."""
+        changed = False
+        generation = (frame.revision, frame.method)
+        if generation != self._generation:
+            self._generation = generation
+            self._marks = marks(frame.estimates, self._width)
+            self._states = QPixmap()
+            changed = True
+        if frame.selected != self._selected:
+            self._selected = frame.selected
+            changed = True
+        if len(frame.live.skin) == self._width:
+            self._answers = frame.live.skin
+            levels = answer_levels(frame.live.skin, self._settings)
+            changed |= not np.array_equal(levels, self._levels)
+            self._levels = levels
+        if changed:
+            self.update()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self._base = QPixmap()
+        self._states = QPixmap()
+        self.update()
+
+    def channel_at(self, point: QPointF) -> int | None:
+        """Return the channel whose mark is nearest to a point of the widget, None where none is near."""
+        if not len(self._places):
+            return None
+        distance = np.hypot(self._places[:, 0] - point.x(), self._places[:, 1] - point.y())
+        nearest = int(np.argmin(distance))
+        return int(self._plan.channels[nearest]) if distance[nearest] <= max(REACH_PX, self._radius() * 2) else None
+
+    def place_of(self, channel: int) -> QPointF:
+        """Return where a channel is drawn, pixels of the widget."""
+        row = int(np.flatnonzero(self._plan.channels == channel)[0])
+        return QPointF(float(self._places[row, 0]), float(self._places[row, 1]))
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Fit the plan into the new size."""
+        super().resizeEvent(event)
+        room = self._room()
+        self._fit = fit(self._plan, room.width(), room.height())
+        self._places = self._fit.pixels(self._plan.places) + np.array([room.left(), room.top()])
+        self._base = QPixmap()
+        self._states = QPixmap()
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Select the taxel under the pointer."""
+        self.setFocus(Qt.FocusReason.MouseFocusReason)
+        channel = self.channel_at(event.position())
+        if channel is not None and event.button() in (Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton):
+            self.taxel_clicked.emit(channel)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Move the selection to the next taxel in the arrow's direction."""
+        step = _ARROWS.get(event.key())
+        if step is None:
+            super().keyPressEvent(event)
+            return
+        channel = self._next(step)
+        if channel is not None:
+            self.taxel_clicked.emit(channel)
+
+    def contextMenuEvent(self, event: QContextMenuEvent) -> None:
+        """Offer to leave a taxel out, or to use it again."""
+        channel = self.channel_at(QPointF(event.pos()))
+        if channel is None:
+            return
+        menu = QMenu(self)
+        name = self._names.short(channel)
+        if self._marks[channel] == Mark.DEAD.value:
+            menu.addAction(f"Use {name} again", lambda: self.revive_requested.emit(channel))
+        else:
+            menu.addAction(f"Do not use {name}", lambda: self.mark_dead_requested.emit(channel))
+        menu.popup(event.globalPos())
+
+    def event(self, event: QEvent) -> bool:
+        """Tell which taxel is under the pointer."""
+        if event.type() == QEvent.Type.ToolTip and isinstance(event, QHelpEvent):
+            channel = self.channel_at(QPointF(event.pos()))
+            QToolTip.showText(event.globalPos(), "" if channel is None else self.tell(channel), self)
+            return True
+        return super().event(event)
+
+    def tell(self, channel: int) -> str:
+        """Return what is known of a channel, for its tooltip."""
+        state = MARK_WORDS[Mark(int(self._marks[channel]))]
+        answer = number(float(self._answers[channel]), 0)
+        return f"{self._names.short(channel)}  ({self._names.long(channel)})\n{state}\nanswers {answer} above its baseline"
+
+    def _room(self) -> QRectF:
+        return QRectF(
+            MARGIN_PX, MARGIN_PX, max(10, self.width() - 2 * MARGIN_PX), max(10, self.height() - LEGEND_PX - 2 * MARGIN_PX)
+        )
+
+    def _radius(self) -> float:
+        return max(1.0, self._plan.spacing * self._fit.scale * SHARE_OF_SPACING)
+
+    def _next(self, step: tuple[float, float]) -> int | None:
+        if self._selected is None or self._selected not in self._plan.channels:
+            return int(self._plan.channels[0]) if len(self._plan.channels) else None
+        start = self.place_of(self._selected)
+        away = self._places - np.array([start.x(), start.y()])
+        along = away @ np.array(step)
+        across = np.abs(away @ np.array([-step[1], step[0]]))
+        cost = np.where(along > 1.0, along + 2.0 * across, math.inf)
+        best = int(np.argmin(cost))
+        return int(self._plan.channels[best]) if math.isfinite(cost[best]) else None
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the modules, the answers, the states and the selection, in that order."""
+        if self._base.isNull():
+            self._base = self._drawn(self._draw_modules)
+        if self._states.isNull():
+            self._states = self._drawn(self._draw_states)
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.drawPixmap(0, 0, self._base)
+        self._draw_answers(painter)
+        painter.drawPixmap(0, 0, self._states)
+        self._draw_selection(painter)
+        painter.end()
+
+    def _drawn(self, draw: Callable[[QPainter], None]) -> QPixmap:
+        ratio = self.devicePixelRatioF()
+        pixmap = QPixmap(math.ceil(self.width() * ratio), math.ceil(self.height() * ratio))
+        pixmap.setDevicePixelRatio(ratio)
+        pixmap.fill(Qt.GlobalColor.transparent)
+        painter = QPainter(pixmap)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        draw(painter)
+        painter.end()
+        return pixmap
+
+    def _draw_modules(self, painter: QPainter) -> None:
+        room = np.array([self._room().left(), self._room().top()])
+        panel = self._colours.panel
+        looks = [(QPen(mix(hue, panel, 0.45), 1.2), mix(panel, hue, 0.07), mix(panel, hue, 0.2)) for hue in HUES]
+        for index, outline in enumerate(self._plan.outlines):
+            pen, brush, ink = looks[index % len(HUES)]
+            corners = (self._fit.pixels(outline) + room).tolist()
+            painter.setPen(pen)
+            painter.setBrush(brush)
+            painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in corners]))
+            self._draw_number(painter, self._plan.labels[index], corners, ink)
+
+    def _draw_number(self, painter: QPainter, text: str, corners: list[list[float]], ink: QColor) -> None:
+        """Write a module's number across it, large and faint, so that it takes no place from the taxels."""
+        xs, ys = zip(*corners, strict=True)
+        size = min(max(xs) - min(xs), max(ys) - min(ys))
+        if size * NUMBER_SHARE < NUMBER_LEAST:
+            return
+        font = self.font()
+        font.setBold(True)
+        font.setPixelSize(round(size * NUMBER_SHARE))
+        painter.setFont(font)
+        painter.setPen(ink)
+        area = QRectF(sum(xs) / len(xs) - size, sum(ys) / len(ys) - size, 2 * size, 2 * size)
+        painter.drawText(area, Qt.AlignmentFlag.AlignCenter, text)
+
+    def _draw_answers(self, painter: QPainter) -> None:
+        painter.setPen(Qt.PenStyle.NoPen)
+        colour = QColor(self._colours.text)
+        radius = self._radius()
+        levels = self._levels[self._plan.channels]
+        for row in np.flatnonzero(levels > 0):
+            level = float(levels[row])
+            colour.setAlphaF(0.15 + 0.75 * level)
+            painter.setBrush(colour)
+            reach = radius * (1.3 + 0.5 * level)
+            painter.drawEllipse(QPointF(float(self._places[row, 0]), float(self._places[row, 1])), reach, reach)
+
+    def _draw_states(self, painter: QPainter) -> None:
+        values = self._marks[self._plan.channels].tolist()
+        hues = [hue or self._colours.muted for hue in self._hues]
+        if self._radius() < SMALL:
+            draw_dots(painter, self._places.tolist(), self._radius(), values, hues)
+        else:
+            stamps = Stamps(self._radius(), self.devicePixelRatioF(), QColor(self._colours.muted))
+            for value, hue, (x, y) in zip(values, hues, (self._places - stamps.reach).tolist(), strict=True):
+                painter.drawPixmap(QPointF(x, y), stamps.get(value, hue))
+        self._draw_legend(painter)
+
+    def _draw_legend(self, painter: QPainter) -> None:
+        painter.setFont(self.font())
+        counted = np.bincount(self._marks[self._plan.channels], minlength=len(Mark))
+        y = self.height() - LEGEND_PX / 2 - 1
+        x = float(MARGIN_PX + 6)
+        for mark in Mark:
+            if mark is Mark.DEAD and counted[mark.value] == 0:
+                continue
+            draw_mark(painter, QPointF(x, y), 5.0, mark, QColor(self._colours.text), QColor(self._colours.text))
+            text = f"{_SHORT[mark]} {counted[mark.value]}"
+            painter.setPen(QColor(self._colours.muted))
+            width = painter.fontMetrics().horizontalAdvance(text)
+            painter.drawText(QRectF(x + 9, y - 9, width + 4, 18), Qt.AlignmentFlag.AlignVCenter, text)
+            x += width + 26
+
+    def _draw_selection(self, painter: QPainter) -> None:
+        if self._selected is None or self._selected not in self._plan.channels:
+            return
+        centre, radius = self.place_of(self._selected), self._radius() * 1.75
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        for width, colour in ((4.0, self._colours.panel), (2.0, self._colours.text)):
+            painter.setPen(QPen(QColor(colour), width))
+            painter.drawEllipse(centre, radius, radius)
+
+
+_SHORT = {Mark.UNSEEN: "unseen", Mark.BLIND: "blind", Mark.ROUGH: "> 3 mm", Mark.GOOD: "good", Mark.DEAD: "unused"}

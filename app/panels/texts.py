@@ -1,0 +1,80 @@
+"""Labels that redraw only when their text changes, and that never push a panel wider than its place."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QSize, Qt
+from PySide6.QtGui import QColor, QIcon, QPainter, QPaintEvent, QPalette
+from PySide6.QtWidgets import QDialogButtonBox, QLabel, QScrollArea, QSizePolicy, QWidget
+
+
+class ElidedLabel(QWidget):
+    """One line of text that ends in an ellipsis where it does not fit; the whole of it is the tooltip."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._text = ""
+        self._colour: QColor | None = None
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def text(self) -> str:
+        """Return the whole text."""
+        return self._text
+
+    def setText(self, text: str) -> None:  # noqa: N802
+        """Show another text."""
+        if text != self._text:
+            self._text = text
+            self.setToolTip(text)
+            self.setAccessibleDescription(text)
+            self.update()
+
+    def set_colour(self, colour: QColor) -> None:
+        """Draw in another colour than the palette's."""
+        if colour != self._colour:
+            self._colour = colour
+            self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return the height of one line; the width is whatever there is."""
+        return QSize(40, self.fontMetrics().height() + 2)
+
+    minimumSizeHint = sizeHint
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw what fits."""
+        painter = QPainter(self)
+        painter.setPen(self._colour or self.palette().windowText().color())
+        text = self.fontMetrics().elidedText(self._text, Qt.TextElideMode.ElideRight, self.width())
+        painter.drawText(self.rect(), Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft, text)
+        painter.end()
+
+
+def quiet(text: str = "", *, wrap: bool = False) -> QLabel:
+    """Return a label of secondary text."""
+    label = QLabel(text)
+    label.setProperty("quiet", True)
+    label.setWordWrap(wrap)
+    return label
+
+
+def put(label: QLabel, text: str) -> None:
+    """Set a label's text where it differs, so that an unchanged label costs no redraw."""
+    if label.text() != text:
+        label.setText(text)
+
+
+def on_panel(area: QScrollArea) -> QWidget:
+    """Return the inside of a scroll area that has the colour of the panels, without a frame."""
+    area.setWidgetResizable(True)
+    area.setFrameShape(QScrollArea.Shape.NoFrame)
+    area.setBackgroundRole(QPalette.ColorRole.Base)
+    inner = QWidget()
+    inner.setBackgroundRole(QPalette.ColorRole.Base)
+    inner.setAutoFillBackground(True)
+    return inner
+
+
+def plain_buttons(box: QDialogButtonBox) -> None:
+    """Take the icons off a dialog's buttons: they come from the desktop and belong to no theme of ours."""
+    for button in box.buttons():
+        button.setIcon(QIcon())

@@ -1,0 +1,98 @@
+"""What to open: a scene with links, a scene with a process that serves links, or a recorded session."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skincal.errors import InputError
+
+if TYPE_CHECKING:
+    from skincal.readings import Stream
+    from skincal.streams.links import LinkSpec
+
+DEFAULT_SCENE = "icub-forearm"
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """Where the devices are, as the user wrote it; empty where there is none."""
+
+    wrench: str = ""
+    skin: str = ""
+    joints: str = ""
+
+    def __bool__(self) -> bool:
+        """Return whether any device is named."""
+        return bool(self.wrench or self.skin or self.joints)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to open; `session` goes before everything else."""
+
+    scene: Path | None = None
+    session: Path | None = None
+    addresses: Addresses = Addresses()
+    server: tuple[str, ...] = ()
+    """A command that prints its links and serves them; used where no address is given."""
+    folder: Path | None = None
+    """Folder of the new session; None puts it into a temporary one that goes with the window unless it is kept."""
+
+    @property
+    def temporary(self) -> bool:
+        """Whether the recording goes when the window closes, unless the operator keeps it."""
+        return self.session is None and self.folder is None
+
+
+def find_scene(scene: Path | None) -> Path:
+    """Return a scene's file: as given, by the name of one that ships, or the one that opens by default."""
+    from skincal.scene import scene_file
+
+    return scene_file(Path(DEFAULT_SCENE) if scene is None else scene)
+
+
+def server_command(scene: Path | None) -> tuple[str, ...]:
+    """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP."""
+    name = DEFAULT_SCENE if scene is None else str(scene)
+    return (sys.executable, "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--scene", name, "--json")
+
+
+def check_addresses(addresses: Addresses) -> None:
+    """Raise `InputError` where some device is named, but not both that a poke needs."""
+    if addresses and not (addresses.wrench and addresses.skin):
+        missing = "wrench" if not addresses.wrench else "skin"
+        raise InputError(f"No {missing} device is named; expected the addresses of both the wrench and the skin, or of none.")
+
+
+def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
+    """Return the links for addresses; one device that carries several streams is one link."""
+    from skincal.readings import Stream
+    from skincal.streams.links import LinkSpec
+
+    carried: dict[str, list[Stream]] = {}
+    for address, stream in (
+        (addresses.wrench, Stream.WRENCH),
+        (addresses.skin, Stream.SKIN),
+        (addresses.joints, Stream.JOINTS),
+    ):
+        if address:
+            carried.setdefault(address, []).append(stream)
+    return tuple(
+        LinkSpec(streams[0].value if len(streams) == 1 else "board", address, tuple(streams))
+        for address, streams in carried.items()
+    )
+
+
+def dated_folder(parent: Path, now: datetime) -> Path:
+    """Return a folder for a new session, named by date and time, that does not exist yet."""
+    name = now.strftime("%Y-%m-%d_%H-%M-%S")
+    folder = parent / name
+    number = 2
+    while folder.exists():
+        folder = parent / f"{name}_{number}"
+        number += 1
+    return folder

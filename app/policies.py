@@ -1,0 +1,301 @@
+"""What is said and what may be done, as pure functions of the snapshot, the live view and the scene.
+
+Nothing here knows Qt or keeps state: what has to be remembered between two ticks (a verdict that stays long enough to
+be read, a phase that must last before it is announced) is a frozen value that goes in and comes out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from app.display_units import newtons, number
+from app.frame import Frame
+from app.running import Running
+from app.words import LinkLook, LinkWords, link_words, verdict_detail, verdict_words
+from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
+from skincal.estimate.result import Estimate, State
+from skincal.readings import FloatArray, IntArray, LinkHealth, Stream
+from skincal.scene import ContactSettings, Scene
+from skincal.session.snapshot import PokeRecord, Snapshot
+
+VERDICT_S = 2.5
+"""s. A verdict stays at least this long unless the next poke begins: a dozen words are read in it."""
+SETTLE_S = 0.15
+"""s. A calm phase must last this long before it is said, so that the line does not flicker with noise."""
+GOOD_RMS = 0.003
+"""m. A predicted error up to this counts as good: the usual tolerance of a tactile layout (pad spacing 5 mm)."""
+WORST_SHOWN = 12
+"""Taxels in the list of the worst: what fits beside the details without scrolling."""
+
+
+class Tone(Enum):
+    """The mood of the line; each has its own colour and its own sign."""
+
+    CALM = "calm"
+    WAIT = "wait"
+    GO = "go"
+    HOLD = "hold"
+    GOOD = "good"
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class Now:
+    """What is happening, verb first, and one line of detail."""
+
+    tone: Tone
+    headline: str
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class NowMemory:
+    """What the line remembers between two ticks."""
+
+    outcome: Outcome | None = None
+    """The newest poke that was seen."""
+    verdict_until_s: float = -math.inf
+    phase: Phase = Phase.NO_DATA
+    """The phase that is said."""
+    coming: Phase = Phase.NO_DATA
+    coming_since_s: float = -math.inf
+
+    @staticmethod
+    def of(snapshot: Snapshot) -> NowMemory:
+        """Return a memory that does not announce the pokes that are there already."""
+        return NowMemory(outcome=snapshot.pokes[-1].outcome if snapshot.pokes else None)
+
+
+_PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
+
+
+def now_line(memory: NowMemory, at: Frame) -> tuple[Now, NowMemory]:
+    """Return what is said now, and what has to be remembered.
+
+    Trouble goes before everything. A poke in progress is said at once; a
+    verdict stays `VERDICT_S`; a calm phase is said once it lasted `SETTLE_S`.
+    """
+    memory = _settle(_see_outcome(memory, at), at)
+    trouble = _trouble(at)
+    if trouble is not None:
+        return trouble, memory
+    if memory.phase in _PRESSING:
+        return _pressing(memory.phase, at), memory
+    if at.now_s < memory.verdict_until_s and memory.outcome is not None:
+        return _verdict(memory.outcome, at), memory
+    return _calm(memory.phase, at), memory
+
+
+def _see_outcome(memory: NowMemory, at: Frame) -> NowMemory:
+    newest = at.snapshot.pokes[-1].outcome if at.snapshot.pokes else None
+    if newest is None or newest is memory.outcome:
+        return memory
+    told = memory.outcome
+    same = told is not None and told.poke == newest.poke and _kind(told) == _kind(newest)
+    older = told is not None and newest.poke < told.poke
+    if same or older:
+        return replace(memory, outcome=newest)
+    return replace(memory, outcome=newest, verdict_until_s=at.now_s + VERDICT_S)
+
+
+def _kind(outcome: Outcome) -> object:
+    return outcome.reason if isinstance(outcome, Rejection) else Contact
+
+
+def _settle(memory: NowMemory, at: Frame) -> NowMemory:
+    phase = at.live.progress.phase
+    if phase is not memory.coming:
+        memory = replace(memory, coming=phase, coming_since_s=at.now_s)
+    # A poke's begin and end are said at once: the detector's own two thresholds keep them from flickering.
+    if phase in _PRESSING or memory.phase in _PRESSING or at.now_s - memory.coming_since_s >= SETTLE_S:
+        memory = replace(memory, phase=phase)
+    return memory
+
+
+def _trouble(at: Frame) -> Now | None:
+    if at.running is Running.OPENING:
+        return Now(Tone.WAIT, "opening", at.scene.name)
+    if at.running is Running.PAUSED:
+        return Now(Tone.CALM, "paused", "Nothing is recorded; the space bar goes on.")
+    if at.running is Running.OFFLINE:
+        return Now(Tone.CALM, "no device connected", "Look, change and export; the space bar connects the devices.")
+    lost = next((link for link in at.links if link.look is LinkLook.LOST), None)
+    if lost is not None:
+        return Now(Tone.BAD, f"lost {lost.name}", lost.detail or "It is taken up again by itself.")
+    return None
+
+
+def _pressing(phase: Phase, at: Frame) -> Now:
+    force = float(np.linalg.norm(at.live.progress.force))
+    limits = at.scene.contacts
+    if phase is Phase.HELD:
+        return Now(Tone.GOOD, "enough, release", "The still window is full.")
+    if force < limits.force_min:
+        return Now(Tone.HOLD, "press harder", f"{newtons(force)} of at least {newtons(limits.force_min)}")
+    if force > limits.force_max:
+        return Now(Tone.BAD, "press less", f"{newtons(force)} of at most {newtons(limits.force_max)}")
+    return Now(Tone.HOLD, "hold still", f"{newtons(force)}, keep the tip where it is")
+
+
+def _verdict(outcome: Outcome, at: Frame) -> Now:
+    tone = Tone.BAD if isinstance(outcome, Rejection) else Tone.GOOD
+    return Now(tone, verdict_words(outcome, at.names), verdict_detail(outcome, at.snapshot, at.method, at.names))
+
+
+def _calm(phase: Phase, at: Frame) -> Now:
+    if phase is Phase.NO_DATA:
+        return _no_data(at)
+    if phase is Phase.TARING:
+        return Now(Tone.WAIT, "keep hands off", "Taring: the sensor's offset is taken while nothing touches the part.")
+    if phase in _PRESSING:
+        return _pressing(phase, at)
+    limits = at.scene.contacts
+    low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)
+    return Now(Tone.GO, "ready: poke", f"Press {low} to {high} onto a taxel and hold {number(limits.still_s, 1)} s.")
+
+
+def _no_data(at: Frame) -> Now:
+    missing = [link.name for link in at.links if link.look in (LinkLook.WAITING, LinkLook.SILENT)]
+    if missing:
+        detail = next((link.detail for link in at.links if link.name == missing[0]), "")
+        return Now(Tone.WAIT, f"waiting for {' and '.join(missing)}", detail)
+    if at.links and all(link.look is LinkLook.ENDED for link in at.links):
+        return Now(Tone.CALM, "recording ended", "Everything that was recorded has been read.")
+    return Now(Tone.WAIT, "waiting for data", "Both streams must run before a poke can be taken.")
+
+
+def link_lines(
+    links: Sequence[LinkHealth], now_ns: int, clock_offset: float = 0.0, running: Running = Running.STREAMING
+) -> tuple[LinkWords, ...]:
+    """Return what is said of each link."""
+    connected = running is Running.STREAMING
+    return tuple(link_words(link, now_ns, clock_offset, connected=connected) for link in links)
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """What the operator may do now."""
+
+    undo: str
+    """What undo would take back; empty where there is nothing."""
+    exclude: tuple[int, ...]
+    """Selected pokes that count and can be excluded."""
+    restore: tuple[int, ...]
+    """Selected pokes that are excluded and can be restored."""
+    mark_dead: bool
+    revive: bool
+    export: bool
+    switch_method: bool
+    choose_pose: bool
+    space: str
+    """What the space bar does; empty where it does nothing."""
+
+
+def allowed(
+    snapshot: Snapshot, scene: Scene, links: Sequence[LinkHealth], running: Running, pokes: Sequence[int], taxel: int | None
+) -> Allowed:
+    """Return what may be done with the selection in this state.
+
+    Parameters
+    ----------
+    pokes : numbers of the selected pokes
+    taxel : the selected channel
+    """
+    chosen = _selected(snapshot.pokes, pokes)
+    streamed = any(Stream.JOINTS in link.carries for link in links)
+    return Allowed(
+        undo=snapshot.can_undo,
+        exclude=tuple(p.outcome.poke for p in chosen if not p.excluded and isinstance(p.outcome, Contact)),
+        restore=tuple(p.outcome.poke for p in chosen if p.excluded),
+        mark_dead=taxel is not None and taxel not in snapshot.dead,
+        revive=taxel is not None and taxel in snapshot.dead,
+        export=any(e.state is State.ESTIMATED for es in snapshot.estimates.values() for e in es),
+        switch_method=len(snapshot.estimates) > 1,
+        choose_pose=scene.arm is not None and bool(scene.arm.poses) and not streamed,
+        space={Running.STREAMING: "Pause", Running.PAUSED: "Go on", Running.OFFLINE: "Connect"}.get(running, ""),
+    )
+
+
+def _selected(records: Sequence[PokeRecord], pokes: Sequence[int]) -> list[PokeRecord]:
+    wanted = set(pokes)
+    return [p for p in records if p.outcome.poke in wanted] if wanted else []
+
+
+class Mark(Enum):
+    """State of a taxel as the map draws it: told by shape and fill."""
+
+    UNSEEN = 0
+    BLIND = 1
+    ROUGH = 2
+    GOOD = 3
+    DEAD = 4
+
+
+MARK_WORDS: Mapping[Mark, str] = {
+    Mark.UNSEEN: "not poked yet",
+    Mark.BLIND: "axes do not determine it",
+    Mark.ROUGH: f"estimated, error above {GOOD_RMS * 1e3:.0f} mm",
+    Mark.GOOD: f"estimated, error up to {GOOD_RMS * 1e3:.0f} mm",
+    Mark.DEAD: "not used",
+}
+
+
+def mark_of(estimate: Estimate) -> Mark:
+    """Return how a taxel is drawn."""
+    state = estimate.state
+    if state is State.UNSEEN:
+        return Mark.UNSEEN
+    if state is State.ESTIMATED:
+        return Mark.GOOD if estimate.rms is not None and estimate.rms <= GOOD_RMS else Mark.ROUGH
+    return Mark.BLIND if state is State.BLIND else Mark.DEAD
+
+
+def marks(estimates: Sequence[Estimate], width: int) -> IntArray:
+    """Return the mark of each channel of a frame, (width,) int; a channel without an estimate was never poked."""
+    result = np.full(width, Mark.UNSEEN.value, dtype=np.int64)
+    for estimate in estimates:
+        if estimate.state is not State.UNSEEN:
+            result[estimate.channel] = mark_of(estimate).value
+    return result
+
+
+def worst(estimates: Sequence[Estimate], shown: int = WORST_SHOWN) -> tuple[Estimate, ...]:
+    """Return the taxels that need pokes most: blind ones, then the unseen, then by falling predicted error."""
+    order = {State.BLIND: 0, State.UNSEEN: 1, State.ESTIMATED: 2}
+    living = [e for e in estimates if e.state is not State.DEAD]
+    return tuple(sorted(living, key=lambda e: (order[e.state], -(e.rms or 0.0), e.channel))[:shown])
+
+
+def curve_range(shown: float, largest: float, floor: float) -> float:
+    """Return the half height of a curve's axis so that it neither clips nor breathes with every sample.
+
+    It grows at once to the next step of 1, 2, 5 x 10^n above `largest` and shrinks only when less than a third of it
+    is used.
+
+    Parameters
+    ----------
+    shown : half height that is shown now, 0 at the start
+    largest : largest size on the screen, same unit
+    floor : smallest half height, same unit
+    """
+    wanted = max(floor, largest)
+    if wanted <= shown and wanted > shown / 3.0:
+        return shown
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    return next((step * decade for step in (1.0, 2.0, 5.0) if wanted <= step * decade), 10.0 * decade)
+
+
+def answer_levels(responses: FloatArray, settings: ContactSettings) -> FloatArray:
+    """Return how strongly each channel answers, 0 to 1: the threshold is 0.15, ten times the threshold is 1.
+
+    Below a third of the threshold it is 0, so that noise draws nothing; NaN gives 0. Rounded to what an eye can tell apart.
+    """
+    share = np.nan_to_num(responses, nan=0.0, posinf=0.0, neginf=0.0) / settings.response_min
+    level = np.clip(0.15 + 0.85 * (share - 1.0) / 9.0, 0.0, 1.0)
+    visible = np.where(share < 1.0 / 3.0, 0.0, np.where(share < 1.0, 0.15 * share, level))
+    return np.round(visible, 2).astype(np.float64)

@@ -1,0 +1,126 @@
+"""Say what a window needs and this machine lacks, before Qt or OpenGL can crash on it.
+
+Qt aborts the process where its display or a shared library is missing, and VTK's first picture without OpenGL ends in a
+segmentation fault; both leave the user without a sentence. Nothing here imports Qt.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+
+LIBRARIES: Mapping[str, str] = {
+    "libglib-2.0.so.0": "libglib2.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libdbus-1.so.3": "libdbus-1-3",
+    "libfontconfig.so.1": "libfontconfig1",
+    "libxkbcommon.so.0": "libxkbcommon0",
+}
+"""Shared libraries that Qt's widgets and VTK load, and the Debian and Ubuntu packages that hold them."""
+X_LIBRARIES: Mapping[str, str] = {
+    "libxcb-cursor.so.0": "libxcb-cursor0",
+    "libxcb-icccm.so.4": "libxcb-icccm4",
+    "libxcb-keysyms.so.1": "libxcb-keysyms1",
+    "libxcb-shape.so.0": "libxcb-shape0",
+    "libxkbcommon-x11.so.0": "libxkbcommon-x11-0",
+}
+"""The same for a window on an X server."""
+WITHOUT_DISPLAY = ("offscreen", "minimal", "vnc", "linuxfb", "eglfs")
+"""Platforms of Qt that need no display; the user asks for them by `QT_QPA_PLATFORM`."""
+HEADLESS = "Without one, `skincal simulate`, `skincal record` and `skincal solve` do the same work (see `skincal --help`)."
+
+
+def loads(name: str) -> bool:
+    """Return whether a shared library can be loaded."""
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return False
+    return True
+
+
+@cache
+def x_answers() -> bool:
+    """Return whether the X server that `DISPLAY` names takes a connection, with this user's rights.
+
+    Asked once: a server without other clients starts anew when the asker leaves, and refuses for that moment.
+    """
+    try:
+        xcb = ctypes.CDLL("libxcb.so.1")
+    except OSError:
+        return True  # Cannot be asked; the missing library is named instead.
+    xcb.xcb_connect.restype = ctypes.c_void_p
+    xcb.xcb_connection_has_error.argtypes = [ctypes.c_void_p]
+    xcb.xcb_disconnect.argtypes = [ctypes.c_void_p]
+    connection = xcb.xcb_connect(None, None)
+    failed = bool(xcb.xcb_connection_has_error(connection))
+    xcb.xcb_disconnect(connection)
+    return not failed
+
+
+def wayland_answers(environment: Mapping[str, str]) -> bool:
+    """Return whether the socket that `WAYLAND_DISPLAY` names is there."""
+    folder = environment.get("XDG_RUNTIME_DIR", "")
+    return bool(folder) and (Path(folder) / environment["WAYLAND_DISPLAY"]).exists()
+
+
+def objection(
+    environment: Mapping[str, str] | None = None,
+    platform: str = sys.platform,
+    can_load: Callable[[str], bool] = loads,
+    x_is_there: Callable[[], bool] = x_answers,
+) -> str:
+    """Return why no window can be opened here and what to do, or an empty text.
+
+    Parameters
+    ----------
+    environment : the process's own by default
+    platform : as `sys.platform` names it; only Linux can lack something that pip does not bring
+    """
+    if not platform.startswith("linux"):
+        return ""
+    env = os.environ if environment is None else environment
+    reason = no_display(env, platform, x_is_there)
+    if reason:
+        return f"{reason} {HEADLESS}"
+    x = bool(env.get("DISPLAY")) and not _asked_without(env)
+    wanted = {**LIBRARIES, **X_LIBRARIES} if x else LIBRARIES
+    return _missing_words([package for name, package in wanted.items() if not can_load(name)])
+
+
+def no_display(
+    environment: Mapping[str, str] | None = None,
+    platform: str = sys.platform,
+    x_is_there: Callable[[], bool] = x_answers,
+) -> str:
+    """Return the sentence that says that there is no display, or an empty text; parameters as in `objection`."""
+    env = os.environ if environment is None else environment
+    if not platform.startswith("linux") or _asked_without(env) or _has_display(env, x_is_there):
+        return ""
+    if env.get("DISPLAY"):
+        return f"skincal: the display {env['DISPLAY']} does not answer, so no window can be opened."
+    return "skincal: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so no window can be opened."
+
+
+def _asked_without(env: Mapping[str, str]) -> bool:
+    return env.get("QT_QPA_PLATFORM", "").split(":")[0] in WITHOUT_DISPLAY
+
+
+def _has_display(env: Mapping[str, str], x_is_there: Callable[[], bool]) -> bool:
+    if env.get("WAYLAND_DISPLAY") and wayland_answers(env):
+        return True
+    return bool(env.get("DISPLAY")) and x_is_there()
+
+
+def _missing_words(packages: list[str]) -> str:
+    if not packages:
+        return ""
+    return (
+        "skincal: the window needs system libraries that are missing. On Debian or Ubuntu this installs them:\n"
+        f"    sudo apt-get install -y --no-install-recommends {' '.join(packages)}"
+    )

@@ -1,0 +1,137 @@
+"""The application around the window: settings, log, and what happens to an exception that nobody caught."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import logging.handlers
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+
+from PySide6.QtCore import QMetaObject, QObject, QSettings, QStandardPaths, Qt, QTimer, Signal
+from PySide6.QtWidgets import QApplication
+
+from app.controller import Controller
+from app.panels.message_bar import Message
+from app.plan import Addresses, Plan, check_addresses, dated_folder, find_scene, server_command
+from app.theme import Choice, Theme
+from app.window import Window
+from skincal.errors import InputError
+
+LOG = logging.getLogger("skincal")
+LOG_BYTES = 1_000_000
+"""A log file grows to this size; one older is kept."""
+SWITCH_S = 0.0005
+"""s. Python's thread switch: at its default of 5 ms background work delays the picture seven times as much (measured)."""
+
+
+def documents_folder() -> Path:
+    """Return the folder under which sessions are kept."""
+    place = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
+    return Path(place or Path.home()) / "skincal"
+
+
+def plan_of(options: argparse.Namespace) -> Plan:
+    """Return what to open for the options of the command line.
+
+    Raises
+    ------
+    InputError
+        They contradict each other, or the scene does not exist.
+    """
+    addresses = Addresses(options.wrench, options.skin, options.joints)
+    check_addresses(addresses)
+    if options.session is not None:
+        if not options.session.is_dir():
+            raise InputError(f"{options.session}: there is no such folder; expected that of a recorded session.")
+        return Plan(session=options.session, addresses=addresses)
+    # The usual scene is looked up later, beside the window: that takes longer than the window itself.
+    scene = None if options.scene is None else find_scene(options.scene)
+    if scene is not None and not scene.is_file():
+        raise InputError(f"{scene}: there is no such file; check the path.")
+    folder = options.new
+    if folder is None and addresses:
+        folder = dated_folder(documents_folder(), datetime.now().astimezone())
+    return Plan(scene=scene, addresses=addresses, server=server_command(scene), folder=folder)
+
+
+class Faults(QObject):
+    """Brings an exception that nobody caught to the operator, from any thread; the program goes on."""
+
+    happened = Signal(str)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def install(self) -> Callable[[], None]:
+        """Take the place of Python's hooks; return what puts them back."""
+        before = sys.excepthook, threading.excepthook
+        sys.excepthook = self._caught
+        threading.excepthook = self._caught_in_thread
+
+        def remove() -> None:
+            sys.excepthook, threading.excepthook = before
+
+        return remove
+
+    def _caught(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if issubclass(kind, KeyboardInterrupt):
+            QApplication.quit()
+            return
+        self.count += 1
+        LOG.critical("a fault of the program", exc_info=(kind, error, trace))
+        self.happened.emit(f"A fault of the program: {kind.__name__}: {error}. The recording goes on; details are in the log.")
+
+    def _caught_in_thread(self, args: threading.ExceptHookArgs) -> None:
+        if args.exc_value is not None:
+            self._caught(args.exc_type, args.exc_value, args.exc_traceback)
+
+
+def start_log() -> Path:
+    """Log to a file in the user's data and to stderr; return the file."""
+    folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.AppLocalDataLocation))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "skincal.log"
+    file = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=1, encoding="utf-8")
+    logging.basicConfig(
+        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", handlers=[file, logging.StreamHandler()]
+    )
+    return path
+
+
+def run_window(plan: Plan) -> int:
+    """Open the window and return the exit code once it is closed: 1 where a fault of the program happened."""
+    sys.setswitchinterval(SWITCH_S)
+    application = QApplication.instance() or QApplication(sys.argv[:1])
+    assert isinstance(application, QApplication)
+    application.setApplicationName("skincal")
+    faults = Faults()
+    remove = faults.install()
+    settings = QSettings("skincal", "skincal")
+    theme = Theme(Choice(settings.value("theme", Choice.SYSTEM.value)))
+    documents = documents_folder()
+    controller = Controller(documents)
+    window = Window(controller, theme, settings, documents)
+    faults.happened.connect(lambda text: window.tell(Message(text, error=True)))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Python runs a handler between any two steps of the program, in the middle of a write, too: it only posts the wish.
+        signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "close", Qt.ConnectionType.QueuedConnection))
+    window.show()
+    # Everything else waits until the window is on the screen.
+    QTimer.singleShot(0, lambda: _begin(controller, plan))
+    try:
+        application.exec()
+    finally:
+        remove()
+    return 1 if faults.count else 0
+
+
+def _begin(controller: Controller, plan: Plan) -> None:
+    start_log()
+    controller.open(plan)

@@ -1,0 +1,251 @@
+"""The main window: on the screen within a moment, then filled with a desk when a session is there.
+
+It imports nothing heavy. What concerns a session is the desk's; here are the menus, the messages, and coming and going.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from PySide6.QtCore import QByteArray, QSettings, QSize, Qt, QTimer
+from PySide6.QtGui import QCloseEvent
+from PySide6.QtWidgets import QFileDialog, QLabel, QMainWindow, QMessageBox, QStackedWidget, QVBoxLayout, QWhatsThis, QWidget
+
+from app.commands import Commands, key_words
+from app.controller import Controller
+from app.panels.message_bar import Message, MessageBar
+from app.panels.texts import ElidedLabel
+from app.plan import Plan, dated_folder
+from app.running import Running
+from app.theme import GAP, Choice, Colours, Theme
+
+if TYPE_CHECKING:
+    from app.controller import Picture
+    from app.desk import Desk
+    from app.opening import Part
+    from skincal.session.snapshot import Snapshot
+
+LOG = logging.getLogger(__name__)
+FIRST_SIZE = QSize(1440, 860)
+"""Pixels, where the screen has them."""
+
+
+class Window(QMainWindow):
+    """Everything the operator sees.
+
+    Parameters
+    ----------
+    controller : its signals are shown, its slots get the wishes
+    theme : colours
+    settings : size, splitters, theme
+    documents : where sessions and files go unless the operator says otherwise
+    """
+
+    def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path) -> None:
+        super().__init__()
+        self.setWindowTitle("skincal")
+        self._controller = controller
+        self._theme = theme
+        self._settings = settings
+        self._documents = documents
+        self.desk: Desk | None = None
+        self.messages = MessageBar()
+        self.stack = QStackedWidget()
+        self.opening = QLabel()
+        self.where = ElidedLabel()
+        self.commands = Commands(self.menuBar(), self._slots(), self)
+        self._arrange()
+        self._connect()
+        self._set_colours(theme.colours)
+
+    def _slots(self) -> dict[str, Callable[[], object]]:
+        return {
+            "new": self.ask_new,
+            "open": self.ask_session,
+            "keep": self._controller.keep,
+            "export": self._of_desk(lambda desk: desk.ask_export(self)),
+            "picture": self._of_desk(lambda desk: desk.ask_picture(self)),
+            "quit": self.close,
+            "space": self._controller.toggle,
+            "undo": self._of_desk(lambda desk: desk.undo()),
+            "exclude": self._of_desk(lambda desk: desk.exclude_or_restore()),
+            "last": self._of_desk(lambda desk: desk.select_last()),
+            "dead": self._of_desk(lambda desk: desk.mark_or_revive()),
+            "method": self._of_desk(lambda desk: desk.next_method()),
+            "difference": self._of_desk(lambda desk: desk.show_difference()),
+            "camera": self._of_desk(lambda desk: desk.reset_camera()),
+            "none": self._escape,
+            "full": self._toggle_full,
+            "what": QWhatsThis.enterWhatsThisMode,
+            "keys": self._show_keys,
+        }
+
+    def _of_desk(self, do: Callable[[Desk], Any]) -> Callable[[], None]:
+        """Return what does something with the desk, if there is one."""
+
+        def slot() -> None:
+            if self.desk is not None:
+                do(self.desk)
+
+        return slot
+
+    def _arrange(self) -> None:
+        self.commands.add_themes(self._theme.choice, self._choose_theme)
+        self.opening.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.opening.setProperty("quiet", True)
+        self.stack.addWidget(self.opening)
+        self._show_opening()
+        centre = QWidget()
+        column = QVBoxLayout(centre)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.messages)
+        column.addWidget(self.stack, 1)
+        self.setCentralWidget(centre)
+        bar = self.statusBar()
+        bar.setSizeGripEnabled(False)
+        bar.setContentsMargins(GAP, 0, 0, 0)
+        bar.addWidget(self.where, 1)
+        self.resize(FIRST_SIZE.boundedTo(self.screen().availableSize()))
+        geometry = self._settings.value("window/geometry")
+        if isinstance(geometry, QByteArray):
+            self.restoreGeometry(geometry)
+
+    def _connect(self) -> None:
+        controller = self._controller
+        controller.part_loaded.connect(self._take_part)
+        controller.session_opened.connect(self._take_session)
+        controller.ticked.connect(self._take_picture)
+        controller.running_changed.connect(self._running_changed)
+        controller.said.connect(self.tell)
+        controller.stored.connect(self._say_where)
+        self._theme.changed.connect(self._set_colours)
+
+    # What the controller says
+
+    def _take_part(self, part: Part) -> None:
+        from app.desk import Desk
+
+        self._drop_desk()
+        desk = Desk(part, self._controller, self.commands, self._documents, parent=self)
+        self.desk = desk
+        desk.said.connect(self.tell)
+        self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
+        # Making the panels and laying them out each take half of what a window may stand still.
+        QTimer.singleShot(0, desk, lambda: self._show_desk(desk))
+
+    def _show_desk(self, desk: Desk) -> None:
+        if desk is self.desk:
+            desk.restore(self._settings)
+            desk.set_colours(self._theme.colours)
+            self.statusBar().addPermanentWidget(desk.chips)
+            self.stack.addWidget(desk.workspace)
+            self.stack.setCurrentWidget(desk.workspace)
+            desk.begin()
+
+    def _take_session(self, snapshot: Snapshot) -> None:
+        if self.desk is not None:
+            self.desk.session_opened(snapshot)
+
+    def _take_picture(self, picture: Picture) -> None:
+        if self.desk is not None:
+            self.desk.take_picture(picture)
+
+    def _running_changed(self, running: Running) -> None:
+        self._show_opening()
+        if self.desk is not None:
+            if running is Running.OFFLINE and self.desk.frame is None:
+                self.desk.workspace.wait("nothing to show", "No device could be opened; Ctrl+N names others.")
+            self.desk.show_again()
+            self.desk.refresh_allowed()
+
+    def _show_opening(self) -> None:
+        opening = self._controller.running is Running.OPENING
+        nothing = "Nothing is open.\nCtrl+N begins a new session, Ctrl+O opens a recorded one."
+        self.opening.setText("Opening \N{HORIZONTAL ELLIPSIS}" if opening else nothing)
+
+    def _say_where(self, words: str) -> None:
+        self.where.setText(words)
+        if self.desk is not None:
+            self.desk.refresh_allowed()
+
+    def tell(self, message: Message) -> None:
+        """Tell the operator something; errors are logged, too."""
+        if message.error:
+            LOG.warning("%s", message.text)
+        self.messages.tell(message)
+
+    def _set_colours(self, colours: Colours) -> None:
+        self.messages.set_colours(colours)
+        if self.desk is not None:
+            self.desk.set_colours(colours)
+
+    def _choose_theme(self, choice: Choice) -> None:
+        self._settings.setValue("theme", choice.value)
+        self._theme.choose(choice)
+
+    # What the operator wants
+
+    def _escape(self) -> None:
+        if self.messages.isVisible():
+            self.messages.dismiss()
+        elif self.desk is not None:
+            self.desk.select_nothing()
+
+    def _toggle_full(self) -> None:
+        self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
+
+    def _show_keys(self) -> None:
+        box = QMessageBox(QMessageBox.Icon.NoIcon, "Keys", key_words(), QMessageBox.StandardButton.Close, self)
+        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        box.open()
+
+    def ask_new(self) -> None:
+        """Ask for a new session and open it."""
+        from app.dialogs.new_session import NewSessionDialog
+
+        scene = None if self.desk is None else self.desk.workspace.part.scene.path
+        folder = dated_folder(self._documents, datetime.now().astimezone())
+        dialog = NewSessionDialog(scene, folder, self)
+        dialog.plan_chosen.connect(self.open)
+        dialog.open()
+
+    def ask_session(self) -> None:
+        """Ask for a recorded session and open it."""
+        folder = QFileDialog.getExistingDirectory(self, "Folder of a recorded session", str(self._documents))
+        if folder:
+            self.open(Plan(session=Path(folder)))
+
+    def open(self, plan: Plan) -> None:
+        """Open something in place of what is open."""
+        self._drop_desk()
+        self.where.setText("")
+        self._controller.open(plan)
+
+    # Coming and going
+
+    def _drop_desk(self) -> None:
+        desk, self.desk = self.desk, None
+        if desk is not None:
+            desk.save(self._settings)
+            desk.close()
+            self.stack.removeWidget(desk.workspace)
+            self.statusBar().removeWidget(desk.chips)
+            for gone in (desk.workspace, desk.chips, desk):
+                gone.deleteLater()
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Ask nothing: everything that was recorded is on the disk. Stop the timers, close the 3D view, then the journal."""
+        self._settings.setValue("window/geometry", self.saveGeometry())
+        self.hide()
+        self.messages.stop()
+        self._controller.stop()
+        if self.desk is not None:
+            self.desk.save(self._settings)
+            self.desk.close()
+        self._controller.close()
+        super().closeEvent(event)

@@ -1,0 +1,248 @@
+"""Outcomes, estimates and links put into words; pure functions of core values, without Qt.
+
+Every sentence starts with what happened, then the number that decided and its limit, then what to do.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from app.display_units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
+from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
+from skincal.estimate.result import Estimate, Method, State
+from skincal.readings import LinkHealth, LinkState
+from skincal.session.snapshot import Snapshot
+from skincal.wrench import move_wrench, pitch
+
+SILENT_AFTER = 1.0
+"""s. A link without bytes for longer is called silent: ten readings of the slowest usual stream (joints, 10 Hz)."""
+
+ADVICE: Mapping[Reason, str] = {
+    Reason.TOO_SOFT: "Press harder, then hold.",
+    Reason.TOO_HARD: "Press less.",
+    Reason.NOT_STILL: "Press, then hold without moving until the ring is full.",
+    Reason.SLID: "Keep the tip in one place while you press.",
+    Reason.TWO_CONTACTS: "Touch with the tip only; keep the other hand off.",
+    Reason.NO_TAXEL: "Poke nearer to a taxel.",
+    Reason.TOO_MANY_TAXELS: "Use a smaller tip, or press less.",
+    Reason.NOT_CONNECTED: "Something else touches the skin: clear it.",
+    Reason.SATURATED: "Beyond the sensor's range: press less.",
+    Reason.READINGS_LOST: "See Devices for what was lost.",
+    Reason.NO_TARE: "Keep hands off for half a second before each poke.",
+    Reason.TARE_CHANGED: "Keep hands off between pokes; something leaned on the part, or the sensor drifted.",
+    Reason.NO_POSE: "Choose the arm pose, or connect its joints.",
+    Reason.ARM_MOVED: "Keep the arm still during a poke.",
+}
+
+METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface"}
+
+
+_BARE = (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED)
+"""Reasons that say all without a number."""
+
+
+def reason_short(rejection: Rejection) -> str:
+    """Return why a poke does not count, with its number alone: `"slid 2.1 mm"`."""
+    return reason_words(rejection).partition(",")[0].replace(":", "")
+
+
+def reason_words(rejection: Rejection) -> str:
+    """Return why a poke does not count, with its number and limit: `"slid 2.1 mm, at most 1.5 mm"`."""
+    reason, value, limit = rejection.reason, rejection.value, rejection.limit
+    if reason in _BARE or not (math.isfinite(value) and math.isfinite(limit)):
+        return reason.value
+    bound = "at least" if value < limit else "at most"
+    if reason is Reason.NOT_STILL and rejection.unit == "s":
+        return f"held {quantity(value, 's')}, {bound} {quantity(limit, 's')}"
+    if rejection.unit == "1":
+        return f"{reason.value}: {_percent(value)}, {bound} {_percent(limit)}"
+    colon = "" if reason is Reason.SLID else ":"
+    return f"{reason.value}{colon} {quantity(value, rejection.unit)}, {bound} {quantity(limit, rejection.unit)}"
+
+
+def _percent(share: float) -> str:
+    return f"{number(share * 100.0, 1)} %"
+
+
+def peak_channel(outcome: Outcome) -> int | None:
+    """Return the channel that answered most; for a rejected poke the first, None where none did."""
+    if not len(outcome.channels):
+        return None
+    if isinstance(outcome, Contact):
+        return int(outcome.channels[int(np.argmax(outcome.responses))])
+    return int(outcome.channels[0])
+
+
+def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
+    """Return how a poke ended, verb first."""
+    if isinstance(outcome, Rejection):
+        return f"rejected: {reason_words(outcome)}"
+    peak = peak_channel(outcome)
+    taxel = names.short(peak) if peak is not None else ""
+    return f"accepted {taxel}  {newtons(force_of(outcome))}"
+
+
+def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: ChannelNames) -> str:
+    """Return what a poke changed, or what to do better."""
+    if isinstance(outcome, Rejection):
+        return ADVICE[outcome.reason]
+    peak = peak_channel(outcome)
+    parts = [f"{count(len(outcome.channels), 'taxel')} answered"]
+    estimate = find_estimate(snapshot, method, peak)
+    if estimate is not None and peak is not None and estimate.state is State.ESTIMATED:
+        contacts = count(estimate.contacts, "contact")
+        parts.append(f"{names.short(peak)} is known to {millimetres(estimate.rms)} from {contacts}")
+    elif estimate is not None and estimate.reason:
+        parts.append(estimate.reason)
+    return "  \N{MIDDLE DOT}  ".join(parts)
+
+
+def find_estimate(snapshot: Snapshot, method: Method, channel: int | None) -> Estimate | None:
+    """Return a channel's estimate by a method, None where there is none."""
+    return next((e for e in snapshot.estimates.get(method, ()) if e.channel == channel), None)
+
+
+def force_of(contact: Contact) -> float:
+    """Return the size of the contact's force, N."""
+    return float(np.linalg.norm(contact.force))
+
+
+def pitch_of(contact: Contact) -> float:
+    """Return the contact's pitch (eq. 3), metres, without sign."""
+    return abs(float(pitch(contact.force, contact.moment)))
+
+
+def tilt_of(contact: Contact, estimates: Mapping[int, Estimate]) -> float | None:
+    """Return the angle between the push and the inward normal of the taxel that answered most, radians.
+
+    Parameters
+    ----------
+    contact : with its force in the sensor frame
+    estimates : by channel; the normal of the peak taxel's is used
+
+    Returns
+    -------
+    None where no normal is known yet.
+    """
+    peak = peak_channel(contact)
+    estimate = None if peak is None else estimates.get(peak)
+    if estimate is None or estimate.normal is None:
+        return None
+    force, _ = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
+    cosine = -float(force @ estimate.normal) / float(np.linalg.norm(force))
+    return math.acos(min(1.0, max(-1.0, cosine)))
+
+
+def summary_words(estimates: Sequence[Estimate]) -> str:
+    """Return how far the session is by one method."""
+    known = [e for e in estimates if e.state is State.ESTIMATED]
+    dead = sum(e.state is State.DEAD for e in estimates)
+    total = len(estimates) - dead
+    return f"{len(known)} of {count(total, 'taxel')} estimated"
+
+
+def error_words(estimates: Sequence[Estimate]) -> str:
+    """Return the predicted errors of the taxels that are estimated; empty where none is."""
+    known = [e.rms for e in estimates if e.rms is not None]
+    if not known:
+        return ""
+    return f"predicted error {millimetres(float(np.median(known)))} median, {millimetres(max(known))} worst"
+
+
+def pokes_words(snapshot: Snapshot) -> str:
+    """Return how many pokes there are and how many do not count."""
+    rejected = sum(isinstance(p.outcome, Rejection) for p in snapshot.pokes)
+    excluded = sum(p.excluded for p in snapshot.pokes)
+    parts = [count(len(snapshot.pokes), "poke")]
+    if rejected:
+        parts.append(f"{rejected} rejected")
+    if excluded:
+        parts.append(f"{excluded} excluded")
+    return ", ".join(parts)
+
+
+class LinkLook(Enum):
+    """How a link is doing, as told by an icon's shape."""
+
+    STREAMING = "streaming"
+    WAITING = "waiting for data"
+    SILENT = "silent"
+    LOST = "lost"
+    ENDED = "ended"
+    AWAY = "not read"
+    """The program reads no devices now: paused, or only looking at a recording."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkWords:
+    """What is said of a link."""
+
+    name: str
+    look: LinkLook
+    short: str
+    """For the status line: `"wrench 1000 Hz"`."""
+    rate: str
+    age: str
+    detail: str
+    """A sentence where something is wrong, else empty."""
+    losses: tuple[tuple[str, int], ...]
+    """Reason and count, worst first."""
+
+
+def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, connected: bool = True) -> LinkWords:
+    """Return what is said of a link.
+
+    A silent link says when its last bytes came, not how long ago, so that nothing on the screen changes while nothing
+    streams.
+
+    Parameters
+    ----------
+    health : of the link
+    now_ns : host's monotonic clock
+    clock_offset : seconds to add to the monotonic clock for the time of day
+    connected : the program reads its devices
+    """
+    look = _look(health, now_ns) if connected else LinkLook.AWAY
+    quiet_s = (now_ns - health.last_host_ns) * 1e-9
+    never = health.last_host_ns == 0
+    if never:
+        last = "nothing yet"
+    elif look is LinkLook.STREAMING:
+        last = age(quiet_s)
+    else:
+        last = time.strftime("%H:%M:%S", time.localtime(health.last_host_ns * 1e-9 + clock_offset))
+    shown_rate = rate(health.rate) if look is LinkLook.STREAMING else look.value
+    losses = sorted(((loss.value, n) for loss, n in health.losses.items() if n), key=lambda item: -item[1])
+    return LinkWords(
+        name=health.link,
+        look=look,
+        short=f"{health.link} {shown_rate}",
+        rate=shown_rate,
+        age=last,
+        detail=_link_detail(health, look, last),
+        losses=tuple(losses),
+    )
+
+
+def _look(health: LinkHealth, now_ns: int) -> LinkLook:
+    if health.state in (LinkState.LOST, LinkState.FAILED):
+        return LinkLook.LOST
+    if health.state is LinkState.ENDED:
+        return LinkLook.ENDED
+    if health.last_host_ns == 0:
+        return LinkLook.WAITING
+    return LinkLook.SILENT if (now_ns - health.last_host_ns) * 1e-9 > SILENT_AFTER else LinkLook.STREAMING
+
+
+def _link_detail(health: LinkHealth, look: LinkLook, last: str) -> str:
+    if look is LinkLook.SILENT:
+        return f"Open, but no bytes since {last}: check that the device is sending."
+    if look is LinkLook.WAITING:
+        return health.text or "Open, no bytes yet: check the address, the speed and that the device is sending."
+    return "" if look in (LinkLook.STREAMING, LinkLook.AWAY) else health.text

@@ -1,0 +1,205 @@
+"""The panels of one open session in their places; it exists as long as the session is open.
+
+What the scene does not have gets no panel. Only what is on the screen is drawn; a tab that comes up gets the newest frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
+
+from app.display_units import ChannelNames
+from app.frame import Frame
+from app.opening import Part
+from app.panels.arm import ArmPanel
+from app.panels.devices import DevicesPanel
+from app.panels.inspect import InspectPanel
+from app.panels.now import NowPanel
+from app.panels.pokes import PokesPanel
+from app.panels.readings import ReadingsPanel
+from app.panels.taxel_map import TaxelMap
+from app.panels.texts import ElidedLabel
+from app.policies import Now, Tone
+from app.scene3d.view import View3D
+from app.theme import GAP, Colours
+from app.words import METHOD_NAMES, error_words, pokes_words, summary_words
+from skincal.estimate.result import Method
+from skincal.session.snapshot import Snapshot
+
+RIGHT_PX = 430
+"""Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
+
+
+class Panel(Protocol):
+    """What shows frames."""
+
+    def show_frame(self, frame: Frame) -> None:
+        """Show the difference to what is shown."""
+        ...
+
+
+class Workspace(QWidget):
+    """3D view and the line that says what happens on the left, map and tabs on the right."""
+
+    taxel_selected = Signal(int)
+    method_chosen = Signal(object)
+
+    def __init__(self, part: Part, make_view: Callable[[], View3D], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        scene, names = part.scene, ChannelNames(part.scene.skin.layout)
+        self.part = part
+        self.names = names
+        self.methods = (Method.FREE,) if part.surface is None else (Method.SURFACE, Method.FREE)
+        self.view = make_view()
+        self.now = NowPanel()
+        self.progress = ElidedLabel()
+        self.errors = ElidedLabel()
+        self.method_box = QComboBox()
+        self.map = TaxelMap(scene, part.channels, names)
+        self.readings = ReadingsPanel()
+        self.pokes = PokesPanel(names)
+        self.inspect = InspectPanel(self.methods, names)
+        self.devices = DevicesPanel()
+        self.arm = None if scene.arm is None else ArmPanel(scene.arm)
+        self.tabs = QTabWidget()
+        self._frame: Frame | None = None
+        self._arrange()
+        self._connect()
+
+    def _arrange(self) -> None:
+        for title, panel in self._titled():
+            self.tabs.addTab(panel, title)
+        self.tabs.setDocumentMode(True)
+        self.tabs.setUsesScrollButtons(False)
+        self.tabs.tabBar().setExpanding(True)
+        self.tabs.tabBar().setDrawBase(False)
+        left = _column(self.view, self.now)
+        left.setMinimumWidth(420)
+        self.right = QSplitter(Qt.Orientation.Vertical)
+        self.right.addWidget(self._map_card())
+        self.right.addWidget(_card(self.tabs))
+        self.right.setStretchFactor(0, 1)
+        self.right.setStretchFactor(1, 1)
+        self.right.setMinimumWidth(360)
+        self.across = QSplitter(Qt.Orientation.Horizontal)
+        self.across.addWidget(left)
+        self.across.addWidget(self.right)
+        self.across.setStretchFactor(0, 1)
+        self.across.setSizes([10_000, RIGHT_PX])
+        for splitter in (self.right, self.across):
+            splitter.setHandleWidth(GAP)
+            splitter.setChildrenCollapsible(False)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(GAP, GAP, GAP, GAP)
+        row.addWidget(self.across)
+
+    def _titled(self) -> list[tuple[str, QWidget]]:
+        titled: list[tuple[str, QWidget]] = [
+            ("Readings", self.readings),
+            ("Pokes", self.pokes),
+            ("Taxel", self.inspect),
+            ("Devices", self.devices),
+        ]
+        return titled if self.arm is None else [*titled, ("Arm", self.arm)]
+
+    def _map_card(self) -> QFrame:
+        for method in self.methods:
+            self.method_box.addItem(METHOD_NAMES[method].capitalize() + " method", method)
+        self.method_box.setVisible(len(self.methods) > 1)
+        self.method_box.setToolTip("Whose estimates are shown (V)")
+        self.method_box.setAccessibleName("method")
+        self.method_box.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        head = QGridLayout()
+        head.setContentsMargins(GAP + 4, GAP // 2, GAP // 2, 0)
+        head.setVerticalSpacing(0)
+        head.setColumnStretch(0, 1)
+        head.addWidget(self.progress, 0, 0, 1, 2)
+        head.addWidget(self.errors, 1, 0)
+        head.addWidget(self.method_box, 1, 1)
+        card = QFrame()
+        card.setObjectName("card")
+        column = QVBoxLayout(card)
+        column.setContentsMargins(1, 1, 1, 1)
+        column.setSpacing(0)
+        column.addLayout(head)
+        column.addWidget(self.map, 1)
+        return card
+
+    def _connect(self) -> None:
+        self.view.taxel_picked.connect(self.taxel_selected)
+        self.map.taxel_clicked.connect(self.taxel_selected)
+        self.pokes.taxel_wanted.connect(self.taxel_selected)
+        self.inspect.taxel_wanted.connect(self.taxel_selected)
+        self.tabs.currentChanged.connect(self._tab_changed)
+        self.method_box.activated.connect(lambda index: self.method_chosen.emit(self.method_box.itemData(index)))
+
+    def begin(self) -> None:
+        """Start to build the 3D view; call once the window is on the screen."""
+        part = self.part
+        self.view.begin(part.scene, part.surface, part.laid, [int(channel) for channel in part.channels])
+
+    def wait(self, headline: str, detail: str) -> None:
+        """Say what is waited for while there is no session yet."""
+        self.now.say(Now(Tone.WAIT, headline, detail))
+
+    def session_opened(self, snapshot: Snapshot) -> None:
+        """Start with a session whose pokes are known already."""
+        self.now.begin(snapshot)
+
+    def show_frame(self, frame: Frame) -> None:
+        """Show a frame on everything that is on the screen."""
+        before, self._frame = self._frame, frame
+        self.now.show_frame(frame)
+        self.map.show_frame(frame)
+        self._show_tab()
+        if before is None or (before.revision, before.method) != (frame.revision, frame.method):
+            self.progress.setText(f"{summary_words(frame.estimates)}, {pokes_words(frame.snapshot)}")
+            self.errors.setText(error_words(frame.estimates))
+            self.method_box.setCurrentIndex(self.method_box.findData(frame.method))
+        self.view.show(frame.snapshot, frame.live, frame.method, frame.selected)
+
+    def _show_tab(self) -> None:
+        panel = self.tabs.currentWidget()
+        if self._frame is not None and isinstance(panel, ReadingsPanel | PokesPanel | InspectPanel | DevicesPanel | ArmPanel):
+            panel.show_frame(self._frame)
+
+    def _tab_changed(self, _index: int) -> None:
+        self._show_tab()
+
+    def titles(self) -> list[str]:
+        """Return the titles of the tabs."""
+        return [self.tabs.tabText(index) for index in range(self.tabs.count())]
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        for panel in (self.now, self.map, self.readings, self.pokes, self.devices):
+            panel.set_colours(colours)
+        self.errors.set_colour(QColor(colours.muted))
+        self.view.set_dark(colours.dark)
+
+    def close_all(self) -> None:
+        """Give the 3D view's resources back."""
+        self.view.close_view()
+
+
+def _card(inner: QWidget) -> QFrame:
+    card = QFrame()
+    card.setObjectName("card")
+    column = QVBoxLayout(card)
+    column.setContentsMargins(1, 1, 1, 1)
+    column.addWidget(inner)
+    return card
+
+
+def _column(view: QWidget, now: QWidget) -> QWidget:
+    left = QWidget()
+    column = QVBoxLayout(left)
+    column.setContentsMargins(0, 0, 0, 0)
+    column.setSpacing(GAP)
+    column.addWidget(view, 1)
+    column.addWidget(now)
+    return left

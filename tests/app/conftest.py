@@ -1,0 +1,56 @@
+"""What the tests of the window share: settings of their own, and nothing left behind."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
+from PySide6.QtWidgets import QApplication
+
+WAIT_S = 5.0
+"""s. A thread that was told to stop has so long on a busy machine."""
+ENDING = ("reader ", "skincal-background", "scene3d")
+"""Names of the program's threads that must end with the window."""
+
+
+@pytest.fixture(autouse=True)
+def _own_settings(tmp_path: Path) -> Iterator[None]:
+    """Keep the operator's settings out of the tests, and the tests' out of the operator's."""
+    before = QSettings.defaultFormat()
+    QSettings.setDefaultFormat(QSettings.Format.IniFormat)
+    QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, str(tmp_path / "settings"))
+    yield
+    QSettings.setDefaultFormat(before)
+
+
+def _left() -> list[str]:
+    """Return what of Qt is alive: windows, timers that run, threads that run."""
+    found = [f"window {w!r}" for w in QApplication.topLevelWidgets() if w.isVisible()]
+    for thing in gc.get_objects():
+        try:
+            if isinstance(thing, QTimer) and thing.isActive():
+                found.append(f"timer {thing!r} of {thing.parent()!r}")
+            elif isinstance(thing, QThread) and thing.isRunning() and thing is not QThread.currentThread():
+                found.append(f"QThread {thing!r}")
+        except (RuntimeError, ReferenceError):
+            continue  # Qt's side of it is gone.
+    return found
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left() -> Iterator[None]:
+    """Fail a test that leaves a window, a running timer or a thread behind; qtbot closes its own windows before."""
+    before = set(threading.enumerate())
+    yield
+    if QCoreApplication.instance() is None:
+        return
+    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    threads = [t for t in threading.enumerate() if t not in before and t.name.startswith(ENDING)]
+    for thread in threads:
+        thread.join(WAIT_S)
+    left = _left() + [f"thread {t.name}" for t in threads if t.is_alive()]
+    assert not left, f"left behind: {left}"

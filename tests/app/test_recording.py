@@ -1,0 +1,70 @@
+"""A recording that is paused goes on in the next segment, and where it cannot, nothing is lost."""
+
+from pathlib import Path
+
+import pytest
+
+from app.recording import Recording
+from skincal.errors import InputError
+from skincal.session import journal
+from skincal.session.actions import Exclude
+from skincal.session.replay import load, replay, resume
+from skincal.session.road import Road
+from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
+
+
+class Folder:
+    """Where a recording lies, as `app.storage.Storage` says it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+
+@pytest.fixture
+def recording(tmp_path, monkeypatch):
+    monkeypatch.setattr(Recording, "start", lambda _: None)  # nothing to read: the test feeds the road
+    scene = write_scene(tmp_path / "source")
+    road = Road(scene, LINKS, None, journal.create_session(tmp_path / "s", scene, LINKS))
+    for item in as_chunks(some_pokes(scene, 2).samples):
+        road.feed(item)
+    yield Recording(road, Folder(tmp_path / "s"))
+    road.close()
+
+
+def segments(folder):
+    return sorted(path.name for path in folder.glob("*.mcap"))
+
+
+def test_no_number_is_skipped_after_a_recovery(recording, tmp_path):
+    recording.road.journal.sync()
+    recording.road.journal._file.close()
+    road = resume(tmp_path / "s")
+    assert (tmp_path / "s" / "segment-0001.mcap.damaged").exists()
+    Recording(road, recording.storage).go_on()
+    road.close()
+    assert segments(tmp_path / "s") == ["segment-0001.mcap", "segment-0002.mcap", "segment-0003.mcap"]
+    assert len(replay(tmp_path / "s").snapshot().pokes) == 2
+    recording.road.journal = None
+
+
+def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(journal, "JournalWriter", refuse)
+    with pytest.raises(InputError, match="No space left"):
+        recording.go_on()
+    monkeypatch.setattr(journal, "JournalWriter", type(recording.road.journal))
+    recording.road.act(Exclude(1), 1)  # still recorded
+    recording.go_on()
+    recording.road.act(Exclude(2), 2)
+    recording.road.close()
+    assert segments(tmp_path / "s") == ["segment-0001.mcap", "segment-0002.mcap"]
+    assert load(tmp_path / "s").session.excluded == (1, 2)
+
+
+def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp_path):
+    recording.road.journal_failure = "the disk is full"
+    with pytest.raises(InputError, match="open the session again"):
+        recording.go_on()
+    assert segments(tmp_path / "s") == ["segment-0001.mcap"]

@@ -1,0 +1,388 @@
+"""The whole window on a real (virtual) display, fed by the device process over TCP: pokes, keys, pixels, and what is left."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QEvent, QObject, QSettings, Qt, QTimer
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QWidget
+from window_support import changed, pixels
+
+from app.controller import Controller
+from app.link_server import LinkServer, parse_links
+from app.panels.message_bar import Message
+from app.plan import Plan, server_command
+from app.run import Faults
+from app.running import Running
+from app.theme import Choice, Theme
+from app.window import Window
+from skincal.contacts.outcome import Contact
+from skincal.estimate.result import Method, State
+from skincal.scene import resource
+from skincal.session.replay import replay
+
+POKE_MS = 60_000
+"""A poke takes about three seconds; a busy machine gets twenty times as long."""
+OPEN_MS = 40_000
+
+
+class Bench:
+    """A window with what it needs, on the screen."""
+
+    def __init__(self, qtbot, folder: Path) -> None:
+        self.qtbot = qtbot
+        self.documents = folder / "documents"
+        self.controller = Controller(self.documents)
+        self.theme = Theme(Choice.DARK)
+        self.messages: list[Message] = []
+        self.controller.said.connect(self.messages.append)
+        self.window = Window(self.controller, self.theme, QSettings("skincal", "test"), self.documents)
+        self.window.resize(1280, 720)
+        qtbot.addWidget(self.window)
+        with qtbot.waitExposed(self.window):
+            self.window.show()
+
+    def open(self, plan: Plan) -> None:
+        with self.qtbot.waitSignal(self.controller.session_opened, timeout=OPEN_MS):
+            self.window.open(plan)
+        self.until(lambda: self.window.stack.currentWidget() is self.window.desk.workspace, 5000)
+        self.qtbot.wait(50)
+
+    def open_served(self, name: str = "icub-forearm", **changes) -> None:
+        scene = resource(f"scenes/{name}/scene.toml")
+        self.open(Plan(scene=scene, server=(*server_command(scene), "--careful", "--errors", "none"), **changes))
+
+    def until(self, what, timeout: int = POKE_MS) -> None:
+        self.qtbot.waitUntil(what, timeout=timeout)
+
+    @property
+    def snapshot(self):
+        return self.window.desk.frame.snapshot
+
+    def accepted(self) -> list[Contact]:
+        return [p.outcome for p in self.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
+
+    def until_all_is_there(self) -> None:
+        """Wait for the 3D view and the curves, and take the messages away, so that nothing moves any more."""
+        workspace = self.window.desk.workspace
+        self.until(lambda: workspace.view.list_layers() != () and workspace.readings.curves is not None, OPEN_MS)
+        while self.window.messages.isVisible():
+            self.window.messages.dismiss()
+        self.qtbot.wait(50)
+
+    def key(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
+        self.window.activateWindow()
+        self.until(self.window.isActiveWindow, 5000)
+        QTest.keyClick(self.window, key, modifier)
+        self.qtbot.wait(20)
+
+
+@pytest.fixture
+def bench(qtbot, qapp, tmp_path):
+    before, sheet = qapp.palette(), qapp.styleSheet()
+    made = Bench(qtbot, tmp_path)
+    yield made
+    made.window.close()
+    qapp.setPalette(before)
+    qapp.setStyleSheet(sheet)
+
+
+def known(snapshot) -> dict[tuple[Method, int], bytes]:
+    """The estimates that have a position, to the last bit."""
+    return {
+        (method, e.channel): e.position.tobytes() + e.covariance.tobytes()
+        for method, estimates in snapshot.estimates.items()
+        for e in estimates
+        if e.state is State.ESTIMATED
+    }
+
+
+def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
+    bench.open_served()
+    window, workspace = bench.window, bench.window.desk.workspace
+    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Devices", "Arm"]
+    bench.until_all_is_there()
+    empty_map, empty_view = pixels(workspace.map), pixels(workspace.view)
+
+    # All final: a poke that still waits for the tare after it is settled by the closing of the session.
+    bench.until(lambda: len(bench.accepted()) >= 2 and all(r.outcome.final for r in bench.snapshot.pokes))
+    assert changed(empty_map, pixels(workspace.map)) > 100
+    assert changed(empty_view, pixels(workspace.view)) > 100
+    bench.until(lambda: all(r.outcome.final for r in bench.snapshot.pokes))
+
+    bench.key(Qt.Key.Key_Space)
+    assert bench.controller.running is Running.PAUSED
+    assert workspace.now.headline.text() == "paused"
+    pokes, estimates = len(bench.snapshot.pokes), known(bench.snapshot)
+    assert len(estimates) >= 2
+
+    bench.key(Qt.Key.Key_L)
+    assert workspace.tabs.currentWidget() is workspace.pokes
+    last = workspace.pokes.selected()
+    assert last == (bench.snapshot.pokes[-1].outcome.poke,)
+    first = bench.accepted()[0].poke
+    workspace.pokes.select(first)
+    shown = pixels(workspace.map)
+    bench.key(Qt.Key.Key_E)
+    assert first not in [c.poke for c in bench.accepted()]
+    assert known(bench.snapshot) != estimates
+    assert changed(shown, pixels(workspace.map)) > 20
+    bench.key(Qt.Key.Key_E)
+    assert known(bench.snapshot) == estimates
+    bench.key(Qt.Key.Key_Backspace)
+    assert first not in [c.poke for c in bench.accepted()]
+    bench.key(Qt.Key.Key_Backspace)
+    assert known(bench.snapshot) == estimates
+
+    assert window.desk.frame.method is Method.SURFACE
+    bench.key(Qt.Key.Key_V)
+    assert window.desk.frame.method is Method.FREE
+    assert workspace.method_box.currentData() is Method.FREE
+    bench.key(Qt.Key.Key_4)
+    assert workspace.tabs.currentWidget() is workspace.devices
+    assert set(workspace.devices.cards) == {"wrench", "skin", "joints"}
+
+    bench.key(Qt.Key.Key_S, Qt.KeyboardModifier.ControlModifier)
+    bench.until(lambda: "kept in" in "".join(m.text for m in bench.messages), OPEN_MS)
+    temporary = bench.controller._recording.storage.folder
+    kept = next(bench.documents.iterdir())
+    window.close()
+    assert not temporary.exists()
+    assert len(replay(kept).snapshot().pokes) == pokes
+    reopened(Bench(qtbot, tmp_path), kept, estimates, tmp_path / "new" / "positions.csv")
+
+
+def reopened(bench, kept: Path, estimates: dict, path: Path) -> None:
+    """The kept session opens where it stopped, and its file says what the window shows."""
+    bench.open(Plan(session=kept))
+    assert bench.controller.running is Running.OFFLINE
+    assert known(bench.snapshot) == estimates
+    assert bench.window.desk.workspace.now.headline.text() == "no device connected"
+    told: list[tuple[str, ...]] = []
+    bench.controller.export("csv", path, Method.SURFACE, told.append, pytest.fail)
+    bench.until(lambda: bool(told), OPEN_MS)
+    with path.open() as file:
+        rows = {(r["method"], int(r["channel"])): r for r in csv.DictReader(file)}
+    for estimate in bench.snapshot.estimates[Method.SURFACE]:
+        row = rows["surface", estimate.channel]
+        if estimate.position is None:
+            assert row["x_m"] == ""
+        else:
+            assert [float(row[k]) for k in ("x_m", "y_m", "z_m")] == pytest.approx(estimate.position.tolist(), abs=1e-6)
+    bench.window.close()
+
+
+def test_pause_and_go_on_make_a_new_segment_and_lose_nothing(bench, tmp_path):
+    bench.open_served("flat-patch", folder=tmp_path / "mine")
+    bench.until(lambda: len(bench.accepted()) >= 1)
+    before = len(bench.accepted())
+    bench.key(Qt.Key.Key_Space)
+    assert bench.controller.running is Running.PAUSED
+    bench.key(Qt.Key.Key_Space)
+    assert bench.controller.running is Running.STREAMING
+    bench.until(lambda: len(bench.accepted()) > before)
+    estimates = known(bench.snapshot)
+    bench.window.close()
+    assert len(list((tmp_path / "mine").glob("segment-*.mcap"))) == 2
+    road = replay(tmp_path / "mine")
+    assert len(road.snapshot().pokes) >= before + 1
+    assert set(estimates) <= set(known(road.snapshot()))
+    assert [t for t in bench.window.desk.workspace.titles() if t == "Arm"] == []
+
+
+def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
+    bench.open_served("flat-patch")
+    bench.until(lambda: len(bench.accepted()) >= 1)
+    pokes = len(bench.snapshot.pokes)
+    os.kill(bench.controller._server._process.processId(), signal.SIGKILL)
+    bench.until(lambda: bench.window.desk.workspace.now.headline.text().startswith("lost"), 5000)
+    bench.until(lambda: any("device process ended" in m.text for m in bench.messages), 5000)
+    assert bench.window.messages.isVisible()
+    assert len(bench.snapshot.pokes) >= pokes
+    bench.key(Qt.Key.Key_Escape)
+    assert not bench.window.messages.isVisible()
+
+
+class Paints(QObject):
+    """Counts paint events of a window and all its widgets."""
+
+    def __init__(self, window: QWidget) -> None:
+        super().__init__()
+        self.count = 0
+        for widget in (window, *window.findChildren(QWidget)):
+            widget.installEventFilter(self)
+
+    def eventFilter(self, _watched, event):
+        self.count += event.type() == QEvent.Type.Paint
+        return False
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A short session on the forearm, recorded without a window."""
+    from skincal.scene import load_scene
+    from skincal.simulate.faults import RigErrors
+    from skincal.simulate.session import simulate_session
+    from skincal.surface.mesh import load_surface
+
+    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
+    folder = tmp_path_factory.mktemp("recorded") / "session"
+    simulate_session(scene, load_surface(scene.surface)[0], folder, 3, 3, RigErrors.none())
+    return folder
+
+
+def test_an_idle_window_draws_nothing_and_costs_next_to_nothing(bench, qtbot, recorded):
+    bench.open(Plan(session=recorded))
+    bench.until_all_is_there()
+    qtbot.wait(1500)
+    paints = Paints(bench.window)
+    spent = time.process_time()
+    qtbot.wait(3000)
+    spent = time.process_time() - spent
+    assert paints.count == 0
+    assert spent / 3.0 < 0.02
+
+
+def test_everything_fits_at_1280_by_720(bench, recorded):
+    bench.open(Plan(session=recorded))
+    window, workspace = bench.window, bench.window.desk.workspace
+    assert (window.width(), window.height()) == (1280, 720)
+    assert window.minimumSizeHint().width() <= 1280
+    assert window.minimumSizeHint().height() <= 720 - 40
+    assert workspace.view.width() > workspace.right.width()
+    for index in range(workspace.tabs.count()):
+        bench.key(Qt.Key(Qt.Key.Key_1 + index))
+        assert workspace.tabs.currentIndex() == index
+        area = workspace.tabs.tabBar().tabRect(index)
+        assert area.right() <= workspace.tabs.width()
+        panel = workspace.tabs.currentWidget()
+        corner = panel.mapTo(window, panel.rect().bottomRight())
+        assert corner.x() < 1280
+        assert corner.y() < 720
+
+
+def test_a_taxel_is_selected_in_every_view_and_marked_by_key(bench, recorded):
+    bench.open(Plan(session=recorded))
+    workspace = bench.window.desk.workspace
+    estimated = next(e for e in bench.snapshot.estimates[Method.SURFACE] if e.state is State.ESTIMATED)
+    place = workspace.map.place_of(estimated.channel).toPoint()
+    QTest.mouseClick(workspace.map, Qt.MouseButton.LeftButton, pos=place)
+    bench.key(Qt.Key.Key_3)
+    assert workspace.inspect.title.text().startswith(workspace.names.short(estimated.channel))
+    bench.key(Qt.Key.Key_D)
+    assert estimated.channel in bench.snapshot.dead
+    assert next(e for e in bench.snapshot.estimates[Method.SURFACE] if e.channel == estimated.channel).state is State.DEAD
+    bench.key(Qt.Key.Key_D)
+    assert estimated.channel not in bench.snapshot.dead
+    bench.key(Qt.Key.Key_Escape)
+    assert bench.window.desk.frame.selected is None
+
+
+def test_light_and_dark_reach_every_panel(bench, qtbot, recorded):
+    bench.open(Plan(session=recorded))
+    workspace = bench.window.desk.workspace
+    bench.until_all_is_there()
+    dark = pixels(bench.window)
+    bench.theme.choose(Choice.LIGHT)
+    qtbot.wait(100)
+    light = pixels(bench.window)
+    for widget in (workspace.view, workspace.map, workspace.readings, workspace.now, bench.window.statusBar()):
+        corner = widget.mapTo(bench.window, widget.rect().topLeft())
+        part = np.s_[corner.y() : corner.y() + widget.height(), corner.x() : corner.x() + widget.width(), :3]
+        assert light[part].mean() > dark[part].mean() + 60, widget
+
+
+def test_an_arm_pose_is_chosen_by_hand_where_no_joints_stream(bench, recorded):
+    bench.open(Plan(session=recorded))
+    workspace = bench.window.desk.workspace
+    bench.key(Qt.Key.Key_5)
+    arm = workspace.arm
+    assert arm is not None
+    arm.pose_requested.emit("3")
+    assert bench.snapshot.pose == "3"
+    assert arm.current.text() == "Arm pose 3"
+
+
+def test_bad_input_ends_in_a_sentence_and_not_in_a_window_that_is_gone(bench, tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text('name = "x"\n')
+    bench.window.open(Plan(scene=scene, server=(sys.executable, "-c", "input()")))
+    bench.until(lambda: any("link is missing" in m.text or "[skin]" in m.text for m in bench.messages), OPEN_MS)
+    assert bench.controller.running is Running.OFFLINE
+    assert bench.window.messages.isVisible()
+    bench.window.open(Plan(session=tmp_path / "nothing"))
+    bench.until(lambda: any("nothing" in m.text for m in bench.messages), OPEN_MS)
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ((sys.executable, "-c", "import sys; sys.stderr.write('no port'); sys.exit(3)"), "ended (code 3). no port"),
+        ((sys.executable, "-c", "print('hello'); input()"), "said b'hello'"),
+        (("there-is-no-such-program",), "cannot be started"),
+    ],
+)
+def test_a_device_process_that_fails_is_said(qtbot, command, said):
+    server = LinkServer()
+    with qtbot.waitSignal(server.failed, timeout=OPEN_MS) as failed:
+        server.start(command)
+    assert said in failed.args[0]
+    server.stop()
+    assert not server.running
+
+
+def test_a_device_process_ends_with_its_input(qtbot):
+    line = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
+    server = LinkServer()
+    with qtbot.waitSignal(server.served, timeout=OPEN_MS) as served:
+        server.start((sys.executable, "-c", f"print('{line}', flush=True); input()"))
+    assert served.args[0] == parse_links(line.encode())
+    with qtbot.assertNotEmitted(server.failed):
+        server.stop()
+    assert not server.running
+
+
+def test_an_exception_that_nobody_caught_reaches_the_operator(bench):
+    faults = Faults()
+    faults.happened.connect(lambda text: bench.window.tell(Message(text, error=True)))
+    remove = faults.install()
+    try:
+        sys.excepthook(ValueError, ValueError("a broken slot"), None)
+    finally:
+        remove()
+    assert faults.count == 1
+    assert "a broken slot" in bench.window.messages.text.text()
+
+
+def test_no_step_of_opening_a_hundred_thousand_triangles_holds_the_window(bench, qtbot):
+    """The longest step of the window's own thread, by its processor time: a busy machine must not turn this red.
+
+    The limit is twice the tenth of a second that holds on an idle machine: with both threads of a core at work, each runs at
+    half its speed.
+    """
+    longest, last = [0.0], [time.thread_time()]
+
+    def beat():
+        now = time.thread_time()
+        longest[0], last[0] = max(longest[0], now - last[0]), now
+        time.sleep(0.001)
+
+    timer = QTimer()
+    timer.timeout.connect(beat)
+    scene = resource("scenes/whole-body/scene.toml")
+    with qtbot.waitSignal(bench.controller.session_opened, timeout=60_000):
+        bench.window.open(Plan(scene=scene, server=server_command(scene)))
+        timer.start(0)
+    bench.until(lambda: bench.window.desk.workspace.view.list_layers() != ())
+    qtbot.wait(500)
+    timer.stop()
+    assert bench.window.desk.workspace.part.surface.triangles.shape[0] > 99_000
+    assert longest[0] < 0.2

@@ -1,0 +1,116 @@
+"""How the program starts: commands without Qt, a sentence where no window can be opened, and the window as a process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from app.preflight import LIBRARIES, X_LIBRARIES, objection
+
+ROOT = Path(__file__).resolve().parents[2]
+LIMIT_S = 60
+
+
+def python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")}
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=env | environment,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("arguments", ['["--version"]', '["solve", "--help"]', '["no-such-command"]'])
+def test_a_command_imports_no_qt(arguments):
+    done = python(
+        f"import sys; from app.__main__ import main; code = main({arguments});"
+        "assert not [m for m in sys.modules if m.startswith(('PySide6', 'vtk', 'pyvista'))], 'Qt or VTK'; sys.exit(code)"
+    )
+    assert done.returncode == (2 if "no-such" in arguments else 0), done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_devices_without_a_display_end_in_a_sentence_and_code_2():
+    done = python("import sys; from app.__main__ import main; sys.exit(main(['--wrench', 'a', '--skin', 'b']))")
+    assert done.returncode == 2
+    assert "there is no display" in done.stderr
+    assert "skincal record" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("['--wrench', 'a']", "No skin device is named"),
+        ("['--scene', 'nowhere/scene.toml']", "nowhere"),
+        ("['--session', 'nowhere']", "nowhere"),
+        ("['--colour']", "--colour"),
+    ],
+)
+def test_wrong_options_end_in_a_sentence_and_code_2(arguments, said):
+    display = os.environ.get("DISPLAY")
+    if not display:
+        pytest.skip("there is no display here")
+    done = python(f"import sys; from app.__main__ import main; sys.exit(main({arguments}))", DISPLAY=display)
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_missing_library_is_named_with_the_line_that_installs_it():
+    lacking = {"libEGL.so.1", "libxcb-cursor.so.0"}
+    said = objection({"DISPLAY": ":7"}, "linux", lambda name: name not in lacking, lambda: True)
+    assert said.endswith("apt-get install -y --no-install-recommends libegl1 libxcb-cursor0")
+
+
+def test_only_a_window_on_x_needs_the_libraries_of_x():
+    said = objection({"QT_QPA_PLATFORM": "offscreen"}, "linux", lambda name: name not in X_LIBRARIES, lambda: False)
+    assert said == ""
+    said = objection({"DISPLAY": ":7"}, "linux", lambda name: name not in X_LIBRARIES, lambda: True)
+    assert all(package in said for package in X_LIBRARIES.values())
+    assert not any(package in said.split() for package in LIBRARIES.values())
+
+
+def test_a_display_that_does_not_answer_is_not_a_display():
+    assert "does not answer" in objection({"DISPLAY": ":7"}, "linux", lambda _: True, lambda: False)
+    assert "no display" in objection({}, "linux", lambda _: True, lambda: False)
+
+
+def test_wayland_is_a_display_where_its_socket_is(tmp_path):
+    env = {"WAYLAND_DISPLAY": "wayland-0", "XDG_RUNTIME_DIR": str(tmp_path)}
+    assert "no window can be opened" in objection(env, "linux", lambda _: True, lambda: False)
+    (tmp_path / "wayland-0").touch()
+    assert objection(env, "linux", lambda _: True, lambda: False) == ""
+
+
+@pytest.mark.parametrize("platform", ["win32", "darwin"])
+def test_other_systems_bring_what_is_needed(platform):
+    assert objection({}, platform, lambda _: False, lambda: False) == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="signals as on Linux and macOS")
+def test_the_window_as_a_process_ends_clean_when_it_is_told_to(tmp_path):
+    display = os.environ.get("DISPLAY")
+    if not display:
+        pytest.skip("there is no display here")
+    env = os.environ | {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path / "c"), "TMPDIR": str(tmp_path)}
+    window = subprocess.Popen(
+        [sys.executable, "-m", "app", "--scene", "flat-patch"], cwd=ROOT, env=env, stderr=subprocess.PIPE, text=True
+    )
+    end = time.monotonic() + LIMIT_S
+    while not list(tmp_path.glob("skincal-*/session/segment-*.mcap")) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert list(tmp_path.glob("skincal-*/session/segment-*.mcap")), "no recording began"
+    window.terminate()
+    _, said = window.communicate(timeout=LIMIT_S)
+    assert window.returncode == 0, said
+    assert "Traceback" not in said
+    assert not list(tmp_path.glob("skincal-*"))
