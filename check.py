@@ -1,0 +1,21 @@
+"""Prove a checkout of skincal right, on a machine that has nothing but Python: `python3 check.py`.
+
+Installs what the tests need, then runs the style, type and layer checks and the tests. Words after it go to pytest, and then
+only pytest runs: `python3 check.py tests/skincal -k clock`.
+"""
+
+import sys
+
+from tools import python_version
+
+
+def main() -> int:
+    """Prepare the environment, run every check, and say which failed."""
+    python_version.require()
+    from tools import launch  # an older Python could not read it
+
+    return launch.check(sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

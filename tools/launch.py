@@ -1,0 +1,103 @@
+"""The two commands of a checkout: prepare the environment, then start the program or run the checks."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from app.preflight import LIBRARIES, X_LIBRARIES
+from tools import places, python_env, system_libs
+from tools.words import USER_CAN_HELP, StopError, say
+
+INTERRUPTED = 130
+"""Exit code of a program ended with Ctrl-C."""
+
+CHECKS = {
+    "ruff check": ("-m", "ruff", "check"),
+    "ruff format --check": ("-m", "ruff", "format", "--check"),
+    "pyright": ("-m", "pyright"),
+    "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
+}
+"""Name of each check, and what Python is told to run it; the tests come last."""
+
+
+def start(arguments: Sequence[str]) -> int:
+    """Install what is missing and become skincal; returns only where that fails."""
+    return _telling(lambda: _start(arguments))
+
+
+def check(arguments: Sequence[str]) -> int:
+    """Install what the tests need, run the checks and the tests, and return 0 if all passed."""
+    return _telling(lambda: _check(arguments))
+
+
+def _telling(command: Callable[[], int]) -> int:
+    try:
+        return command()
+    except StopError as stop:
+        say(str(stop))
+        return stop.code
+    except KeyboardInterrupt:
+        say("\nStopped. What is unfinished is done at the next start.")
+        return INTERRUPTED
+
+
+def _start(arguments: Sequence[str]) -> int:
+    fresh = python_env.ensure(places.RUN_LOCK)
+    if _draws(arguments):
+        _provide_drawing(fresh, shown=system_libs.has_display() and "--headless" not in arguments)
+    return _become([str(places.interpreter()), "-m", "app", *arguments], system_libs.environment())
+
+
+def _check(arguments: Sequence[str]) -> int:
+    system_libs.require_test_display()
+    fresh = python_env.ensure(places.TEST_LOCK)
+    _provide_drawing(fresh, shown=True)
+    system_libs.provide_test_display()
+    environment = system_libs.environment()
+    environment.pop("QT_QPA_PLATFORM", None)  # "offscreen" has no OpenGL; the tests look at real pixels
+    failed = [] if arguments else [name for name, told in CHECKS.items() if _run(name, told, environment)]
+    tests = _run("pytest", ("-m", "pytest", *arguments), environment)
+    if failed:
+        say(f"Failed beside the tests: {', '.join(failed)}")
+    return 1 if failed or tests else 0
+
+
+def _draws(arguments: Sequence[str]) -> bool:
+    """Whether skincal will draw: a command such as `solve`, and words on usage, do without Qt and VTK."""
+    return not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help", "--version"))
+
+
+def _provide_drawing(fresh: bool, *, shown: bool) -> None:
+    wanted = {**LIBRARIES, **X_LIBRARIES} if shown else LIBRARIES
+    if system_libs.provide(wanted) or fresh:
+        _probe("show" if shown else "draw")
+
+
+def _probe(depth: str) -> None:
+    probe = subprocess.run(
+        [places.interpreter(), Path(__file__).with_name("probe.py"), depth],
+        env=system_libs.environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if probe.returncode:
+        told = (probe.stdout + probe.stderr).strip() or f"it ended with {probe.returncode}"
+        raise StopError(f"Everything is installed, but Qt or VTK does not load here: {told}", USER_CAN_HELP)
+
+
+def _run(name: str, told: Sequence[str], environment: Mapping[str, str]) -> int:
+    say(f"\n$ {name}")
+    return subprocess.call([places.interpreter(), *told], env=environment, cwd=places.CHECKOUT, stdin=subprocess.DEVNULL)
+
+
+def _become(command: list[str], environment: Mapping[str, str]) -> int:
+    sys.stderr.flush()
+    if os.name != "nt":
+        os.execve(command[0], command, environment)
+    return subprocess.call(command, env=environment)  # Windows: exec would return to the shell before the program ends

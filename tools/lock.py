@@ -1,0 +1,38 @@
+"""Write both lock files anew from pyproject.toml: `python3 tools/lock.py [--upgrade]`. Needs uv (`pip install uv`).
+
+The locks hold for CPython 3.11 to 3.14 on Linux, Windows and macOS, list a hash for every file, and name no host. Only wheels
+count: an installation needs no compiler. The one for tests keeps the versions of the other.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+COMMON = (
+    "--universal",
+    "--python-version=3.11",
+    "--only-binary=:all:",
+    "--generate-hashes",
+    "--no-emit-index-url",
+    "--no-emit-find-links",
+    "--custom-compile-command=python3 tools/lock.py",
+    "--quiet",
+)
+
+
+def main() -> int:
+    """Resolve what running needs, then what the tests need beside it."""
+    for own in (("requirements.lock",), ("requirements-dev.lock", "--group=dev", "--constraints=requirements.lock")):
+        output, *options = own
+        command = ["uv", "pip", "compile", "pyproject.toml", f"--output-file={output}", *COMMON, *options, *sys.argv[1:]]
+        code = subprocess.call(command, cwd=CHECKOUT)
+        if code:
+            return code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

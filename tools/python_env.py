@@ -1,0 +1,256 @@
+"""A checkout's Python environment: `.venv`, made from a lock file with hashes, and left alone while it is right.
+
+A stamp in it names the lock it was made from. An installation removes the stamp first and writes it last, so an interrupted
+one is done again; one that was interrupted while packages were being unpacked starts from an empty `.venv`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tools import apt, places
+from tools.words import OURS, StopError, say, say_over
+
+STAMP = places.VENV / "skincal-installed.txt"
+UNFINISHED = places.VENV / "skincal-unfinished.txt"
+OLDEST_GLIBC = (2, 34)
+"""The locked packages for Linux are built for it: Debian 12, Ubuntu 22.04, Fedora 35 or later."""
+
+NETWORK_SIGNS = (
+    "NewConnectionError",
+    "ConnectTimeoutError",
+    "ReadTimeoutError",
+    "NameResolutionError",
+    "Temporary failure in name resolution",
+    "Network is unreachable",
+    "Connection refused",
+    "ProxyError",
+    "SSLError",
+)
+"""What pip prints where the package index cannot be reached."""
+
+
+def ensure(lock: Path) -> bool:
+    """Make `.venv` hold what `lock` lists; return whether anything had to be done.
+
+    Raises
+    ------
+    StopError
+        It could not be made; the sentence says why and what to do.
+    """
+    if _is_ready(lock):
+        return False
+    _require_glibc()
+    try:
+        with _alone():
+            if not _is_ready(lock):
+                _install(lock)
+    except OSError as error:
+        raise StopError(f"{places.VENV} could not be written: {error.strerror or error}.") from error
+    return True
+
+
+def _is_ready(lock: Path) -> bool:
+    return _venv_is_right() and STAMP.exists() and _stamp_line(lock) in STAMP.read_text(encoding="utf-8").splitlines()
+
+
+def _venv_is_right() -> bool:
+    """Whether `.venv` is whole and of the Python that runs this."""
+    configuration = places.VENV / "pyvenv.cfg"
+    if UNFINISHED.exists() or not places.interpreter().exists() or not configuration.exists():
+        return False
+    version = re.search(r"^version(?:_info)? *= *(\d+)\.(\d+)", configuration.read_text(encoding="utf-8"), re.MULTILINE)
+    return version is not None and (int(version[1]), int(version[2])) == sys.version_info[:2]
+
+
+def _stamp_line(lock: Path) -> str:
+    digest = hashlib.sha256(lock.read_bytes()).hexdigest()
+    return f"{lock.name} {digest} Python {sys.version_info.major}.{sys.version_info.minor}"
+
+
+def _install(lock: Path) -> None:
+    if not _venv_is_right():
+        _make_venv()
+    STAMP.unlink(missing_ok=True)
+    _provide_pip()
+    UNFINISHED.unlink(missing_ok=True)
+    say(f"Installing the Python packages of {lock.name} into {places.VENV} (once; a few hundred MB to fetch) ...")
+    _pip_install(lock)
+    _add_checkout()
+    held = (places.RUN_LOCK, places.TEST_LOCK) if lock == places.TEST_LOCK else (lock,)
+    STAMP.write_text("\n".join(_stamp_line(each) for each in held) + "\n", encoding="utf-8")
+    UNFINISHED.unlink(missing_ok=True)
+
+
+def _make_venv() -> None:
+    try:
+        import venv
+    except ImportError:
+        raise StopError(f"This Python has no venv module. Install it:  {apt.line_for(['python3-venv'])}") from None
+    say(f"Making a Python {sys.version_info.major}.{sys.version_info.minor} environment in {places.VENV} ...")
+    venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(places.VENV)
+    UNFINISHED.touch()  # until pip is in it
+
+
+def _provide_pip() -> None:
+    """Put pip into `.venv`, also where Debian's Python came without it."""
+    if _python("-c", "import pip").returncode == 0 or _python("-m", "ensurepip").returncode == 0:
+        return
+    if not apt.is_here():
+        raise StopError("This Python comes without pip (module ensurepip). Install your system's package for pip and venv.")
+    if os.geteuid() == 0:
+        apt.provide([f"python{sys.version_info.major}.{sys.version_info.minor}-venv"], places.SYSTEM)
+        done = _python("-m", "ensurepip")
+    else:
+        apt.provide(["python3-pip-whl"], places.SYSTEM)
+        wheel = next((places.SYSTEM / "usr" / "share" / "python-wheels").glob("pip-*.whl"))
+        done = _python("-m", "pip", "install", "--quiet", "--no-index", str(wheel), PYTHONPATH=str(wheel))
+    if done.returncode:
+        raise StopError(f"pip could not be put into {places.VENV}:\n{done.stdout}{done.stderr}", OURS)
+
+
+def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [places.interpreter(), *arguments],
+        env=_pip_environment() | variables,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def _pip_environment() -> dict[str, str]:
+    # The person's own index, certificates and proxies stay; a wish for `--user` would miss .venv.
+    return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PYTHONPATH": ""}
+
+
+def _pip_install(lock: Path) -> None:
+    command = [places.interpreter(), "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
+    command += ["--retries", "2", "--progress-bar", "off", "-r", lock]
+    with (
+        places.LOG.open("w", buffering=1, encoding="utf-8") as log,
+        subprocess.Popen(
+            command,
+            env=_pip_environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            close_fds=False,  # pip holds the lock too, should it outlive this process
+        ) as pip,
+    ):
+        assert pip.stdout is not None
+        log.writelines(_told(pip.stdout))
+    if pip.returncode:
+        raise _pip_failure(places.LOG.read_text(encoding="utf-8"))
+
+
+def _told(lines: Iterable[str]) -> Iterator[str]:
+    """Pass pip's lines on, tell how far it is, and mark `.venv` as unfinished once pip begins to change it."""
+    count = 0
+    for line in lines:
+        if line.startswith("Collecting "):
+            count += 1
+            say_over(f"  {count}: {line.split()[1]}")
+        elif line.startswith("Installing collected packages"):
+            UNFINISHED.touch()  # up to here nothing was changed
+            say_over("  unpacking")
+        yield line
+    say_over("")
+
+
+def _pip_failure(log: str) -> StopError:
+    if "No space left on device" in log:
+        return StopError(f"The disk is full: {places.VENV} needs about 1.3 GB. Free some space and run this again.")
+    if any(sign in log for sign in NETWORK_SIGNS):
+        return StopError(
+            "The Python package index could not be reached, so packages are missing.\n"
+            "Connect this machine to the network (or set PIP_INDEX_URL, PIP_FIND_LINKS or a proxy) and run this again."
+        )
+    if "DO NOT MATCH THE HASHES" in log:
+        return StopError(f"A fetched package is not the one that was tested with this version: see {places.LOG}.")
+    unknown = re.search(r"No matching distribution found for (\S+)", log)
+    if unknown:
+        return StopError(f"There is no {unknown[1]} for this kind of machine, or the network is filtered: see {places.LOG}.")
+    return StopError(f"pip failed; {places.LOG} has all it said. It ended with:\n" + "\n".join(log.splitlines()[-5:]), OURS)
+
+
+def _add_checkout() -> None:
+    """Let this environment find `app` and `skincal`, also from other folders and in child processes; compile them."""
+    relative = os.path.relpath(places.CHECKOUT, places.site_packages())  # survives a move of the whole checkout
+    (places.site_packages() / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
+    _add_command()
+    _python("-m", "compileall", "-q", *(str(places.CHECKOUT / name) for name in ("app", "skincal")))
+
+
+def _add_command() -> None:
+    """Put `skincal` into `.venv`: it is `start.py`, so that it finds unpacked system libraries and follows a new lock."""
+    if os.name == "nt":
+        places.interpreter().with_name("skincal.cmd").write_text(WINDOWS_COMMAND, encoding="utf-8")
+        return
+    command = places.interpreter().with_name("skincal")
+    command.write_text(COMMAND, encoding="utf-8")
+    command.chmod(0o755)
+
+
+COMMAND = """#!/bin/sh
+here=$(dirname "$(readlink -f "$0")")
+exec "$here/python" "$here/../../start.py" "$@"
+"""
+WINDOWS_COMMAND = '@"%~dp0python.exe" "%~dp0..\\..\\start.py" %*\n'
+
+
+def _require_glibc() -> None:
+    if not sys.platform.startswith("linux"):
+        return
+    try:
+        name, _, version = (os.confstr("CS_GNU_LIBC_VERSION") or "").partition(" ")
+    except (ValueError, OSError):
+        name, version = "", ""
+    found = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
+    if name != "glibc" or found < OLDEST_GLIBC:
+        raise StopError(
+            f"This system's C library is {f'{name} {version}'.strip() or 'not glibc'}; the packages need glibc 2.34 or later "
+            "(Debian 12, Ubuntu 22.04, Fedora 35)."
+        )
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Wait while another start of the same checkout installs."""
+    with (places.CHECKOUT / ".venv.lock").open("w", encoding="utf-8") as handle:
+        os.set_inheritable(handle.fileno(), True)
+        waiting = False
+        while not _held(handle.fileno()):
+            if not waiting:
+                say("Another start of this checkout is installing; waiting for it ...")
+            waiting = True
+            time.sleep(0.5)
+        yield
+
+
+def _held(descriptor: int) -> bool:
+    """Take the lock unless somebody has it; it ends with the process, however that ends."""
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
