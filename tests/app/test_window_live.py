@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import os
 import signal
 import sys
@@ -362,6 +363,16 @@ def test_an_exception_that_nobody_caught_reaches_the_operator(bench):
     assert "a broken slot" in bench.window.messages.text.text()
 
 
+@pytest.fixture
+def own_garbage():
+    """Let the collector look only at what this test makes, not at the objects of a thousand other tests."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
+@pytest.mark.usefixtures("own_garbage")
 def test_no_step_of_opening_a_hundred_thousand_triangles_holds_the_window(bench, qtbot):
     """The longest step of the window's own thread, by its processor time: a busy machine must not turn this red.
 
