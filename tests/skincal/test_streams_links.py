@@ -351,7 +351,9 @@ def test_address_that_cannot_be_right_is_said_once_and_left(address):
 
 
 def test_reader_that_was_never_started_stops():
-    Reader(spec("x"), queue.SimpleQueue()).stop()
+    items = queue.SimpleQueue()
+    Reader(spec("x"), items).stop()
+    assert items.empty()
 
 
 @pytest.mark.parametrize(

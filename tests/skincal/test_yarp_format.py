@@ -220,9 +220,10 @@ def test_a_bottle_with_half_a_pair_is_refused(bottle):
 @given(st.text(max_size=60))
 def test_any_text_is_a_bottle_or_refused(text):
     try:
-        parse_bottle(text)
+        bottle = parse_bottle(text)
     except BottleError:
         return
+    assert isinstance(bottle, list)
 
 
 def test_words_vocabs_and_blobs_are_no_numbers():
