@@ -19,6 +19,8 @@ from skincal.readings import FloatArray
 from skincal.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.tables import Table, check_metres, read_toml
 
+_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
+"""Settings that the file gives in degrees, by the name that says so."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -86,14 +88,25 @@ class ContactSettings:
 
 @dataclass(frozen=True, slots=True)
 class NoiseSettings:
-    """The rig's noise per averaged poke, for predicted uncertainty; SI units."""
+    """The rig's noise per averaged poke, for predicted uncertainty; SI units. One set for the whole session."""
 
     force: float = 0.10
     """N, sd of each force component: a good rig's, see `docs/noise.md`."""
     moment: float = 0.010
     """N m, sd of each moment component: likewise; the FT45 resolves 0.005 N m."""
-    contact: float = 0.002
-    """m, sd of the contact about the taxel in each tangent direction: half the 4 mm tip."""
+    contact: float = 0.0015
+    """m, sd of the contact about the taxel that answers most, each direction in the skin: by hand one aims to 2 mm, and where
+    the tip lands farther off, a neighbour answers more."""
+    reach: float = 0.0025
+    """m, how far beside the tip the skin answers: a taxel that the tip misses by this much, each direction, more than the one
+    that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.foam`)."""
+    radius: float = 0.03
+    """m, of the part across its axis under the skin: pokes beside a taxel lean with the skin, so the axes meet below it. A
+    forearm's; 1 where the part is flat."""
+    pose_turn: float = 0.0
+    """rad, sd of the turn of each arm pose about each axis through the sensor, one for all its pokes; 0: not modelled."""
+    pose_shift: float = 0.0
+    """m, sd of the shift of each arm pose along each axis, likewise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,10 +258,13 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
     for item in fields(kind):
         default: Any = item.default
         wanted: type = int if isinstance(default, int) else float
-        value = table.take(item.name, wanted, default)
-        if not value > 0:
-            raise InputError(f"{table.where}: {item.name} is {value}; expected a number above 0.")
-        given[item.name] = value
+        key = _IN_DEGREES.get(item.name, item.name)
+        value = table.take(key, wanted, default)
+        # What is 0 unless given may be given as 0.
+        if not (value > 0 or value == default):
+            expected = "0 or a number above" if default == 0 else "a number above 0"
+            raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")
+        given[item.name] = value if key == item.name else float(np.radians(value))
     return kind(**given)
 
 

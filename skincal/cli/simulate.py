@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -103,7 +103,7 @@ def simulate(
     if out is not None:
         _record(play, out, as_json)
     else:
-        _serve(play, operator, tcp)
+        _serve(play, operator, tcp, as_json)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +136,8 @@ def _surface(scene: Scene) -> Surface | None:
 
 def _record(play: _Play, out: Path, as_json: bool) -> None:
     from skincal.cli.record import finish
-    from skincal.files.reference import read_reference
-    from skincal.simulate.session import TRUTH_FILE, simulate_session
+    from skincal.files.reference import TRUTH_NAME, read_reference
+    from skincal.simulate.session import simulate_session
 
     road = simulate_session(
         play.scene,
@@ -151,20 +151,21 @@ def _record(play: _Play, out: Path, as_json: bool) -> None:
         settings=play.settings,
         progress=_show_progress if sys.stderr.isatty() else None,
     )
-    finish(road, out, as_json, reference=read_reference(out / TRUTH_FILE))
+    finish(road, out, as_json, reference=read_reference(out / TRUTH_NAME))
 
 
 def _show_progress(pokes: int) -> None:
     typer.echo(f"\rpoke {pokes} ", err=True, nl=False)
 
 
-def _serve(play: _Play, operator: OperatorKind, tcp: bool) -> None:
+def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> None:
     import numpy as np
 
     from skincal.simulate.device import Timeline
     from skincal.simulate.operator import Auto, Told
     from skincal.simulate.rig import Rig
     from skincal.simulate.serve import Server
+    from skincal.simulate.session import truth
 
     rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)
     rig = Rig(play.scene, play.surface, play.errors, rig_rng)
@@ -174,16 +175,17 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool) -> None:
         someone = Auto(rig, play.habits, operator_rng, play.pokes, play.poses)
     line = Timeline(rig, someone, device_rng, play.settings)
     with Server(line, tcp=tcp) as server:
-        _print_links(server)
+        _print_links(server, truth(rig) if with_truth else {})
         _run(server, someone if isinstance(someone, Told) else None)
 
 
-def _print_links(server: Server) -> None:
+def _print_links(server: Server, known: dict[str, Any]) -> None:
+    """Say on one line where the links are; for a program (--json) also where the taxels really are."""
     links = [
         {"name": link.name, "address": link.address, "carries": [stream.value for stream in link.carries]}
         for link in server.links
     ]
-    typer.echo(json.dumps({"links": links}))
+    typer.echo(json.dumps({"links": links, **known}))
     sys.stdout.flush()
 
 

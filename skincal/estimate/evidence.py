@@ -9,18 +9,19 @@ So two rows do: with a = u x m/|f| the axis's point nearest to the origin and e_
 
 The minimum is that of (5). What is gained is digits: a heavy contact's pitch can no longer leak, through the rounding of
 a row that should be nought, into a direction that only light contacts determine.
+
+Answers of many taxels lie one after another in the same arrays, cut by `starts`. Beside k stands the trust of `robust`,
+0 to 1, a factor of the contact's share of the sum of squares.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact
+from skincal.estimate.segments import dot, spread, total
 from skincal.readings import FloatArray, IntArray
-from skincal.wrench import move_wrench
 
 MISS_MAX = 0.050
 """m. Axes that pass a taxel at more than this (weighted rms) are of another part, frame or unit: no error of a rig is as
@@ -29,40 +30,110 @@ large."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """The contacts in which one taxel answered, in an order that depends on their numbers alone."""
+    """The n answers of t taxels, each taxel's in an order that depends on their numbers alone: heaviest first."""
 
-    directions: FloatArray
-    """(n, 3) float: u = f/|f|, link frame."""
-    moments: FloatArray
-    """(n, 3) float, metres: m/|f| about the link's origin."""
-    forces: FloatArray
-    """(n,) float, N: |f|."""
+    channels: IntArray
+    """(t,) ascending."""
+    starts: IntArray
+    """(t + 1,): taxel i has the answers starts[i] to starts[i + 1], at least one."""
+    taxels: IntArray
+    """(n,) index of the taxel that answered, 0 to t - 1."""
+    pokes: IntArray
+    """(n,) number of the poke."""
+    poses: IntArray
+    """(n,) equal where the arm's pose has the same name."""
+    columns: FloatArray
+    """(17, n): u, nearest, |f|, pitch, sensor, e_1, e_2; read by the properties below."""
     weights: FloatArray
     """(n,) float, 0 < k <= 1."""
-    sensors: FloatArray
-    """(n, 3) float, metres: the sensor's origin in the link frame; the lever p - sensors carries the force's noise."""
-    across: FloatArray
-    """(n, 2, 3) float: e_1 and e_2 of each contact, with e_1 x e_2 = u."""
+    trust: FloatArray
+    """(n,) float, 0 to 1: how far the contact counts for the taxel; 1 but for outliers."""
 
     @property
-    def contacts(self) -> int:
-        """Number of contacts."""
-        return len(self.forces)
+    def directions(self) -> FloatArray:
+        """(n, 3) float: u = f/|f|, link frame."""
+        return self.columns[0:3].T
+
+    @property
+    def nearest(self) -> FloatArray:
+        """(n, 3) float, metres: a = u x m/|f|, the axis's point nearest to the link's origin."""
+        return self.columns[3:6].T
+
+    @property
+    def forces(self) -> FloatArray:
+        """(n,) float, N: |f|."""
+        return self.columns[6]
+
+    @property
+    def pitches(self) -> FloatArray:
+        """(n,) float, metres: f . m/|f|^2 about the link's origin, the same about any point."""
+        return self.columns[7]
+
+    @property
+    def sensors(self) -> FloatArray:
+        """(n, 3) float, metres: the sensor's origin in the link frame; the lever p - sensors carries the force's noise."""
+        return self.columns[8:11].T
+
+    @property
+    def across(self) -> FloatArray:
+        """(n, 2, 3) float: e_1 and e_2 of each contact, with e_1 x e_2 = u."""
+        return self.columns[11:17].reshape(2, 3, -1).transpose(2, 0, 1)
+
+    @property
+    def counts(self) -> IntArray:
+        """(t,) contacts of each taxel."""
+        return np.diff(self.starts)
+
+    @property
+    def scales(self) -> FloatArray:
+        """(n,) float: k times the root of the trust, by which the rows are multiplied."""
+        return self.weights * np.sqrt(self.trust)
 
     def rows(self) -> tuple[FloatArray, FloatArray]:
-        """Return the weighted system: A (2n, 3) and b (2n,); the least squares of A p = b are those of (5)."""
-        weighted = self.weights[:, None, None] * self.across
-        nearest = np.cross(self.directions, self.moments)
-        return weighted.reshape(-1, 3), np.einsum("nij,nj->ni", weighted, nearest).ravel()
+        """Return the weighted system of each taxel, its rows from 2 starts[i]: A (2n, 3) and b (2n,), those of (5)."""
+        scaled = self.columns[11:17].reshape(2, 3, -1) * self.scales
+        a = np.empty((3, len(self.weights), 2))
+        a[:, :, 0], a[:, :, 1] = scaled[0], scaled[1]
+        nearest = self.columns[3:6]
+        b = np.stack([dot(scaled[0], nearest), dot(scaled[1], nearest)], axis=1)
+        return a.reshape(3, -1).T, b.ravel()
 
-    def push(self) -> FloatArray:
-        """Return the weighted mean of the directions, (3,); shorter than 1 the more they differ."""
-        return self.weights @ self.directions / self.weights.sum()
+    def pushes(self) -> FloatArray:
+        """Return (t, 3) the weighted means of the directions, shorter than 1 the more they differ."""
+        shares = self.weights * self.trust
+        return (total(shares * self.columns[0:3], self.starts) / total(shares, self.starts)).T
 
-    def miss(self, point: FloatArray) -> float:
-        """Return at what distance the axes pass `point` (3,), metres: the weighted root mean square."""
-        a, b = self.rows()
-        return float(np.linalg.norm(a @ point - b) / np.linalg.norm(self.weights))
+    def misses(self, points: FloatArray) -> FloatArray:
+        """Return (t,) at what distance the axes pass `points` (t, 3), metres: the weighted root mean square."""
+        off = spread(points.T, self.taxels) - self.columns[3:6]
+        e1, e2 = self.columns[11:14], self.columns[14:17]
+        squares = self.scales**2
+        return np.sqrt(total(squares * (dot(e1, off) ** 2 + dot(e2, off) ** 2), self.starts) / total(squares, self.starts))
+
+    def doubted(self) -> list[dict[int, float]]:
+        """Return for each taxel the pokes whose trust is below 1: number to trust."""
+        doubted: list[dict[int, float]] = [{} for _ in self.channels]
+        for place in np.flatnonzero(self.trust < 1.0):
+            doubted[int(self.taxels[place])][int(self.pokes[place])] = float(self.trust[place])
+        return doubted
+
+    def trusted(self, trust: FloatArray) -> Evidence:
+        """Return the same evidence with another trust (n,)."""
+        return replace(self, trust=trust)
+
+    def part(self, first: int, last: int) -> Evidence:
+        """Return the evidence of taxels `first` to `last` (excluded) alone."""
+        begin, end = self.starts[first], self.starts[last]
+        return Evidence(
+            channels=self.channels[first:last],
+            starts=self.starts[first : last + 1] - begin,
+            taxels=self.taxels[begin:end] - first,
+            pokes=self.pokes[begin:end],
+            poses=self.poses[begin:end],
+            columns=self.columns[:, begin:end],
+            weights=self.weights[begin:end],
+            trust=self.trust[begin:end],
+        )
 
 
 def across(u: FloatArray) -> FloatArray:
@@ -74,80 +145,3 @@ def across(u: FloatArray) -> FloatArray:
     xy = x * y * k
     first = np.stack([1.0 + sign * x * x * k, sign * xy, -sign * x], axis=1)
     return np.stack([first, np.stack([xy, sign + y * y * k, -y], axis=1)], axis=1)
-
-
-def gather(contacts: Sequence[Contact], channels: Collection[int]) -> dict[int, Evidence]:
-    """Return the evidence of each of `channels` that answered in a contact; the others have no entry.
-
-    Raises
-    ------
-    ValueError
-        A contact of these channels has a number that is not finite, no force, or a response that is not above zero.
-    """
-    touched = _touched(contacts, channels)
-    if not touched:
-        return {}
-    which, channel, weight = _answers(touched, channels)
-    table = _carried(touched)
-    # Sorted by content, so that the order in which the pokes came leaves no trace, not even in the last digit.
-    order = np.lexsort((*table.T[:, which], weight, channel))
-    channel, weight, rows = channel[order], weight[order], table[which[order]]
-    frames = across(table[:, :3])[which[order]]
-    starts = np.flatnonzero(np.r_[True, channel[1:] != channel[:-1]])
-    parts = zip(starts, np.r_[starts[1:], len(channel)], strict=True)
-    return {int(channel[a]): _evidence(rows[a:b], weight[a:b], frames[a:b]) for a, b in parts}
-
-
-def _evidence(rows: FloatArray, weights: FloatArray, frames: FloatArray) -> Evidence:
-    # Copies, so that sums run over the same memory layout whichever other taxels were asked for.
-    u, moments, sensors = rows[:, 0:3].copy(), rows[:, 3:6].copy(), rows[:, 7:10].copy()
-    return Evidence(u, moments, rows[:, 6].copy(), weights.copy(), sensors, frames.copy())
-
-
-def _touched(contacts: Sequence[Contact], channels: Collection[int]) -> list[Contact]:
-    """Return the contacts in which one of `channels` answered."""
-    if not contacts or not channels:
-        return []
-    answered = np.concatenate([contact.channels for contact in contacts])
-    owner = np.repeat(np.arange(len(contacts)), [len(contact.channels) for contact in contacts])
-    return [contacts[index] for index in dict.fromkeys(owner[_among(answered, channels)].tolist())]
-
-
-def _among(answered: IntArray, channels: Collection[int]) -> IntArray:
-    """Return the places in `answered` that hold one of `channels`."""
-    wanted = np.zeros(max(int(answered.max(initial=0)), max(channels)) + 1, dtype=bool)
-    wanted[list(channels)] = True
-    return np.flatnonzero(wanted[answered])
-
-
-def _answers(contacts: list[Contact], channels: Collection[int]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return for each answer of one of `channels`: index of the contact, channel, weight k."""
-    sizes = np.array([len(contact.channels) for contact in contacts])
-    answered = np.concatenate([contact.channels for contact in contacts])
-    responses = np.concatenate([contact.responses for contact in contacts])
-    strongest = np.maximum.reduceat(responses, np.cumsum(sizes) - sizes)
-    chosen = _among(answered, channels)
-    which = np.repeat(np.arange(len(contacts)), sizes)[chosen]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        weight = responses[chosen] / strongest[which]
-    good = np.isfinite(weight) & (weight > 0)
-    if not good.all():
-        poke = contacts[int(which[(~good).argmax()])].poke
-        raise ValueError(f"poke {poke}: a taxel's response is not a number above zero")
-    return which, answered[chosen].astype(np.int64), weight
-
-
-def _carried(contacts: Sequence[Contact]) -> FloatArray:
-    """Return (n, 10): u, m/|f|, |f| and the sensor's origin of each contact, link frame."""
-    poses = np.array([contact.link_from_sensor for contact in contacts], dtype=float)
-    force, moment = move_wrench(
-        poses,
-        np.array([contact.force for contact in contacts], dtype=float),
-        np.array([contact.moment for contact in contacts], dtype=float),
-    )
-    size = np.sqrt(force[:, 0] * force[:, 0] + force[:, 1] * force[:, 1] + force[:, 2] * force[:, 2])
-    good = np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(moment).all(axis=1) & np.isfinite(size) & (size > 0)
-    if not good.all():
-        poke = contacts[int((~good).argmax())].poke
-        raise ValueError(f"poke {poke}: its wrench or pose is not finite, or it has no force")
-    return np.concatenate([force / size[:, None], moment / size[:, None], size[:, None], poses[:, :3, 3]], axis=1)

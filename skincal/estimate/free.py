@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from skincal.estimate.evidence import MISS_MAX, Evidence
-from skincal.estimate.qr import factor
+from skincal.estimate.qr import Factors
 from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.uncertainty import SD_MAX, Uncertainty, propagate
+from skincal.estimate.uncertainty import SD_MAX, Freedom, propagate
 from skincal.readings import FloatArray
 from skincal.scene import NoiseSettings
 
@@ -18,49 +18,63 @@ OPPOSED = 0.05
 """Length of the mean of unit pushes below which they cancel and no side is outward: a mean of 0.05 is chance for 400 pokes."""
 
 
-def estimate_free(channel: int, evidence: Evidence, noise: NoiseSettings) -> Estimate:
-    """Estimate one taxel from at least one contact; blind where its axes do not fix a point or pass it far off."""
-    a, b = evidence.rows()
-    solved = factor(a, b)
-    point = solved.solution
-    around = evidence.sensors.mean(axis=0) if point is None else point
-    uncertain = propagate(evidence, a, solved.root, around, noise, np.eye(3))
-    normal = outward(evidence)
-    covariance = uncertain.covariance
-    if point is None or covariance is None or not uncertain.determined or not np.isfinite(point).all():
-        return Estimate(
-            channel, Method.FREE, State.BLIND, evidence.contacts, normal=normal, weakest=uncertain.weakest, sd=uncertain.sd,
-            reason=_why_blind(evidence, uncertain),
-        )  # fmt: skip
-    miss = evidence.miss(point)
-    if miss > MISS_MAX:
-        reason = (
-            f"The axes pass each other at {miss * 1e3:.0f} mm from their middle (limit {MISS_MAX * 1e3:.0f} mm): "
-            "check the arm poses, or exclude the wrong pokes."
-        )
-        return Estimate(channel, Method.FREE, State.BLIND, evidence.contacts, normal=normal, reason=reason)
-    return Estimate(
-        channel, Method.FREE, State.ESTIMATED, evidence.contacts, position=point, normal=normal, covariance=covariance,
-        weakest=uncertain.weakest, sd=uncertain.sd, rms=float(np.sqrt(np.trace(covariance))),
-    )  # fmt: skip
+def estimate_free(evidence: Evidence, factors: Factors, space: Freedom, noise: NoiseSettings) -> list[Estimate]:
+    """Estimate each taxel of `evidence`; blind where its axes do not fix a point or pass it far off.
+
+    Parameters
+    ----------
+    space : `in_space(factors)`
+    """
+    points = factors.solutions
+    uncertain = propagate(evidence, space, points, noise)
+    misses = evidence.misses(points)
+    normals, opposed = outward(evidence)
+    rms = np.sqrt(np.trace(uncertain.covariances, axis1=1, axis2=2))
+    counts, doubted = evidence.counts.tolist(), evidence.doubted()
+    estimates: list[Estimate] = []
+    for i, channel in enumerate(evidence.channels.tolist()):
+        normal = None if opposed[i] else normals[i]
+        sd = float(uncertain.sds[i])
+        if not sd <= SD_MAX:
+            foot = points[i] if factors.ranks[i] == 2 else None
+            one = Estimate(
+                channel, Method.FREE, State.BLIND, counts[i], normal=normal, weakest=uncertain.weakest[i],
+                sd=sd if np.isfinite(sd) else None, reason=_why_blind(evidence.part(i, i + 1), uncertain.weakest[i], sd),
+                foot=foot, doubted=doubted[i],
+            )  # fmt: skip
+        elif misses[i] > MISS_MAX:
+            reason = (
+                f"The axes pass each other at {misses[i] * 1e3:.0f} mm from their middle (limit {MISS_MAX * 1e3:.0f} mm): "
+                "check the arm poses, or exclude the wrong pokes."
+            )
+            one = Estimate(channel, Method.FREE, State.BLIND, counts[i], normal=normal, reason=reason, doubted=doubted[i])
+        else:
+            one = Estimate(
+                channel, Method.FREE, State.ESTIMATED, counts[i], position=points[i], normal=normal,
+                covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=float(rms[i]),
+                doubted=doubted[i],
+            )  # fmt: skip
+        estimates.append(one)
+    return estimates
 
 
-def outward(evidence: Evidence) -> FloatArray | None:
-    """Return the unit normal against the mean push; None where the pushes cancel."""
-    push = evidence.push()
-    length = float(np.linalg.norm(push))
-    return None if length < OPPOSED else -push / length
+def outward(evidence: Evidence) -> tuple[FloatArray, FloatArray]:
+    """Return the unit normals against the mean pushes, (t, 3), and where the pushes cancel so that there is none, (t,) bool."""
+    pushes = evidence.pushes()
+    lengths = np.sqrt(np.sum(pushes * pushes, axis=1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return -pushes / lengths[:, None], lengths < OPPOSED
 
 
-def _why_blind(evidence: Evidence, uncertain: Uncertainty) -> str:
-    if evidence.contacts == 1:
+def _why_blind(evidence: Evidence, axis: FloatArray, sd: float) -> str:
+    directions = evidence.directions[evidence.trust > 0.0]
+    if len(directions) == 1:
         return "One axis only: the depth along it is unknown. Poke once more with another tilt."
-    axis = uncertain.weakest
-    sines = np.linalg.norm(np.cross(evidence.directions, axis), axis=1)
-    angle = float(np.degrees(np.arctan2(sines, np.abs(evidence.directions @ axis)).max()))
-    known = "is unknown" if uncertain.sd is None else f"is known to {_millimetres(uncertain.sd)} only"
+    sines = np.linalg.norm(np.cross(directions, axis), axis=1)
+    angle = float(np.degrees(np.arctan2(sines, np.abs(directions @ axis)).max()))
+    known = f"is known to {_millimetres(sd)} only" if np.isfinite(sd) else "is unknown"
     return (
-        f"All {evidence.contacts} axes lie within {_degrees(angle)} of one direction: the depth along it {known} "
+        f"All {len(directions)} axes lie within {_degrees(angle)} of one direction: the depth along it {known} "
         f"(limit {SD_MAX * 1e3:.0f} mm). Poke with another tilt."
     )
 

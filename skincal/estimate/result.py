@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 from skincal.readings import FloatArray
@@ -25,6 +26,17 @@ class State(Enum):
     ESTIMATED = "estimated"
     DEAD = "dead"
     """Stuck or always on: its answers are not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """Another place on the surface that fits the same contacts nearly as well."""
+
+    position: FloatArray
+    """(3,) float, metres, link frame."""
+    triangle: int
+    odds: float
+    """>= 1: how many times less likely it is than the estimate, by the rig's noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,3 +68,10 @@ class Estimate:
     """Index of the surface's triangle that carries the position; None for the free method."""
     reason: str = ""
     """A sentence: why the state is what it is."""
+    foot: FloatArray | None = None
+    """(3,) float, metres: for a taxel that the free method knows as a line only, the line's point nearest to the link's
+    origin, that is the solution of smallest norm; the line runs along `weakest`. None otherwise."""
+    rival: Rival | None = None
+    """Surface method: the taxel may lie there as well. None where no other place is within the noise."""
+    doubted: Mapping[int, float] = field(default_factory=dict[int, float])
+    """Pokes that count less than fully for this taxel: number to trust, 0 to less than 1."""

@@ -2,32 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.evidence import Evidence, gather
+from skincal.estimate.evidence import Evidence
 from skincal.estimate.free import estimate_free
+from skincal.estimate.ledger import Ledger
+from skincal.estimate.qr import factor
 from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.uncertainty import unsigned
+from skincal.estimate.robust import trust
+from skincal.estimate.uncertainty import in_space, unsigned
+from skincal.readings import IntArray
 from skincal.scene import NoiseSettings
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
 
 _NONE_DEAD: Mapping[int, str] = {}
+_NONE_BEFORE: Mapping[int, Estimate] = {}
+_AT_ONCE = 40_000
+"""Answers solved at once: what is made of them, some 20 MB, stays near the processor."""
+
+Estimates: TypeAlias = dict[Method, dict[int, Estimate]]
+"""Of each method, of each channel."""
 
 
 def estimate_taxels(
     contacts: Sequence[Contact],
-    channels: Sequence[int],
-    method: Method,
+    channels: Iterable[int],
+    methods: Sequence[Method],
     noise: NoiseSettings,
     surface: Surface | None,
     dead: Mapping[int, str] = _NONE_DEAD,
-) -> dict[int, Estimate]:
+) -> Estimates:
     """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
 
     The result does not depend on the order of the contacts, nor on which other channels are asked for: not by a bit.
@@ -42,31 +53,75 @@ def estimate_taxels(
     ValueError
         A contact has a number that is not finite, or the surface method has no surface.
     """
-    if method is Method.SURFACE and surface is None:
-        raise ValueError("the surface method needs a surface")
-    channels = [int(channel) for channel in channels]
-    evidence = gather(contacts, set(channels) - set(dead))
-    return {channel: _estimate(channel, evidence.get(channel), method, noise, surface, dead) for channel in channels}
+    return estimate_from(Ledger(contacts), channels, methods, noise, surface, dead)
 
 
-def _estimate(
-    channel: int,
-    evidence: Evidence | None,
-    method: Method,
+def estimate_from(
+    ledger: Ledger,
+    channels: Iterable[int],
+    methods: Sequence[Method],
     noise: NoiseSettings,
     surface: Surface | None,
-    dead: Mapping[int, str],
-) -> Estimate:
+    dead: Mapping[int, str] = _NONE_DEAD,
+    last: Mapping[int, Estimate] = _NONE_BEFORE,
+) -> Estimates:
+    """Estimate each of `channels` from the contacts of a ledger; else as `estimate_taxels`.
+
+    Parameters
+    ----------
+    last : the surface method's last answers, which make its search shorter and nothing else
+    """
+    if Method.SURFACE in methods and surface is None:
+        raise ValueError("the surface method needs a surface")
+    channels = [int(channel) for channel in channels]
+    evidence = ledger.evidence([channel for channel in channels if channel not in dead])
+    evidence = evidence.trusted(trust(evidence, noise)) if len(evidence.channels) else evidence
+    solved: Estimates = {method: {} for method in methods}
+    for first, after in _blocks(evidence):
+        for method, estimates in _solve(evidence.part(first, after), methods, noise, surface, last).items():
+            solved[method].update((one.channel, one) for one in estimates)
+    return {
+        method: {channel: found.get(channel) or _without(channel, method, dead) for channel in channels}
+        for method, found in solved.items()
+    }
+
+
+def _blocks(evidence: Evidence) -> list[tuple[int, int]]:
+    """Cut the taxels into parts of about `_AT_ONCE` answers: first taxel, and the one after the last."""
+    count = len(evidence.channels)
+    edges = np.searchsorted(evidence.starts, np.arange(0, len(evidence.pokes), _AT_ONCE), side="left")
+    cuts = sorted({*edges.tolist(), count})
+    return [(a, b) for a, b in pairwise(cuts) if b > a]
+
+
+def _solve(
+    evidence: Evidence, methods: Sequence[Method], noise: NoiseSettings, surface: Surface | None, last: Mapping[int, Estimate]
+) -> dict[Method, list[Estimate]]:
+    factors = factor(*evidence.rows(), 2 * evidence.starts)
+    space = in_space(factors)
+    solved: dict[Method, list[Estimate]] = {}
+    for method in methods:
+        if method is Method.FREE or surface is None:
+            solved[method] = estimate_free(evidence, factors, space, noise)
+            continue
+        # Only now: a scene without a mesh loads nothing of it.
+        from skincal.estimate.surface import estimate_surface
+
+        solved[method] = estimate_surface(evidence, factors, space, noise, surface, _triangles(evidence, last))
+    return solved
+
+
+def _triangles(evidence: Evidence, last: Mapping[int, Estimate]) -> IntArray:
+    """Return (t,) the triangles of the last answers, -1 where there was none."""
+    before = [last.get(channel) for channel in evidence.channels.tolist()]
+    return np.array([-1 if one is None or one.triangle is None else one.triangle for one in before], dtype=np.int64)
+
+
+def _without(channel: int, method: Method, dead: Mapping[int, str]) -> Estimate:
+    """Return what is said of a channel without evidence."""
     if channel in dead:
         return Estimate(channel, method, State.DEAD, 0, reason=dead[channel])
-    if evidence is None:
-        return Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel.")
-    if method is Method.FREE or surface is None:
-        return estimate_free(channel, evidence, noise)
-    # Only now: a scene without a mesh loads nothing of it.
-    from skincal.estimate.surface import estimate_surface
-
-    return estimate_surface(channel, evidence, noise, surface)
+    return Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel.")
 
 
 def average_over_poses(
@@ -91,9 +146,9 @@ def average_over_poses(
     for contact in contacts:
         poses.setdefault(contact.pose, []).append(contact)
     # By name, so that the order in which the poses came does not matter.
-    solved = [estimate_taxels(poses[pose], channels, method, noise, surface, dead) for pose in sorted(poses)]
+    solved = [estimate_taxels(poses[pose], channels, [method], noise, surface, dead)[method] for pose in sorted(poses)]
     if not solved:
-        return estimate_taxels([], channels, method, noise, surface, dead)
+        return estimate_taxels([], channels, [method], noise, surface, dead)[method]
     return {int(channel): _average([one[int(channel)] for one in solved]) for channel in channels}
 
 
@@ -122,7 +177,7 @@ def _average(of_poses: list[Estimate]) -> Estimate:
     blind = len(seen) - len(good)
     return Estimate(
         channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
-        covariance=covariance, weakest=unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
+        covariance=covariance, weakest=unsigned(axes[:, -1][None])[0], sd=float(np.sqrt(values[-1])),
         rms=float(np.sqrt(np.trace(covariance))),
         reason=f"Mean of {len(good)} poses" + (f"; {blind} are blind and left out." if blind else "."),
     )  # fmt: skip

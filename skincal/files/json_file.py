@@ -18,19 +18,27 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.errors import InputError
-from skincal.estimate.result import Estimate, Method, State
+from skincal.estimate.result import Estimate, Method, Rival, State
 from skincal.files.calibration import Calibration
 from skincal.readings import FloatArray
 from skincal.scene import ContactSettings, NoiseSettings
 
-FORMAT = "skincal-calibration/1"
+FORMAT = "skincal-calibration/2"
 CONTACT_UNITS = {
     "force_min": "N", "force_max": "N", "touch_force": "N", "release_force": "N", "still_s": "", "still_change": "",
     "slide_max": "m", "pitch_max": "m", "taxels_max": "", "response_min": "raw", "response_noises": "", "quiet_s": "",
     "tare_change_max": "N", "gap_factor": "",
 }  # fmt: skip
 """Unit after the name of each setting; empty for a plain number or where the name has it."""
-NOISE_UNITS = {"force": "N", "moment": "Nm", "contact": "m"}
+NOISE_UNITS = {
+    "force": "N",
+    "moment": "Nm",
+    "contact": "m",
+    "reach": "m",
+    "radius": "m",
+    "pose_turn": "rad",
+    "pose_shift": "m",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,6 +168,7 @@ def _contact(contact: Contact) -> dict[str, Any]:
 
 
 def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
+    rival = estimate.rival
     return {
         "channel": int(estimate.channel),
         "module": calibration.module_id(estimate.channel),
@@ -173,7 +182,12 @@ def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
         "rms_m": _number(estimate.rms),
         "triangle": None if estimate.triangle is None else int(estimate.triangle),
         "reason": estimate.reason,
-    }
+        "foot_m": _array(estimate.foot),
+        "rival": None if rival is None else {
+            "position_m": _array(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
+        },
+        "doubted": {str(poke): trust for poke, trust in sorted(estimate.doubted.items())},
+    }  # fmt: skip
 
 
 def read_json(path: Path) -> CalibrationFile:
@@ -255,6 +269,7 @@ def _read_contact(values: dict[str, Any]) -> Contact:
 
 
 def _read_estimate(values: dict[str, Any], method: Method) -> Estimate:
+    rival = values["rival"]
     return Estimate(
         channel=values["channel"],
         method=method,
@@ -268,4 +283,7 @@ def _read_estimate(values: dict[str, Any], method: Method) -> Estimate:
         rms=values["rms_m"],
         triangle=values["triangle"],
         reason=values["reason"],
+        foot=_read_optional(values["foot_m"]),
+        rival=None if rival is None else Rival(_read_array(rival["position_m"]), rival["triangle"], rival["odds"]),
+        doubted={int(poke): trust for poke, trust in values["doubted"].items()},
     )

@@ -3,15 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from skincal.errors import InputError
 from skincal.estimate.result import Estimate
 from skincal.readings import FloatArray
+
+TRUTH_NAME = "truth.json"
+"""A simulated session has one beside its segments."""
+
+
+class Origin(Enum):
+    """Where places come from that estimates are compared with."""
+
+    TRUTH = "truth"
+    """A simulated rig's: where its taxels are."""
+    FILE = "file"
+    """A file that the operator chose: as true as whoever wrote it made it."""
+    PLAN = "plan"
+    """The scene's layout laid on the part: boards stretch and are glued askew, so it may lie a few millimetres off."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """Places of taxels that are known otherwise."""
+
+    origin: Origin
+    name: str
+    """Of the file, or of the scene."""
+    places: Mapping[int, FloatArray]
+    """Channel to (3,) float, metres, link frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +65,64 @@ def read_reference(path: Path) -> dict[int, FloatArray]:
     InputError
         The file is missing or is neither of the two.
     """
+    return _read(path)[1]
+
+
+def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> Reference:
+    """Read known taxel places and check that they are of this part.
+
+    Parameters
+    ----------
+    path : as for `read_reference`
+    link, channels : of the scene
+
+    Raises
+    ------
+    InputError
+        As for `read_reference`; also if the file is of another link or knows none of the channels.
+    """
+    named, places = _read(path)
+    if named and named != link:
+        raise InputError(f"{path}: its places are in the frame of {named!r}; the scene calibrates {link!r}.")
+    if not places.keys() & set(channels):
+        raise InputError(f"{path}: it knows none of this skin's {len(channels)} taxels; choose the file of this part.")
+    return Reference(origin, path.name, places)
+
+
+def find_truth(folder: Path, link: str, channels: Collection[int]) -> Reference | None:
+    """Return the truth that lies in a session's folder; None where there is none.
+
+    Raises
+    ------
+    InputError
+        As for `load_reference`.
+    """
+    path = folder / TRUTH_NAME
+    return load_reference(path, link, channels, Origin.TRUTH) if path.is_file() else None
+
+
+def plan_reference(name: str, places: FloatArray) -> Reference | None:
+    """Return a laid layout as a reference; None where it places no taxel.
+
+    Parameters
+    ----------
+    name : of the scene
+    places : (width, 3) float, metres, link frame; NaN where a channel is no taxel or has no place
+    """
+    known = {int(channel): places[channel] for channel in np.flatnonzero(np.isfinite(places).all(axis=1))}
+    return Reference(Origin.PLAN, name, known) if known else None
+
+
+def _read(path: Path) -> tuple[str, dict[int, FloatArray]]:
+    """Return the link that the file names, empty where it names none, and the places by channel."""
     if path.suffix.lower() != ".json":
         from skincal.files.icub import read_icub
 
-        return {channel: place for channel, place in enumerate(read_icub(path).positions) if np.any(place != 0.0)}
+        return "", {channel: place for channel, place in enumerate(read_icub(path).positions) if np.any(place != 0.0)}
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        return {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
+        document: Any = json.loads(path.read_text(encoding="utf-8"))
+        places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
+        return str(document.get("link", "")), places
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
     except (ValueError, KeyError, TypeError):

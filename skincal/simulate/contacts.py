@@ -1,7 +1,7 @@
 """Pokes straight to contacts, without bytes: what an accepted poke's mean wrench and answers would be.
 
-Gates are not run: every poke here is one still touch of one place, so none would be rejected but for too little force
-or too many taxels. For slides, double touches, clocks and losses use `device`.
+Gates are not run: unless the operator has the habit of touching a second place too, every poke here is one still touch of
+one place, so none would be rejected but for too little force or too many taxels. For slides, clocks and losses use `device`.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from enum import Enum
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.readings import FloatArray
+from skincal.readings import FloatArray, IntArray
 from skincal.simulate.noise import drift_step, slow_mean_sd
-from skincal.simulate.operator import Habits, aim
+from skincal.simulate.operator import Habits, aim, place, touches_beside
 from skincal.simulate.poke import Pokes, tangents
 from skincal.simulate.rig import Rig, Stance
 
@@ -25,6 +25,12 @@ SKIN_HZ = 50.0
 """Hz, frames that enter a mean."""
 TARE_TO_STILL_S = 0.8
 """s, from the middle of a quiet window to the middle of the still one."""
+RECIPE_TILT = float(np.radians(28.0))
+"""rad. A push of a recipe leans this far from the inward normal: a little less than friction holds."""
+RECIPE_TURN = float(np.radians(120.0))
+"""rad from each round of a recipe to the next: after three the lean has been to all sides."""
+RECIPE_HAND = float(np.radians(6.0))
+"""rad, sd of the push about the one asked for, in each direction: a hand without a guide. Assumed."""
 
 
 class Tare(Enum):
@@ -41,6 +47,7 @@ def simulate_contacts(
     pose: str | None = None,
     first_poke: int = 1,
     tare: Tare = Tare.POKE,
+    habits: Habits | None = None,
 ) -> list[Contact]:
     """Return the contacts that pokes end as, in their order; those that no taxel answers are left out.
 
@@ -49,31 +56,38 @@ def simulate_contacts(
     pokes : n places, pressed one after another; from `operator.aim`
     pose : name of the arm pose; the scene's first for None
     first_poke : number of the first poke
+    habits : how often a second place is touched too (`touches_beside`), never for None. All else is drawn as without, so
+        that two sessions differ in these pokes alone.
     """
     stance = rig.stance(pose)
+    (accidents,) = rng.spawn(1)
+    doubled, seconds = touches_beside(rig, pokes, habits or Habits.careful(), accidents)
     wrenches = _mean_wrenches(rig, pokes, stance, rng)
     noise, change = _tared_noise(rig, len(pokes), rng, tare)
     wrenches = wrenches + noise
-    rows, answers = rig.answers(pokes, pokes.forces)
+    wrenches[doubled] += _mean_wrenches(rig, seconds, stance, accidents)
+    answers = _answers(rig, pokes, rng)
+    rows, more = rig.answers(seconds, seconds.forces)
+    touched: list[int] = doubled.tolist()
+    for second, i in enumerate(touched):
+        answers[i] = _both(rig, answers[i], (rows[second], more[second]))
     settings = rig.scene.contacts
-    frames = settings.still_s * SKIN_HZ, settings.quiet_s * SKIN_HZ
-    sd = rig.errors.skin_noise * rig.counts * np.sqrt(1 / frames[0] + 1 / frames[1])
-    answers = answers + sd * rng.standard_normal(answers.shape)
-    heard = answers > settings.response_min
     starts = first_poke * CYCLE_S + CYCLE_S * np.arange(len(pokes))
     contacts: list[Contact] = []
-    for i in np.flatnonzero(heard.any(axis=1)):
-        channels, responses = rig.channels[rows[i][heard[i]]], answers[i][heard[i]]
-        order = np.argsort(channels)
+    for i, (rows, responses) in enumerate(answers):
+        heard = responses > settings.response_min
+        if not heard.any():
+            continue
+        order = np.argsort(rig.channels[rows[heard]])
         contacts.append(
             Contact(
-                poke=first_poke + int(i),
+                poke=first_poke + i,
                 start_s=float(starts[i]),
                 end_s=float(starts[i] + settings.still_s),
                 force=wrenches[i, :3],
                 moment=wrenches[i, 3:],
-                channels=channels[order],
-                responses=responses[order],
+                channels=rig.channels[rows[heard]][order],
+                responses=responses[heard][order],
                 link_from_sensor=stance.told,
                 pose=stance.name,
                 tare_change=float(change[i]),
@@ -87,6 +101,37 @@ def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits 
     """Return unguided pokes, `per_taxel` at each taxel, each round in a new random order."""
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
     return aim(rig, targets, habits or Habits.careful(), rng)
+
+
+def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> Pokes:
+    """Return pokes by a printed recipe, `per_taxel` at each taxel: round by round, tilted, the tilt turned with each round."""
+    habits = habits or Habits.careful()
+    targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
+    count = len(targets)
+    turns = RECIPE_TURN * np.repeat(np.arange(per_taxel), len(rig.channels))
+    tilts = np.clip(RECIPE_TILT + RECIPE_HAND * rng.standard_normal(count), 0.0, np.pi / 4)
+    azimuths = turns + RECIPE_HAND / np.sin(RECIPE_TILT) * rng.standard_normal(count)
+    beside = habits.aim * rng.standard_normal((count, 2))
+    return place(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
+
+
+def _answers(rig: Rig, pokes: Pokes, rng: np.random.Generator) -> list[tuple[IntArray, FloatArray]]:
+    """Return for each poke some taxels, rows of the rig's, and their answers with noise."""
+    rows, answers = rig.answers(pokes, pokes.forces)
+    settings = rig.scene.contacts
+    frames = settings.still_s * SKIN_HZ, settings.quiet_s * SKIN_HZ
+    sd = rig.errors.skin_noise * rig.counts * np.sqrt(1 / frames[0] + 1 / frames[1])
+    answers = answers + sd * rng.standard_normal(answers.shape)
+    return [(rows[i], answers[i]) for i in range(len(rows))]
+
+
+def _both(rig: Rig, one: tuple[IntArray, FloatArray], other: tuple[IntArray, FloatArray]) -> tuple[IntArray, FloatArray]:
+    """Return the answers to two touches at once."""
+    answers = np.zeros(len(rig.channels))
+    answers[one[0]] += one[1]
+    answers[other[0]] += other[1]
+    rows = np.union1d(one[0], other[0])
+    return rows, answers[rows]
 
 
 def _mean_wrenches(rig: Rig, pokes: Pokes, stance: Stance, rng: np.random.Generator) -> FloatArray:

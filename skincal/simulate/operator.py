@@ -51,6 +51,8 @@ class Habits:
     """Share of the pokes that touch a second place. Assumed."""
     double_share: tuple[float, float] = (0.2, 0.5)
     """Force at the second place, as a share of the first."""
+    double_away: tuple[float, float] = (0.015, 0.060)
+    """m, uniform: how far beside the first place another finger or a sleeve touches (`touches_beside`). Assumed."""
     move_s: float = 2.0
     """s, for the arm to go to another pose."""
 
@@ -208,6 +210,32 @@ def _second(rig: Rig, first: Pokes, habits: Habits, rng: np.random.Generator) ->
     second = aim(rig, target, habits, rng)
     forces = first.forces * rng.uniform(*habits.double_share)
     return Pokes(target, second.points, second.normals, second.directions, forces, second.turns)
+
+
+def touches_beside(rig: Rig, pokes: Pokes, habits: Habits, rng: np.random.Generator) -> tuple[IntArray, Pokes]:
+    """Return which of the pokes touch a second place, and these places: on the skin, or on the part beside it.
+
+    Parameters
+    ----------
+    pokes : n places; `habits.double_rate` of them are touched twice
+
+    Returns
+    -------
+    rows : (m,) ascending, of `pokes`
+    seconds : m places, pressed by `habits.double_share` of the poke's force; their targets are those of the pokes
+    """
+    rows = np.flatnonzero(rng.uniform(size=len(pokes)) < habits.double_rate)
+    count, first = len(rows), pokes.take(rows)
+    e1, e2 = tangents(first.normals)
+    azimuths, away = rng.uniform(-np.pi, np.pi, count)[:, None], rng.uniform(*habits.double_away, count)[:, None]
+    beside = first.points + away * (np.cos(azimuths) * e1 + np.sin(azimuths) * e2)
+    normals = first.normals
+    if rig.surface is not None:
+        beside, triangles = nearest_points(rig.surface, beside)
+        normals = rig.surface.normals[triangles]
+    directions = push_directions(normals, cone_tilts(count, habits.cone, rng), rng.uniform(-np.pi, np.pi, count))
+    forces = first.forces * rng.uniform(*habits.double_share, count)
+    return rows, Pokes(first.targets, beside, normals, directions, forces, rng.uniform(0.0, np.pi / 2, count))
 
 
 class Auto:

@@ -84,6 +84,9 @@ pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.045], [0, 0, 0, 1]]
 
 [contacts]
 response_min = 160.0                   # 10 of 255, in 12 bits
+
+[noise]
+radius = 1.0                           # m; the plate is flat
 """
 
 FLAT_PITCH_MM = 6.0
@@ -106,6 +109,9 @@ unit = "mm"
 
 [sensor]
 pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.06], [0, 0, 0, 1]]
+
+[noise]
+radius = 0.12                          # m; of the torso under the skin, at its roundest
 """
 
 TORSO_ROWS, TORSO_COLUMNS = 14, 25

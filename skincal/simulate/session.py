@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from skincal.files.reference import TRUTH_NAME
 from skincal.readings import Chunk, LinkEvent, LinkState
 from skincal.scene import Scene
 from skincal.session.journal import create_session
@@ -21,7 +22,6 @@ from skincal.surface.mesh import Surface
 
 START_NS = 1_000_000_000
 """Host's clock at the start of a virtual session, nanoseconds; any will do."""
-TRUTH_FILE = "truth.json"
 
 
 def simulate_session(
@@ -68,7 +68,7 @@ def simulate_session(
     line = Timeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
     road = Road(scene, links, surface, create_session(folder, scene, links))
-    write_truth(folder / TRUTH_FILE, rig)
+    write_truth(folder / TRUTH_NAME, rig)
     _play(line, operator, road, progress)
     road.close()
     return road

@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.errors import InputError
 from skincal.readings import FloatArray, IntArray
@@ -20,6 +21,7 @@ from skincal.scene import UNITS, SurfaceSpec
 from skincal.surface.clean import MERGE_DISTANCE, SLIVER_RATIO, ZERO_HEIGHT, duplicate_triangles, heights, merge_vertices
 from skincal.surface.edges import find_edges, triangle_normals
 from skincal.surface.files import read_mesh
+from skincal.surface.tree import Fans, Tree, build_tree, find_fans
 from skincal.surface.winding import Winding, wind_outward
 
 SIZE_MIN, SIZE_MAX = 0.005, 3.0
@@ -54,6 +56,26 @@ class Surface:
     def radii(self) -> FloatArray:
         """(nt,) float: radii of those balls, metres."""
         return np.linalg.norm(self.corners - self.centres.T[:, None], axis=2).max(axis=1)
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The search tree over the triangles, built once."""
+        return build_tree(self.corners, self.normals)
+
+    @cached_property
+    def fans(self) -> Fans:
+        """The triangles around each vertex."""
+        return find_fans(self.triangles, len(self.vertices))
+
+    def prepare(self) -> None:
+        """Build now what the search needs, so that the first poke does not wait for it."""
+        _ = self.tree, self.fans, self.slim
+
+    @cached_property
+    def slim(self) -> NDArray[np.bool_]:
+        """(nt,) whether a triangle is a sliver: over `SLIVER_RATIO` times as long as high."""
+        height, longest = heights(self.corners)
+        return longest > SLIVER_RATIO * height
 
 
 def make_surface(vertices: FloatArray, triangles: IntArray, sha256: str = "") -> Surface:
@@ -109,6 +131,7 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[Finding, ...]]:
     triangles, dropped = _drop(spec.path, vertices, triangles)
     winding = wind_outward(vertices, triangles)
     surface = make_surface(vertices, winding.triangles, hashlib.sha256(data).hexdigest())
+    surface.prepare()
     findings = [size, *_merge_findings(merged), *dropped, *_shape_findings(surface), *_winding_findings(winding)]
     return surface, tuple(findings)
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from skincal.estimate.result import Method
-from skincal.estimate.solve import estimate_taxels
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
+from tests.skincal.estimate_support import solve
 from tests.skincal.sim_support import make_rig
 
 SEEDS = range(1, 7)
@@ -21,7 +21,7 @@ SEEDS = range(1, 7)
 
 def estimate(rig, contacts, method, every=1):
     """(n, 3) positions of every n-th taxel, metres, and their predicted errors; all of them are estimated."""
-    found = estimate_taxels(contacts, rig.channels[::every], method, rig.scene.noise, rig.surface)
+    found = solve(contacts, rig.channels[::every], method, rig.scene.noise, rig.surface)
     positions = [one.position for one in found.values()]
     assert all(position is not None for position in positions)
     return np.array(positions), np.array([one.rms for one in found.values()])

@@ -5,12 +5,13 @@ import pytest
 
 from skincal.arm import inverse_pose
 from skincal.contacts.outcome import Contact
-from skincal.estimate.evidence import gather
+from skincal.estimate.ledger import gather
 from skincal.estimate.qr import factor
 from skincal.estimate.result import Method, State
-from skincal.estimate.solve import average_over_poses, estimate_taxels
+from skincal.estimate.solve import average_over_poses
 from skincal.scene import NoiseSettings
 from skincal.surface.mesh import Surface, make_surface
+from tests.skincal.estimate_support import solve
 
 NOISE = NoiseSettings()
 RADIUS = 0.04
@@ -94,7 +95,7 @@ def session(rng, taxels=12, pokes=60, poses=3, exact=True):
 def test_taxels_are_recovered_without_noise_over_several_poses(method):
     contacts, points, normals = session(np.random.default_rng(1))
     surface = tube()
-    found = estimate_taxels(contacts, range(12), method, NOISE, surface)
+    found = solve(contacts, range(12), method, NOISE, surface)
     for channel, (point, normal) in enumerate(zip(points, normals, strict=True)):
         one = found[channel]
         assert one.state is State.ESTIMATED
@@ -104,8 +105,11 @@ def test_taxels_are_recovered_without_noise_over_several_poses(method):
         assert (one.triangle is None) == (method is Method.FREE)
 
 
-def stacked_system(contacts, channel):
-    """The paper's (5) with K and (6), each symbol written out: sensor-frame rows, unknown in the link frame."""
+def stacked_system(contacts, channel, doubted):
+    """The paper's (5) with K and (6), each symbol written out: sensor-frame rows, unknown in the link frame.
+
+    What is `doubted` counts less: its share of the sum of squares is multiplied by its trust.
+    """
     rows, right, weights = [], [], []
     for contact in contacts:
         if channel not in contact.channels:
@@ -117,15 +121,15 @@ def stacked_system(contacts, channel):
         rows.append(skew @ rotation / np.linalg.norm(f))
         right.append((-m - np.cross(f, origin)) / np.linalg.norm(f))
         k = contact.responses[list(contact.channels).index(channel)] / max(contact.responses)
-        weights += [k] * 3
+        weights += [k * np.sqrt(doubted.get(contact.poke, 1.0))] * 3
     return np.concatenate(rows), np.concatenate(right), np.diag(weights)
 
 
 def test_free_equals_the_papers_stacked_system_by_two_other_routes():
     contacts, _, _ = session(np.random.default_rng(2), exact=False)
-    found = estimate_taxels(contacts, range(12), Method.FREE, NOISE, None)
+    found = solve(contacts, range(12), Method.FREE, NOISE, None)
     for channel in range(12):
-        f, m, k = stacked_system(contacts, channel)
+        f, m, k = stacked_system(contacts, channel, found[channel].doubted)
         by_lstsq = np.linalg.lstsq(k @ f, k @ m, rcond=None)[0]
         by_normal_equations = np.linalg.inv(f.T @ k @ k @ f) @ f.T @ k @ k @ m
         np.testing.assert_allclose(found[channel].position, by_lstsq, atol=1e-12)
@@ -136,12 +140,13 @@ def test_surface_equals_the_best_of_all_triangles_of_the_stacked_system():
     rng = np.random.default_rng(3)
     contacts, _, _ = session(rng, exact=False)
     surface = tube(around=24, along=12)
-    found = estimate_taxels(contacts, range(4), Method.SURFACE, NOISE, surface)
+    found = solve(contacts, range(4), Method.SURFACE, NOISE, surface)
     grid = np.array([[i, j, 25 - i - j] for i in range(26) for j in range(26 - i)]) / 25
     for channel in range(4):
-        f, m, k = stacked_system(contacts, channel)
-        evidence = gather(contacts, [channel])[channel]
-        push = evidence.push()
+        f, m, k = stacked_system(contacts, channel, found[channel].doubted)
+        trust = np.array([found[channel].doubted.get(c.poke, 1.0) for c in contacts])
+        evidence = gather(contacts, [channel])
+        push = evidence.trusted(trust[evidence.pokes - 1]).pushes()[0]
         dense = np.einsum("gi,tij->tgj", grid, surface.corners[surface.normals @ push < 0])
         cost = ((dense @ (k @ f).T - k @ m) ** 2).sum(axis=-1)
         own = float(((k @ f @ found[channel].position - k @ m) ** 2).sum())
@@ -157,23 +162,23 @@ def test_the_order_of_the_pokes_leaves_no_trace(method):
     contacts, _, _ = session(rng, exact=False)
     contacts += contacts[:7]
     surface = tube()
-    one = estimate_taxels(contacts, range(12), method, NOISE, surface)
+    one = solve(contacts, range(12), method, NOISE, surface)
     for _ in range(4):
         shuffled = [contacts[i] for i in rng.permutation(len(contacts))]
-        same(one, estimate_taxels(shuffled, range(12), method, NOISE, surface))
+        same(one, solve(shuffled, range(12), method, NOISE, surface))
 
 
 @pytest.mark.parametrize("method", list(Method))
 def test_solving_a_few_taxels_gives_the_bits_of_solving_all(method):
     contacts, _, _ = session(np.random.default_rng(5), exact=False)
     surface = tube()
-    everything = estimate_taxels(contacts, range(12), method, NOISE, surface)
+    everything = solve(contacts, range(12), method, NOISE, surface)
     for channels in ([3], [7, 2, 11], [0, 1]):
-        some = estimate_taxels(contacts, channels, method, NOISE, surface)
+        some = solve(contacts, channels, method, NOISE, surface)
         assert list(some) == channels
         same({channel: everything[channel] for channel in channels}, some)
     fewer = [contact for contact in contacts if 3 in contact.channels]
-    same({3: everything[3]}, estimate_taxels(fewer, [3], method, NOISE, surface))
+    same({3: everything[3]}, solve(fewer, [3], method, NOISE, surface))
 
 
 def same(one, other):
@@ -196,8 +201,8 @@ def test_estimates_turn_with_a_rigid_motion_of_everything(method):
         Contact(c.poke, 0.0, 1.0, c.force, c.moment, c.channels, c.responses, motion @ c.link_from_sensor, c.pose, 0.0, True)
         for c in contacts
     ]
-    one = estimate_taxels(contacts, range(12), method, NOISE, surface)
-    two = estimate_taxels(moved, range(12), method, NOISE, moved_surface)
+    one = solve(contacts, range(12), method, NOISE, surface)
+    two = solve(moved, range(12), method, NOISE, moved_surface)
     for channel in range(12):
         a, b = one[channel], two[channel]
         np.testing.assert_allclose(rotation @ a.position + shift, b.position, atol=1e-10)
@@ -215,12 +220,9 @@ def test_units_of_force_do_not_move_the_free_estimate():
             )
             for c in contacts
         ]
-        a, b = stacked(scaled)
-        np.testing.assert_allclose(factor(a, b).solution, points[0], atol=1e-12)
-
-
-def stacked(contacts):
-    return gather(contacts, [0])[0].rows()
+        evidence = gather(scaled, [0])
+        solved = factor(*evidence.rows(), 2 * evidence.starts)
+        np.testing.assert_allclose(solved.solutions[0], points[0], atol=1e-12)
 
 
 def test_one_axis():
@@ -228,14 +230,14 @@ def test_one_axis():
     point = np.array([RADIUS, 0.0, 0.1])
     push = np.array([-1.0, 0.1, 0.2])
     contacts = [poke(1, point, 8 * push)]
-    free = estimate_taxels(contacts, [0], Method.FREE, NOISE, None)[0]
+    free = solve(contacts, [0], Method.FREE, NOISE, None)[0]
     assert free.state is State.BLIND
     assert free.position is None
     assert free.sd is None
     assert abs(free.weakest @ push) / np.linalg.norm(push) > 1 - 1e-9
     assert "One axis only" in free.reason
     np.testing.assert_allclose(free.normal, -push / np.linalg.norm(push))
-    on_surface = estimate_taxels(contacts, [0], Method.SURFACE, NOISE, surface)[0]
+    on_surface = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
     assert on_surface.state is State.ESTIMATED
     assert np.linalg.norm(np.cross(on_surface.position - point, push)) < 1e-12, "it lies on the axis"
     assert on_surface.position[0] > 0, "where the poke enters and not where its axis leaves"
@@ -247,11 +249,11 @@ def test_parallel_axes_are_blind_along_them(angle_deg):
     point = np.array([RADIUS, 0.0, 0.1])
     tilt = np.tan(np.radians(angle_deg))
     contacts = [poke(i, point, 8 * np.array([-1.0, tilt * s, 0.0])) for i, s in enumerate((-1, 0, 1), start=1)]
-    free = estimate_taxels(contacts, [0], Method.FREE, NOISE, None)[0]
+    free = solve(contacts, [0], Method.FREE, NOISE, None)[0]
     assert free.state is State.BLIND
     assert abs(free.weakest[0]) > 1 - 1e-6
     assert f"All 3 axes lie within {max(0.1, angle_deg):.1f} degrees" in free.reason
-    on_surface = estimate_taxels(contacts, [0], Method.SURFACE, NOISE, tube())[0]
+    on_surface = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
     assert on_surface.state is State.ESTIMATED
     np.testing.assert_allclose(on_surface.position[1:], point[1:], atol=1e-9)
 
@@ -259,7 +261,7 @@ def test_parallel_axes_are_blind_along_them(angle_deg):
 def test_axes_far_enough_apart_are_estimated():
     point = np.array([RADIUS, 0.0, 0.1])
     contacts = [poke(i, point, 8 * np.array([-1.0, 0.3 * s, 0.0])) for i, s in enumerate((-1, 0, 1), start=1)]
-    free = estimate_taxels(contacts, [0], Method.FREE, NOISE, None)[0]
+    free = solve(contacts, [0], Method.FREE, NOISE, None)[0]
     assert free.state is State.ESTIMATED
     np.testing.assert_allclose(free.position, point, atol=1e-14)
     assert free.sd < 0.03
@@ -269,12 +271,12 @@ def test_axes_far_enough_apart_are_estimated():
 def test_no_contact_and_dead():
     contacts, _, _ = session(np.random.default_rng(8))
     for method in Method:
-        found = estimate_taxels(contacts, [3, 400], method, NOISE, tube(), {3: "always on"})
+        found = solve(contacts, [3, 400], method, NOISE, tube(), {3: "always on"})
         assert found[3].state is State.DEAD
         assert found[3].reason == "always on"
         assert found[400].state is State.UNSEEN
         assert found[400].position is None
-        assert estimate_taxels([], [5], method, NOISE, tube())[5].state is State.UNSEEN
+        assert solve([], [5], method, NOISE, tube())[5].state is State.UNSEEN
 
 
 def test_no_triangle_faces_the_poke():
@@ -282,14 +284,14 @@ def test_no_triangle_faces_the_poke():
     inside_out = make_surface(surface.vertices, surface.triangles[:, ::-1])
     contacts = [poke(1, np.array([RADIUS, 0, 0.1]), np.array([0.0, 0.0, -8.0]))]
     for mesh in (surface, inside_out):
-        one = estimate_taxels(contacts, [0], Method.SURFACE, NOISE, mesh)[0]
+        one = solve(contacts, [0], Method.SURFACE, NOISE, mesh)[0]
         assert one.state is State.BLIND
         assert "No triangle of the surface faces the pokes" in one.reason
 
 
 def test_pushes_from_opposite_sides_have_no_outward_side():
     contacts = [poke(i, np.array([RADIUS, 0, 0.1]), np.array([8.0 * s, 0.1, 0.0])) for i, s in ((1, 1), (2, -1))]
-    one = estimate_taxels(contacts, [0], Method.SURFACE, NOISE, tube())[0]
+    one = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
     assert one.state is State.BLIND
     assert "opposite sides" in one.reason
 
@@ -299,7 +301,7 @@ def test_axes_that_miss_the_part_altogether_are_blind():
     contacts = [poke(1, np.array([RADIUS, 0, 0.1]), np.array([-8.0, 0, 0]))]
     for shift, state in ((0.0, State.ESTIMATED), (0.14, State.ESTIMATED), (0.4, State.BLIND)):
         moved = make_surface(tube().vertices + np.array([0, 0, shift]), tube().triangles)
-        one = estimate_taxels(contacts, [0], Method.SURFACE, NOISE, moved)[0]
+        one = solve(contacts, [0], Method.SURFACE, NOISE, moved)[0]
         assert one.state is state
     assert "pass the surface at 300 mm" in one.reason
 
@@ -310,7 +312,7 @@ def test_axes_that_pass_each_other_far_off_are_no_estimate():
     for apart, state in ((0.0, State.ESTIMATED), (0.08, State.ESTIMATED), (0.3, State.BLIND)):
         aside = np.array([0, 0, apart])
         contacts = [poke(1, point, np.array([-8.0, 0, 0])), poke(2, point + aside, np.array([-6.0, 4.0, 0]))]
-        one = estimate_taxels(contacts, [0], Method.FREE, NOISE, None)[0]
+        one = solve(contacts, [0], Method.FREE, NOISE, None)[0]
         assert one.state is state
         assert (one.position is None) == (state is State.BLIND)
     assert "pass each other at 150 mm" in one.reason
@@ -319,7 +321,7 @@ def test_axes_that_pass_each_other_far_off_are_no_estimate():
 def test_pokes_that_graze_the_surface_are_blind():
     flat = make_surface(np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
     contacts = [poke(1, np.zeros(3), np.array([8.0, 0.0, -0.1]))]
-    one = estimate_taxels(contacts, [0], Method.SURFACE, NOISE, flat)[0]
+    one = solve(contacts, [0], Method.SURFACE, NOISE, flat)[0]
     assert one.state is State.BLIND
     assert "graze" in one.reason
     assert abs(one.weakest[0]) > 0.99
@@ -341,12 +343,12 @@ def test_numbers_that_are_not_finite_are_refused(what):
     )
     for method in Method:
         with pytest.raises(ValueError, match="poke 4"):
-            estimate_taxels([good, bad], [0], method, NOISE, tube())
+            solve([good, bad], [0], method, NOISE, tube())
 
 
 def test_the_surface_method_needs_a_surface():
     with pytest.raises(ValueError, match="surface"):
-        estimate_taxels([], [0], Method.SURFACE, NOISE, None)
+        solve([], [0], Method.SURFACE, NOISE, None)
 
 
 def test_nothing_is_ever_nan_however_extreme_the_numbers():
@@ -366,7 +368,7 @@ def test_nothing_is_ever_nan_however_extreme_the_numbers():
             for i in range(1, int(rng.integers(2, 6)))
         ]
         for method in Method:
-            one = estimate_taxels(contacts, [0], method, NOISE, surface)[0]
+            one = solve(contacts, [0], method, NOISE, surface)[0]
             for name in ("position", "normal", "covariance", "weakest", "sd", "rms"):
                 value = getattr(one, name)
                 assert value is None or np.isfinite(value).all()
@@ -396,9 +398,7 @@ def test_poses_averaged_as_in_the_paper():
     surface = tube()
     for method in Method:
         found = average_over_poses(shaken, range(6), method, NOISE, surface)
-        of_poses = [
-            estimate_taxels([c for c in shaken if c.pose == f"pose {i}"], range(6), method, NOISE, surface) for i in range(3)
-        ]
+        of_poses = [solve([c for c in shaken if c.pose == f"pose {i}"], range(6), method, NOISE, surface) for i in range(3)]
         for channel in range(6):
             ones = [one[channel] for one in of_poses if one[channel].position is not None]
             assert len(ones) == 3
@@ -430,7 +430,7 @@ def test_a_dirty_taxel_is_solved_in_milliseconds():
     for _ in range(5):
         begin = time.process_time()
         for method in Method:
-            estimate_taxels(contacts, [1, 2, 3], method, NOISE, surface)
+            solve(contacts, [1, 2, 3], method, NOISE, surface)
         times.append(time.process_time() - begin)
     # Measured 8 ms on 10,000 triangles with 30 contacts a taxel; the bar on the processor's time is loose for a busy machine.
     assert min(times) < 0.05

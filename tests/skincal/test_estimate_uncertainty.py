@@ -1,21 +1,28 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.evidence import Evidence, across, gather
+from skincal.estimate.evidence import across
+from skincal.estimate.ledger import gather
 from skincal.estimate.qr import factor
 from skincal.estimate.result import Method, State
-from skincal.estimate.solve import estimate_taxels
-from skincal.estimate.surface import tangent_basis
-from skincal.estimate.uncertainty import SD_MAX, propagate, row_noise
+from skincal.estimate.uncertainty import EVEN, SD_MAX, in_planes, in_space, offsets, propagate, row_noise
 from skincal.scene import NoiseSettings
 from skincal.surface.mesh import make_surface
 from skincal.wrench import cross_matrix
+from tests.skincal.estimate_support import solve
 
 NOISE = NoiseSettings()
-TRIALS = 300
+FLAT = replace(NOISE, radius=1e9)
+TRIALS = 200
 LIMIT = {3: 7.8147, 2: 5.9915}
 """95 % of a chi-square of as many degrees of freedom lie below."""
+
+
+def tangent_basis(normal):
+    return np.linalg.svd(normal[None])[2][1:].T
 
 
 def sensor_pose():
@@ -26,24 +33,23 @@ def sensor_pose():
     return pose
 
 
-def measured(rng, number, taxel, force, pose, noise):
-    """A poke of the rig that `noise` describes: contact scattered across the push, wrench with the sensor's noise."""
-    push = force / np.linalg.norm(force)
-    scatter = tangent_basis(push) @ rng.normal(0, noise.contact, 2)
+def measured(rng, number, taxel, force, normal, pose, noise, weight=1.0):
+    """A poke of the rig that `noise` describes: contact scattered in the skin, wrench with the sensor's noise."""
+    sd = np.sqrt(noise.contact**2 - noise.reach**2 * np.log(weight))
+    scatter = tangent_basis(normal) @ rng.normal(0, sd, 2)
     place = pose[:3, :3].T @ (taxel + scatter - pose[:3, 3])
     felt = pose[:3, :3].T @ force
     moment = np.cross(place, felt) + rng.normal(0, noise.moment, 3)
-    weight = rng.uniform(0.3, 1.0)
-    return Contact(
-        number, 0, 1, felt + rng.normal(0, noise.force, 3), moment, np.array([0, 1]), np.array([weight, 1.0]), pose, "", 0, True
-    )
+    responses = np.array([weight, 1.0]) if weight < 1 else np.array([1.0, 0.5])
+    return Contact(number, 0, 1, felt + rng.normal(0, noise.force, 3), moment, np.array([0, 1]), responses, pose, "", 0, True)
 
 
-def pokes(rng, count, taxel, normal, pose, noise, tilt=0.5):
+def pokes(rng, count, taxel, normal, pose, noise, tilt=0.5, weights=(1.0,)):
     contacts = []
     for number in range(1, count + 1):
         push = -normal + tilt * rng.uniform(-1, 1, 2) @ tangent_basis(normal).T
-        contacts.append(measured(rng, number, taxel, push / np.linalg.norm(push) * rng.uniform(6, 12), pose, noise))
+        force = push / np.linalg.norm(push) * rng.uniform(6, 12)
+        contacts.append(measured(rng, number, taxel, force, normal, pose, noise, weights[number % len(weights)]))
     return contacts
 
 
@@ -58,7 +64,7 @@ def test_the_95_percent_ellipsoid_covers_the_truth(method, count):
     inside, errors, predicted = 0, [], []
     basis = tangent_basis(normal) if method is Method.SURFACE else np.eye(3)
     for _ in range(TRIALS):
-        one = estimate_taxels(pokes(rng, count, taxel, normal, sensor_pose(), NOISE), [0], method, NOISE, surface)[0]
+        one = solve(pokes(rng, count, taxel, normal, sensor_pose(), FLAT), [0], method, FLAT, surface)[0]
         assert one.state is State.ESTIMATED
         off = basis.T @ (one.position - taxel)
         inside += off @ np.linalg.solve(basis.T @ one.covariance @ basis, off) <= LIMIT[len(off)]
@@ -70,63 +76,149 @@ def test_the_95_percent_ellipsoid_covers_the_truth(method, count):
 
 def test_the_lever_runs_from_the_sensor_and_not_from_the_links_origin():
     rng = np.random.default_rng(21)
-    only_force = NoiseSettings(force=0.1, moment=1e-9, contact=1e-9)
+    only_force = NoiseSettings(force=0.1, moment=1e-9, contact=1e-9, reach=1e-9, radius=1e9)
+    quiet = NoiseSettings(1e-12, 1e-12, 1e-12, 1e-12)
     pose, normal = sensor_pose(), np.array([0.0, 0.0, 1.0])
-    for taxel, quiet in ((pose[:3, 3] + [0, 0, 1e-4], True), (np.array([0.0, 0.0, 0.0]), False)):
-        contacts = pokes(rng, 10, taxel, normal, pose, NoiseSettings(1e-12, 1e-12, 1e-12))
-        one = estimate_taxels(contacts, [0], Method.FREE, only_force, None)[0]
+    for taxel, exact in ((pose[:3, 3] + [0, 0, 1e-4], True), (np.array([0.0, 0.0, 0.0]), False)):
+        contacts = pokes(rng, 10, taxel, normal, pose, quiet)
+        one = solve(contacts, [0], Method.FREE, only_force, None)[0]
         # At the sensor's own origin an error of the force turns the axis about the taxel and moves it nowhere.
-        assert one.rms < 1e-5 if quiet else one.rms > 1e-3
-
-
-def row_covariance(evidence, taxel):
-    even, less = row_noise(evidence, taxel, NOISE)
-    return even[0] * np.eye(2) - np.outer(less[0], less[0])
+        assert one.rms < 1e-5 if exact else one.rms > 1e-3
 
 
 def test_the_rows_covariance_is_that_of_simulated_rows():
     rng = np.random.default_rng(22)
     pose, taxel = sensor_pose(), np.array([0.03, 0.02, 0.01])
     force = np.array([1.0, -4.0, -7.0])
-    exact = gather([measured(rng, 1, taxel, force, pose, NoiseSettings(1e-15, 1e-15, 1e-15))], [0])[0]
-    evidence = gather([measured(rng, i, taxel, force, pose, NOISE) for i in range(4000)], [0])[0]
-    residuals = np.cross(evidence.directions, taxel) + evidence.moments
-    first, second = exact.across[0]
-    rows = np.stack([-residuals @ second, residuals @ first], axis=1)
-    expected = row_covariance(exact, taxel)
+    # Pushed along the normal, so that the offset is across the push and the bound of `row_noise` is reached.
+    normal = -force / np.linalg.norm(force)
+    exact = gather([measured(rng, 1, taxel, force, normal, pose, NoiseSettings(1e-15, 1e-15, 1e-15, 1e-15), 0.4)], [0])
+    evidence = gather([measured(rng, i, taxel, force, normal, pose, NOISE, 0.4) for i in range(4000)], [0])
+    off = taxel - evidence.nearest
+    rows = np.einsum("ij,nj->ni", exact.across[0], off)
+    even, less = row_noise(exact, taxel[None], NOISE)
+    expected = even[0] * np.eye(2) - np.outer(less[:, 0], less[:, 0])
     np.testing.assert_allclose(np.cov(rows.T), expected, atol=0.06 * np.abs(expected).max())
 
 
-def test_the_covariance_equals_the_sandwich_of_the_papers_three_rows():
-    """Each symbol of the model written out over the system (5), 3n rows; the code carries 2n."""
-    rng = np.random.default_rng(23)
-    taxel, pose = np.array([0.03, 0.02, 0.01]), sensor_pose()
-    contacts = pokes(rng, 6, taxel, np.array([0.0, 0.6, 0.8]), pose, NOISE)
-    evidence = gather(contacts, [0])[0]
-    a, b = evidence.rows()
-    own = propagate(evidence, a, factor(a, b).root, taxel, NOISE, np.eye(3))
-    k = np.repeat(evidence.weights, 3)
-    f = np.concatenate([cross_matrix(u) for u in evidence.directions])
-    gain = np.linalg.inv(f.T @ np.diag(k**2) @ f) @ f.T @ np.diag(k**2)
+def written_out(evidence, taxel, normal, pose, noise):
+    """The covariance with each symbol of the model over the system (5), 3n rows; the code carries 2n."""
+    directions, k, sizes = evidence.directions, evidence.weights, evidence.forces
+    skin = np.eye(3) - np.outer(normal, normal)
+    low = np.sqrt(-np.log(k))
+    share = min(1.0, (k**2 @ low) / (k**2).sum() / EVEN)
+    common = share * noise.reach * low
+    square = noise.contact**2 + (noise.reach * low) ** 2
+    f = np.concatenate([cross_matrix(u) for u in directions])
+    k3 = np.repeat(k, 3)
+    gain = np.linalg.inv(f.T @ np.diag(k3**2) @ f) @ f.T @ np.diag(k3**2)
     q = cross_matrix(taxel - pose[:3, 3])
-    middle = np.zeros((18, 18))
-    for i, (u, size) in enumerate(zip(evidence.directions, evidence.forces, strict=True)):
-        c = NOISE.moment**2 * np.eye(3) + NOISE.force**2 * q @ q.T + (size * NOISE.contact) ** 2 * (np.eye(3) - np.outer(u, u))
-        middle[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = c / size**2
-    np.testing.assert_allclose(own.covariance, gain @ middle @ gain.T, rtol=1e-9)
-    values, axes = np.linalg.eigh(gain @ middle @ gain.T)
-    assert own.sd == pytest.approx(np.sqrt(values[-1]))
-    assert abs(own.weakest @ axes[:, -1]) == pytest.approx(1)
+    middle = np.zeros((len(k3), len(k3)))
+    for i, (u, size) in enumerate(zip(directions, sizes, strict=True)):
+        scatter = (square[i] - common[i] ** 2) * cross_matrix(u) @ skin @ cross_matrix(u).T
+        c = (noise.moment**2 * np.eye(3) + noise.force**2 * q @ q.T) / size**2 + scatter
+        middle[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = c
+    moved = np.concatenate([cross_matrix(u) * s for u, s in zip(directions, common, strict=True)])
+    along = directions - np.outer(directions @ normal, normal)
+    lean = k**2 @ ((along**2).sum(axis=1) / 2 + (noise.force / sizes) ** 2) / (k**2).sum()
+    offset = square[:, None] / (2 * noise.radius) * along / lean
+    beta = gain @ np.cross(directions, offset).ravel()
+    return gain @ (middle + moved @ skin @ moved.T) @ gain.T + np.outer(beta, beta)
+
+
+def test_the_covariance_equals_the_sandwich_of_the_papers_three_rows():
+    rng = np.random.default_rng(23)
+    taxel, pose, normal = np.array([0.03, 0.02, 0.01]), sensor_pose(), np.array([0.0, 0.6, 0.8])
+    evidence = gather(pokes(rng, 8, taxel, normal, pose, NOISE, weights=(1.0, 0.9, 0.3)), [0])
+    push = evidence.pushes()[0]
+    factors = factor(*evidence.rows(), 2 * evidence.starts)
+    own = propagate(evidence, in_space(factors), taxel[None], NOISE)
+    expected = written_out(evidence, taxel, push / np.linalg.norm(push), pose, NOISE)
+    np.testing.assert_allclose(own.covariances[0], expected, rtol=1e-9)
+    values, axes = np.linalg.eigh(expected)
+    assert own.sds[0] == pytest.approx(np.sqrt(values[-1]))
+    assert abs(own.weakest[0] @ axes[:, -1]) == pytest.approx(1)
+
+
+def test_on_a_plane_it_equals_the_sandwich_confined_to_the_plane():
+    """By numbers: noise put into the rows by hand, the weighted least squares solved in the plane."""
+    rng = np.random.default_rng(27)
+    taxel, pose, normal = np.array([0.03, 0.02, 0.01]), sensor_pose(), np.array([0.0, 0.6, 0.8])
+    evidence = gather(pokes(rng, 5, taxel, normal, pose, NOISE, weights=(1.0, 0.8, 0.4)), [0])
+    own = propagate(evidence, in_planes(factor(*evidence.rows(), 2 * evidence.starts), normal[None]), taxel[None], NOISE)
+    basis, beside = tangent_basis(normal), offsets(evidence, NOISE)
+    squares, ends = [], 20_000
+    k, sizes = evidence.weights, evidence.forces
+    df, dm = rng.normal(0, NOISE.force, (ends, 5, 3)), rng.normal(0, NOISE.moment, (ends, 5, 3))
+    alone = np.sqrt(beside.squares - beside.common**2)[:, None] * rng.normal(size=(ends, 5, 2))
+    shared = beside.common[:, None] * rng.normal(size=(ends, 1, 2))
+    off = (alone + shared) @ basis.T
+    # The residual (f x p + m)/|f| at the taxel; its part across u is the row's.
+    moved = (np.cross(df, pose[:3, 3] - taxel) * -1.0 + dm) / sizes[:, None] + np.cross(off, evidence.directions)
+    moved = np.cross(evidence.directions, moved)
+    projections = np.eye(3) - evidence.directions[:, :, None] * evidence.directions[:, None]
+    metric = basis.T @ np.einsum("n,nij->ij", k**2, projections) @ basis
+    squares = np.linalg.solve(metric, basis.T @ np.einsum("n,sni->is", k**2, moved))
+    expected = basis @ np.cov(squares) @ basis.T
+    np.testing.assert_allclose(own.covariances[0], expected, atol=0.04 * np.abs(expected).max())
+    assert own.covariances[0] @ normal == pytest.approx(np.zeros(3), abs=1e-18)
+
+
+def test_weak_answers_share_their_offset_and_own_pokes_do_not():
+    rng = np.random.default_rng(28)
+    taxel, normal = np.array([0.03, 0.02, 0.01]), np.array([0.0, 0.0, 1.0])
+
+    def rms(count, weights):
+        contacts = pokes(rng, count, taxel, normal, sensor_pose(), FLAT, weights=weights)
+        plane = make_surface(taxel + 0.2 * np.array([[-1.0, -1, 0], [1, -1, 0], [0, 2, 0]]), np.array([[0, 1, 2]]))
+        return solve(contacts, [0], Method.SURFACE, FLAT, plane)[0].rms
+
+    # A hundred times the pokes make own ones ten times better; pokes on neighbours stay as far off as they are.
+    assert rms(400, (1.0,)) < 0.12 * rms(4, (1.0,))
+    assert rms(400, (0.3,)) > 0.6 * rms(4, (0.3,))
+    assert rms(400, (0.3,)) > np.sqrt(2) * NOISE.reach
+
+
+def test_the_depth_below_a_bent_skin_is_not_known_better_than_its_bend():
+    """Pokes lean with the skin beside the taxel: the more they lean by themselves, the less that matters."""
+    rng = np.random.default_rng(29)
+    taxel, normal = np.array([0.03, 0.02, 0.01]), np.array([0.0, 0.0, 1.0])
+
+    for tilt in (0.3, 0.6):
+        contacts = pokes(rng, 300, taxel, normal, sensor_pose(), FLAT, tilt)
+        bent, flat = (solve(contacts, [0], Method.FREE, noise, None)[0].covariance for noise in (NOISE, FLAT))
+        # E[c] = -s^2/(2 R) u_t/v for a lean u_t of variance v = tilt^2/3: axes that meet this far below the skin.
+        depth = NOISE.contact**2 / (2 * NOISE.radius) / (tilt**2 / 3)
+        assert np.sqrt(normal @ (bent - flat) @ normal) == pytest.approx(depth, rel=0.2)
+
+
+def test_errors_of_the_arms_poses_do_not_average_out_within_a_pose():
+    rng = np.random.default_rng(30)
+    taxel, normal = np.array([0.03, 0.02, 0.01]), np.array([0.0, 0.0, 1.0])
+    contacts = pokes(rng, 400, taxel, normal, sensor_pose(), FLAT)
+    known = replace(FLAT, pose_shift=0.002)
+    alone = solve(contacts, [0], Method.FREE, FLAT, None)[0].covariance
+    one = solve(contacts, [0], Method.FREE, known, None)[0].covariance
+    np.testing.assert_allclose(one - alone, 0.002**2 * np.eye(3), atol=1e-9)
+    turned = replace(FLAT, pose_turn=0.01)
+    q = cross_matrix(solve(contacts, [0], Method.FREE, FLAT, None)[0].position - sensor_pose()[:3, 3])
+    one = solve(contacts, [0], Method.FREE, turned, None)[0].covariance
+    np.testing.assert_allclose(one - alone, 1e-4 * q @ q.T, atol=1e-8)
+    four = [replace(contact, pose=f"{contact.poke % 4}") for contact in contacts]
+    one = solve(four, [0], Method.FREE, known, None)[0].covariance
+    assert np.trace(one - alone) == pytest.approx(3 * 0.002**2 / 4, rel=0.1)
+    assert (solve(four[::-1], [0], Method.FREE, known, None)[0].covariance == one).all()
 
 
 def test_uncertainty_grows_with_noise_and_shrinks_with_pokes():
     rng = np.random.default_rng(24)
     normal, taxel = np.array([0.0, 0.0, 1.0]), np.array([0.03, 0.02, 0.01])
     contacts = pokes(rng, 40, taxel, normal, sensor_pose(), NOISE)
-    few, many = (estimate_taxels(contacts[:n], [0], Method.FREE, NOISE, None)[0] for n in (10, 40))
+    few, many = (solve(contacts[:n], [0], Method.FREE, FLAT, None)[0] for n in (10, 40))
     assert 0.35 < many.rms / few.rms < 0.7
-    louder = NoiseSettings(*(2 * value for value in (NOISE.force, NOISE.moment, NOISE.contact)))
-    assert estimate_taxels(contacts, [0], Method.FREE, louder, None)[0].rms == pytest.approx(2 * many.rms)
+    # Not to the last digit: what is doubted differs.
+    louder = NoiseSettings(*(2 * value for value in (NOISE.force, NOISE.moment, NOISE.contact, NOISE.reach)), radius=1e9)
+    assert solve(contacts, [0], Method.FREE, louder, None)[0].rms == pytest.approx(2 * many.rms, rel=0.02)
 
 
 def test_beyond_the_limit_the_state_is_blind_and_below_it_is_not():
@@ -139,7 +231,7 @@ def test_beyond_the_limit_the_state_is_blind_and_below_it_is_not():
             contacts.append(
                 Contact(number, 0, 1, force, np.cross(taxel, force), np.array([0]), np.array([9.0]), pose, "", 0, True)
             )
-        one = estimate_taxels(contacts, [0], Method.FREE, NOISE, None)[0]
+        one = solve(contacts, [0], Method.FREE, NOISE, None)[0]
         sds.append(one.sd)
         assert (one.state is State.BLIND) == (one.sd > SD_MAX)
         assert abs(one.weakest[2]) > 0.9
@@ -147,7 +239,7 @@ def test_beyond_the_limit_the_state_is_blind_and_below_it_is_not():
     assert sds[0] > SD_MAX > sds[-1]
 
 
-def axes_near(rng, point, spread, weights) -> Evidence:
+def axes_near(rng, point, spread, weights):
     """Axes within `spread` of each other that miss `point` by about a millimetre and have pitch."""
     directions = np.array([0.2, -0.3, -1]) + spread * rng.normal(size=(len(weights), 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -156,8 +248,14 @@ def axes_near(rng, point, spread, weights) -> Evidence:
 
 
 def made(directions, moments, weights):
-    count = len(weights)
-    return Evidence(directions, moments, np.full(count, 8.0), weights, np.zeros((count, 3)), across(directions))
+    """Directions, m/|f|, weights and the weighted rows of (5)."""
+    rows = weights[:, None, None] * across(directions)
+    nearest = np.cross(directions, moments)
+    return directions, moments, weights, rows.reshape(-1, 3), np.einsum("nij,nj->ni", rows, nearest).ravel()
+
+
+def solution(a, b):
+    return factor(a, b, np.array([0, len(b)]))
 
 
 def last_digit(rng, values):
@@ -181,25 +279,24 @@ def test_the_solver_loses_no_more_than_its_inputs_last_digit(case):
     if case == "heavy along x":
         # Its rows are almost nought in the first column, which must then not be taken first.
         along_x = np.array([1.0, 1e-7, -2e-7])
-        evidence.directions[0] = along_x / np.linalg.norm(along_x)
-        evidence = made(evidence.directions, evidence.moments, weights)
+        evidence[0][0] = along_x / np.linalg.norm(along_x)
+        evidence = made(*evidence[:3])
     with mpmath.workdps(80):
         exact = by_80_digits(mpmath, evidence)
         moves = []
         for _ in range(10):
-            directions, moments = last_digit(rng, evidence.directions), last_digit(rng, evidence.moments)
-            moved = made(directions, moments, last_digit(rng, weights))
+            moved = made(*(last_digit(rng, one) for one in evidence[:3]))
             moves.append(np.linalg.norm(by_80_digits(mpmath, moved) - exact))
     for order in (np.arange(10), np.arange(10)[::-1], rng.permutation(10)):
-        one = made(evidence.directions[order], evidence.moments[order], weights[order])
-        error = np.linalg.norm(factor(*one.rows()).solution - exact)
+        one = made(*(part[order] for part in evidence[:3]))
+        error = np.linalg.norm(solution(*one[3:]).solutions[0] - exact)
         assert error <= 10 * max(moves) + 1e-15 * np.linalg.norm(exact)
 
 
 def by_80_digits(mpmath, evidence):
     """Solve the paper's normal equations of (5) with K^2, where 80 digits make them harmless."""
     left, right = mpmath.zeros(3), mpmath.zeros(3, 1)
-    for u, m, k in zip(evidence.directions.tolist(), evidence.moments.tolist(), evidence.weights.tolist(), strict=True):
+    for u, m, k in zip(*(part.tolist() for part in evidence[:3]), strict=True):
         x, y, z = (mpmath.mpf(value) for value in u)
         s = mpmath.matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         left += mpmath.mpf(k) ** 2 * s.T * s
@@ -209,10 +306,11 @@ def by_80_digits(mpmath, evidence):
 
 def test_the_triangular_factor_keeps_the_sum_of_squares():
     rng = np.random.default_rng(26)
-    a, b = axes_near(rng, np.array([0.03, 0.02, 0.1]), 0.4, rng.uniform(0.1, 1, 9)).rows()
-    found = factor(a, b)
-    least = np.sum((a @ found.solution - b) ** 2)
+    a, b = axes_near(rng, np.array([0.03, 0.02, 0.1]), 0.4, rng.uniform(0.1, 1, 9))[3:]
+    found = solution(a, b)
+    root, offset = found.roots[0], found.offsets[0]
+    least = np.sum((a @ found.solutions[0] - b) ** 2)
     for p in rng.normal(0, 0.1, (5, 3)):
         full = np.sum((a @ p - b) ** 2)
-        assert np.sum((found.root @ p - found.offset) ** 2) == pytest.approx(full - least, rel=1e-9)
-    np.testing.assert_allclose(found.root.T @ found.root, a.T @ a, atol=1e-13)
+        assert np.sum((root @ p - offset) ** 2) == pytest.approx(full - least, rel=1e-9)
+    np.testing.assert_allclose(root.T @ root, a.T @ a, atol=1e-13)

@@ -5,22 +5,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from surface_support import tube
 
 from skincal.surface.closest import closest_in_triangles
 from skincal.surface.mesh import Surface, make_surface
-from skincal.surface.nearest import nearest_in_metric, nearest_points, nearest_to_rows
+from skincal.surface.nearest import Nearest, nearest_in_metric, nearest_points, nearest_to_rows
 
 
-def tube(around: int = 24, along: int = 12, radius: float = 0.04, length: float = 0.15, turn: float = 0.6) -> Surface:
-    """An open shell like a forearm's cover, outward normals."""
-    angle, height = np.linspace(-np.pi * turn, np.pi * turn, around + 1), np.linspace(0, length, along + 1)
-    a, h = np.meshgrid(angle, height, indexing="ij")
-    vertices = np.stack([radius * np.cos(a), radius * np.sin(a), h], axis=-1).reshape(-1, 3)
-    i = (np.arange(around)[:, None] * (along + 1) + np.arange(along)).ravel()
-    triangles = np.concatenate(
-        [np.stack([i, i + along + 1, i + 1], axis=1), np.stack([i + 1, i + along + 1, i + along + 2], axis=1)]
-    )
-    return make_surface(vertices, triangles)
+def to_rows(surface, root, offset, push):
+    many = nearest_to_rows(surface, root[None], offset[None], push[None])
+    return Nearest(many.points[0], int(many.triangles[0]), float(many.values[0]))
 
 
 def in_one_triangle(corners, metric, target):
@@ -200,9 +194,9 @@ def test_turns_with_a_rigid_motion_of_everything():
     moved = make_surface(surface.vertices @ rotation.T + shift, surface.triangles)
     for _ in range(30):
         root, target, push = rng.normal(size=(3, 3)), rng.normal([0.03, 0, 0.07], 0.03), rng.normal(size=3)
-        one = nearest_to_rows(surface, root, root @ target, push)
+        one = to_rows(surface, root, root @ target, push)
         turned = root @ rotation.T
-        two = nearest_to_rows(moved, turned, turned @ (rotation @ target + shift), rotation @ push)
+        two = to_rows(moved, turned, turned @ (rotation @ target + shift), rotation @ push)
         np.testing.assert_allclose(rotation @ one.point + shift, two.point, atol=1e-11)
         assert one.triangle == two.triangle
 

@@ -1,0 +1,224 @@
+"""Contacts as columns: each carried into the link frame once (eq. 6), then found again by taxel without touching an object.
+
+The contacts are the truth; this is a cache of them. What it gives out depends on the contacts that are in it alone: not on
+the order in which they came, nor on what was in it and was taken out again.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Collection, Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.evidence import Evidence, across
+from skincal.readings import FloatArray, IntArray
+from skincal.wrench import move_wrench
+
+_COLUMNS = 17
+"""u (3), nearest point of the axis (3), |f|, pitch, sensor's origin (3), e_1 (3), e_2 (3)."""
+_ROOM = 64
+"""Rows to begin with; doubled when full."""
+
+
+class Ledger:
+    """Contacts, to be added and dropped by the number of their poke, and the evidence they give."""
+
+    def __init__(self, contacts: Sequence[Contact] = ()) -> None:
+        self._table = np.empty((_COLUMNS, _ROOM))
+        self._pokes = np.zeros(_ROOM, dtype=np.int64)
+        self._poses = np.zeros(_ROOM, dtype=np.int64)
+        self._live = np.zeros(_ROOM, dtype=bool)
+        self._owner = np.zeros(_ROOM, dtype=np.int64)
+        self._weight = np.empty(_ROOM)
+        self._contacts = 0
+        self._answers = 0
+        self._dropped = 0
+        self._rows: dict[int, int] = {}
+        self._of_channel: dict[int, array[int]] = {}
+        self._pose_names: dict[str, int] = {}
+        self.add(contacts)
+
+    def add(self, contacts: Sequence[Contact]) -> None:
+        """Take contacts; one of a poke that is in already replaces it.
+
+        Raises
+        ------
+        ValueError
+            A contact has a number that is not finite, no force, or a response that is not above zero; none is taken.
+        """
+        if not contacts:
+            return
+        columns = _carried(contacts)
+        owner, channels, weights = _answers(contacts)
+        for contact in contacts:
+            self.drop(contact.poke)
+        first, begin = self._contacts, self._answers
+        self._contacts, self._answers = first + len(contacts), begin + len(owner)
+        self._make_room()
+        rows = slice(first, self._contacts)
+        self._table[:, rows] = columns
+        self._pokes[rows] = [contact.poke for contact in contacts]
+        self._poses[rows] = [self._pose_names.setdefault(contact.pose, len(self._pose_names)) for contact in contacts]
+        self._live[rows] = True
+        self._owner[begin : self._answers] = owner + first
+        self._weight[begin : self._answers] = weights
+        for row, contact in enumerate(contacts, start=first):
+            # One poke given twice in a list: the last counts, as it does in two calls.
+            self.drop(contact.poke)
+            self._rows[contact.poke] = row
+        order = np.argsort(channels, kind="stable")
+        channels, answers = channels[order], order + begin
+        edges = _starts(channels)
+        for start, end in pairwise(edges.tolist()):
+            channel = int(channels[start])
+            if channel not in self._of_channel:
+                self._of_channel[channel] = array("q")
+            self._of_channel[channel].frombytes(answers[start:end].tobytes())
+
+    def drop(self, poke: int) -> None:
+        """Leave out the contact of a poke, if there is one."""
+        row = self._rows.pop(poke, None)
+        if row is not None:
+            self._live[row] = False
+            self._dropped += 1
+
+    def evidence(self, channels: Collection[int]) -> Evidence:
+        """Return the evidence of those of `channels` that answered in a contact."""
+        if self._dropped > _ROOM and 2 * self._dropped > self._contacts:
+            self._compact()
+        known = [channel for channel in sorted(channels) if channel in self._of_channel]
+        lists = [np.frombuffer(self._of_channel[channel], dtype=np.int64) for channel in known]
+        answers = np.concatenate(lists) if lists else np.empty(0, dtype=np.int64)
+        channel = np.repeat(np.array(known, dtype=np.int64), [len(one) for one in lists])
+        live = self._live[self._owner[answers]]
+        answers, channel = answers[live], channel[live]
+        owner, weights = self._owner[answers], self._weight[answers]
+        order = self._order(channel, weights, owner)
+        channel, weights, owner = channel[order], weights[order], owner[order]
+        starts = _starts(channel)
+        return Evidence(
+            channels=channel[starts[:-1]],
+            starts=starts,
+            taxels=np.repeat(np.arange(len(starts) - 1), np.diff(starts)),
+            pokes=self._pokes[owner],
+            poses=self._poses[owner],
+            columns=np.take(self._table, owner, axis=1),
+            weights=weights,
+            trust=np.ones(len(weights)),
+        )
+
+    def _order(self, channel: IntArray, weights: FloatArray, owner: IntArray) -> IntArray:
+        """Return the order of answers: by channel, heaviest first, then by content: when they came leaves no trace."""
+        # One key is quicker than two, since k <= 1. Where its last digits are lost, answers count as equal until below.
+        key = np.cumsum(channel != np.concatenate([channel[:1], channel[:-1]])) - weights
+        order = np.argsort(key, kind="stable")
+        known = (key,)
+        # Every poke has a taxel with k = 1, so many are as heavy; the force tells these apart, very seldom all of it must,
+        # and the poke's number where one contact was given twice.
+        for columns in (self._table[6:7], self._table):
+            same = np.logical_and.reduce([key[order][1:] == key[order][:-1] for key in known])
+            tied = np.zeros(len(order), dtype=bool)
+            tied[1:] = same
+            tied[:-1] |= same
+            if not tied.any():
+                break
+            some = order[tied]
+            force = columns[:, owner[some]]
+            order[tied] = some[np.lexsort((self._pokes[owner[some]], *force, -weights[some], channel[some]))]
+            known = (channel, weights, self._table[6][owner])
+        return order
+
+    def _make_room(self) -> None:
+        if self._contacts > len(self._live):
+            room = max(2 * len(self._live), self._contacts)
+            self._table, self._live = _grown(self._table, room), _grown(self._live, room)
+            self._pokes, self._poses = _grown(self._pokes, room), _grown(self._poses, room)
+        if self._answers > len(self._owner):
+            room = max(2 * len(self._owner), self._answers)
+            self._owner, self._weight = _grown(self._owner, room), _grown(self._weight, room)
+
+    def _compact(self) -> None:
+        """Forget the rows of dropped contacts: every poke is told twice, so half of all rows are."""
+        rows = np.flatnonzero(self._live[: self._contacts])
+        renamed = np.full(self._contacts, -1, dtype=np.int64)
+        renamed[rows] = np.arange(len(rows))
+        owner = renamed[self._owner[: self._answers]]
+        kept = owner >= 0
+        answer = np.cumsum(kept) - 1
+        for channel, old in self._of_channel.items():
+            places = np.frombuffer(old, dtype=np.int64)
+            self._of_channel[channel] = array("q", answer[places[kept[places]]].tobytes())
+        self._contacts, self._answers, self._dropped = len(rows), int(kept.sum()), 0
+        self._table[:, : len(rows)] = self._table[:, rows]
+        self._pokes[: len(rows)], self._poses[: len(rows)] = self._pokes[rows], self._poses[rows]
+        self._live[:] = False
+        self._live[: len(rows)] = True
+        self._owner[: self._answers], self._weight[: self._answers] = owner[kept], self._weight[: len(kept)][kept]
+        self._rows = {poke: row for row, poke in enumerate(self._pokes[: len(rows)].tolist())}
+
+
+def _starts(ordered: IntArray) -> IntArray:
+    """Return where each run of equal numbers begins, and the end."""
+    cuts = np.flatnonzero(ordered[1:] != ordered[:-1]) + 1
+    return np.concatenate([[0], cuts, [len(ordered)]]) if len(ordered) else np.zeros(1, dtype=np.int64)
+
+
+def _grown(columns: NDArray[Any], room: int) -> NDArray[Any]:
+    grown = np.zeros((*columns.shape[:-1], room), dtype=columns.dtype)
+    grown[..., : columns.shape[-1]] = columns
+    return grown
+
+
+def gather(contacts: Sequence[Contact], channels: Iterable[int]) -> Evidence:
+    """Return the evidence of those of `channels` that answered in one of `contacts`.
+
+    Raises
+    ------
+    ValueError
+        As for `Ledger.add`.
+    """
+    return Ledger(contacts).evidence({int(channel) for channel in channels})
+
+
+def _answers(contacts: Sequence[Contact]) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return for each answer: index of the contact, channel, weight k = t_j/max_y t_y."""
+    sizes = np.array([len(contact.channels) for contact in contacts])
+    channels = np.concatenate([contact.channels for contact in contacts]).astype(np.int64)
+    responses = np.concatenate([contact.responses for contact in contacts]).astype(float)
+    owner = np.repeat(np.arange(len(contacts)), sizes)
+    strongest = np.zeros(len(contacts))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        np.maximum.at(strongest, owner, responses)
+        weights = responses / strongest[owner]
+    good = np.isfinite(weights) & (weights > 0)
+    if not good.all():
+        poke = contacts[int(owner[(~good).argmax()])].poke
+        raise ValueError(f"poke {poke}: a taxel's response is not a number above zero")
+    return owner, channels, weights
+
+
+def _carried(contacts: Sequence[Contact]) -> FloatArray:
+    """Return (17, n): the columns of contacts, link frame."""
+    poses = np.array([contact.link_from_sensor for contact in contacts], dtype=float)
+    force, moment = move_wrench(
+        poses,
+        np.array([contact.force for contact in contacts], dtype=float),
+        np.array([contact.moment for contact in contacts], dtype=float),
+    )
+    size = np.sqrt(force[:, 0] * force[:, 0] + force[:, 1] * force[:, 1] + force[:, 2] * force[:, 2])
+    good = np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(moment).all(axis=1) & np.isfinite(size) & (size > 0)
+    if not good.all():
+        poke = contacts[int((~good).argmax())].poke
+        raise ValueError(f"poke {poke}: its wrench or pose is not finite, or it has no force")
+    u, m = force / size[:, None], moment / size[:, None]
+    columns = np.empty((_COLUMNS, len(contacts)))
+    columns[0:3], columns[3:6], columns[6] = u.T, np.cross(u, m).T, size
+    columns[7] = u[:, 0] * m[:, 0] + u[:, 1] * m[:, 1] + u[:, 2] * m[:, 2]
+    columns[8:11] = poses[:, :3, 3].T
+    columns[11:17] = across(u).reshape(-1, 6).T
+    return columns

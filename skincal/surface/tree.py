@@ -1,0 +1,191 @@
+"""A wide tree over the triangles of a surface, from which `search` takes its bounds.
+
+The triangles are ordered by halving along the longest side of their box; each eight that follow one another are a node,
+eight such nodes a node of the next level, and so on. Of a node are kept: a point of the surface, the centre; the radius
+of a ball about it that holds all its triangles; the middle of their normals, and how far these turn from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.readings import FloatArray, IntArray
+
+Singles = NDArray[np.float32]
+
+_HALVINGS = 3
+WIDTH = 1 << _HALVINGS
+"""Children of a node: fewer cost more steps, more cost more numbers."""
+ROUND = 1e-6
+"""Share by which radii are widened: ten times the rounding of single precision."""
+_TOP = 512
+"""Nodes of the first level, at most: all of them are tried with every metric."""
+_CONE_SLACK = 1e-6
+"""Sine of an angle by which a cone of normals is widened: ten times the rounding of its numbers."""
+_NOWHERE = -1e15
+"""m. The radius of a node without triangles: its lower bound exceeds every distance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """The nodes of one level, n of them in groups of eight that have one parent; the last group is filled up."""
+
+    groups: Singles
+    """(n / 8, 64): for each group the first components of its nodes' centres (8), the second, the third, their radii,
+    the middles of their normals (24), their sines.
+
+    A node's triangles face a push surely where push . middle < -sine, and surely not where push . middle > sine.
+    """
+    centres: Singles
+    """(4, n) the centres again, and -1."""
+    radii: Singles
+    """(n,)"""
+    middles: Singles
+    """(3, n)"""
+    sines: Singles
+    """(n,)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tree:
+    """The nodes over a surface's nt triangles; node i of a level has the nodes 8 i to 8 i + 7 of the level before."""
+
+    origin: FloatArray
+    """(3,) float, metres: the middle of the surface's box."""
+    extent: float
+    """m. No vertex is farther from the origin."""
+    order: IntArray
+    """(nt,) the triangle that is node i of level 0."""
+    places: IntArray
+    """(nt,) the node that each triangle is."""
+    triangles: FloatArray
+    """(nt, 12) float, in the order of the nodes: the three corners' first components, their second and third ones,
+    metres, from the origin; the unit normal."""
+    levels: tuple[Level, ...]
+
+
+def build_tree(corners: FloatArray, normals: FloatArray) -> Tree:
+    """Build the tree over the triangles `corners` (nt, 3, 3), metres, with unit `normals` (nt, 3); at least one."""
+    points = corners.reshape(-1, 3)
+    low, high = points.min(axis=0), points.max(axis=0)
+    origin = (low + high) / 2
+    columns = np.ascontiguousarray(corners.transpose(2, 1, 0)) - origin[:, None, None]
+    order = _halved((columns[:, 0] + columns[:, 1] + columns[:, 2]) / 3)
+    columns, facing = columns.take(order, axis=2), normals.T.take(order, axis=1)
+    levels, size = [_packed(_leaves(columns, facing))], 1
+    while size * _TOP < len(order):
+        size *= WIDTH
+        levels.append(_packed(_joined(columns, facing, size)))
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    extent = float(np.linalg.norm(high - low) / 2)
+    return Tree(origin, extent, order, places, np.concatenate([columns.reshape(9, -1), facing]).T.copy(), tuple(levels))
+
+
+@dataclass(slots=True)
+class _Nodes:
+    centres: FloatArray
+    """(3, n)"""
+    radii: FloatArray
+    middles: FloatArray
+    """(3, n), unit."""
+    sines: FloatArray
+    """(n,) of the angle by which normals turn from the middle; 2 where that is a right angle or more."""
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    return vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2]
+
+
+def _leaves(columns: FloatArray, normals: FloatArray) -> _Nodes:
+    """Return each triangle as a node: a ball about the middle of its longest side where that holds it, else about its mean."""
+    sides = [_squares(columns[:, (i + 1) % 3] - columns[:, i]) for i in range(3)]
+    longest = np.argmax(sides, axis=0)
+    column = np.arange(len(longest))
+    middle = (columns[:, longest, column] + columns[:, (longest + 1) % 3, column]) / 2
+    half = np.sqrt(np.maximum.reduce(sides)) / 2
+    obtuse = _squares(columns[:, (longest + 2) % 3, column] - middle) <= half * half
+    centres = np.where(obtuse, middle, columns.mean(axis=1))
+    radii = np.sqrt(np.maximum.reduce([_squares(columns[:, i] - centres) for i in range(3)]))
+    return _Nodes(centres, radii, normals, np.zeros(len(radii)))
+
+
+def _joined(columns: FloatArray, normals: FloatArray, size: int) -> _Nodes:
+    """Join each `size` triangles that follow one another: a ball about the corner that is nearest to their mean."""
+    count = int(columns.shape[2])
+    groups = -(-count // size)
+    # The last triangle again and again fills up the last group; no ball and no cone grows by it.
+    filled = np.minimum(np.arange(groups * size), count - 1)
+    corners = columns.take(filled, axis=2).reshape(3, 3, groups, size).transpose(0, 2, 1, 3).reshape(3, groups, 3 * size)
+    normals = normals.take(filled, axis=1).reshape(3, groups, size)
+    nearest = _squares(corners - corners.mean(axis=2)[:, :, None]).argmin(axis=1)
+    centre = corners[:, np.arange(groups), nearest]
+    radii = np.sqrt(_squares(corners - centre[:, :, None]).max(axis=1))
+    middle = normals.sum(axis=2)
+    length = np.sqrt(_squares(middle))
+    middle = np.divide(middle, length, out=np.zeros_like(middle), where=length > 0)
+    # Of the chord, since a cosine near 1 has lost the angle.
+    chord = _squares(normals - middle[:, :, None]).max(axis=1)
+    sine = np.where((chord < 2) & (length > 0), np.sqrt(chord * np.maximum(1 - chord / 4, 0.0)), 2.0)
+    return _Nodes(centre, radii, middle, sine)
+
+
+def _packed(nodes: _Nodes) -> Level:
+    """Round to single precision, outward, and fill up the last group with nodes that no bound keeps."""
+    count = len(nodes.radii)
+    groups = -(-count // WIDTH)
+    filled = np.minimum(np.arange(groups * WIDTH), count - 1)
+    table = np.empty((8, groups * WIDTH))
+    table[:3], table[4:7] = nodes.centres.take(filled, axis=1), nodes.middles.take(filled, axis=1)
+    table[3], table[7] = nodes.radii.take(filled) * (1 + ROUND), nodes.sines.take(filled) + _CONE_SLACK
+    table[3, count:] = _NOWHERE
+    single = table.astype(np.float32)
+    centres = np.concatenate([single[:3], np.full((1, groups * WIDTH), -1, dtype=np.float32)])
+    packed = np.ascontiguousarray(single.reshape(8, groups, WIDTH).transpose(1, 0, 2)).reshape(groups, 8 * WIDTH)
+    return Level(packed, centres, single[3], single[4:7], single[7])
+
+
+def _halved(centres: FloatArray) -> IntArray:
+    """Order points (3, n) so that those that follow one another are near: halves along the longest side, down to 8."""
+    count = int(centres.shape[1])
+    order, starts = np.arange(count), np.zeros(1, dtype=np.int64)
+    while True:
+        sizes = np.diff(starts, append=count)
+        if sizes.max() <= WIDTH:
+            return order
+        ranked = centres.take(order, axis=1)
+        low, high = np.minimum.reduceat(ranked, starts, axis=1), np.maximum.reduceat(ranked, starts, axis=1)
+        side = (high - low).argmax(axis=0)
+        segment = np.repeat(np.arange(len(starts)), sizes)
+        low, high = low[side, np.arange(len(starts))], high[side, np.arange(len(starts))]
+        span = np.where(high > low, high - low, 1.0) * 1.001
+        # The segment before the point, the place within it behind it: one sort for all segments.
+        key = segment + (ranked[side[segment], np.arange(count)] - low[segment]) / span[segment]
+        order = order[key.argsort()]
+        cut = np.where(sizes > WIDTH, starts + _first_half(sizes), count)
+        starts = np.union1d(starts, cut[cut < count])
+
+
+def _first_half(sizes: IntArray) -> IntArray:
+    """Return about half of each of `sizes` such that all blocks of 8, 64, 512 ... but the last are whole."""
+    exponent = np.frexp(np.maximum(sizes - 1, 1).astype(float))[1] - 1
+    whole = 1 << (exponent // _HALVINGS * _HALVINGS)
+    return np.where(sizes > 2 * whole, -(-(sizes // 2) // whole) * whole, whole << (exponent % _HALVINGS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fans:
+    """The triangles around each of nv vertices."""
+
+    starts: IntArray
+    """(nv + 1,) vertex i has the triangles starts[i] to starts[i + 1]."""
+    triangles: IntArray
+
+
+def find_fans(triangles: IntArray, count: int) -> Fans:
+    """Find the triangles around each of `count` vertices; `triangles` (nt, 3)."""
+    flat = triangles.ravel()
+    return Fans(np.r_[0, np.cumsum(np.bincount(flat, minlength=count))], flat.argsort(kind="stable") // 3)

@@ -1,0 +1,121 @@
+"""Surfaces and metrics for the tests of the search, and the answer by trying every triangle."""
+
+import numpy as np
+
+from skincal.surface import nearest
+from skincal.surface.closest import closest_in_triangles
+from skincal.surface.mesh import Surface, make_surface
+from skincal.surface.search import Pairs
+
+
+def grid(points) -> Surface:
+    """The surface over a grid of points (n + 1, m + 1, 3)."""
+    n, m = points.shape[0] - 1, points.shape[1] - 1
+    i = (np.arange(n)[:, None] * (m + 1) + np.arange(m)).ravel()
+    one, two = np.stack([i, i + m + 1, i + 1], axis=1), np.stack([i + 1, i + m + 1, i + m + 2], axis=1)
+    return make_surface(points.reshape(-1, 3), np.concatenate([one, two]))
+
+
+def tube(around=24, along=12, radius=0.04, length=0.15, turn=0.6, bump=0.0) -> Surface:
+    """An open shell like a forearm's cover, outward normals; with bumps where asked."""
+    a, h = np.meshgrid(np.linspace(-np.pi * turn, np.pi * turn, around + 1), np.linspace(0, length, along + 1), indexing="ij")
+    r = radius + bump * np.sin(3 * a) * np.sin(40 * h)
+    return grid(np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1))
+
+
+def folded(cells=40, depth=0.02, waves=3) -> Surface:
+    """A sheet in deep waves, normals along +z."""
+    x, y = np.meshgrid(*[np.linspace(-0.05, 0.05, cells + 1)] * 2, indexing="ij")
+    z = depth * np.sin(waves * 2 * np.pi * x / 0.1) * np.cos(waves * np.pi * y / 0.1)
+    return grid(np.stack([x, y, z], axis=-1))
+
+
+def together(*surfaces: Surface) -> Surface:
+    """All of them as one, no vertex shared."""
+    first = np.cumsum([0] + [len(surface.vertices) for surface in surfaces])
+    triangles = [surface.triangles + start for surface, start in zip(surfaces, first, strict=False)]
+    return make_surface(np.concatenate([surface.vertices for surface in surfaces]), np.concatenate(triangles))
+
+
+def soup(rng, count=300) -> Surface:
+    """Triangles of all sizes and shapes, needles among them, no vertex shared."""
+    middles = rng.uniform(-0.05, 0.05, (count, 1, 3))
+    shape = rng.normal(0, 0.05, (count, 3, 3)) * rng.uniform(0, 1, (count, 1, 1)) ** 3
+    shape[::7, :, 1] *= 1e-5
+    return make_surface((middles + shape).reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+
+
+def random_roots(rng, count, kind):
+    """Roots (count, 3, 3): of full rank, graded, of nearly parallel axes, of rank 2 and 1, of one axis, of nought."""
+    roots = rng.normal(size=(count, 3, 3))
+    axes = rng.normal(size=(count, 3, 1))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    if kind == "graded":
+        roots *= 10.0 ** -rng.uniform(0, 12, size=(count, 3, 1))
+    if kind == "near-parallel":
+        roots -= (1 - 10.0 ** -rng.uniform(1, 12, size=(count, 1, 1))) * (roots @ axes) @ axes.transpose(0, 2, 1)
+    if kind == "rank 2":
+        roots[:, 2] = 0.0
+    if kind == "rank 1":
+        roots[:, 1:] = 0.0
+    if kind == "one axis":
+        roots = np.eye(3) - axes @ axes.transpose(0, 2, 1)
+    if kind == "nought":
+        roots[:] = 0.0
+    return roots
+
+
+KINDS = ["full rank", "graded", "near-parallel", "rank 2", "rank 1", "one axis", "nought"]
+
+
+def random_metrics(rng, surface, count, kind):
+    """Roots, offsets and pushes whose targets lie in and around the surface's box."""
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    roots = random_roots(rng, count, kind)
+    targets = rng.uniform(low - 0.02, high + 0.02, (count, 3))
+    return roots, np.einsum("tij,tj->ti", roots, targets), rng.normal(size=(count, 3))
+
+
+def poked(rng, surface, count, pokes, scatter=0.002):
+    """Roots, offsets and pushes of `count` taxels on the surface, each poked from outside within 30 degrees."""
+    triangles = rng.integers(len(surface.triangles), size=count)
+    places = np.einsum("ti,tij->tj", rng.dirichlet([1, 1, 1], size=count), surface.corners[triangles])
+    roots, offsets, pushes = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    for i in range(count):
+        axes = -surface.normals[triangles[i]] + rng.normal(0, 0.3, (pokes, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        rows = np.concatenate([np.linalg.qr(np.c_[axis, rng.normal(size=(3, 2))])[0][:, 1:].T for axis in axes])
+        values = np.sum(rows * np.repeat(places[i] + rng.normal(0, scatter, (pokes, 3)), 2, axis=0), axis=1)
+        q, r = np.linalg.qr(rows)
+        roots[i, : len(r)], offsets[i, : len(r)], pushes[i] = r, q.T @ values, axes.mean(axis=0)
+    return roots, offsets, pushes
+
+
+def by_every_triangle(monkeypatch, ask):
+    """Return what `ask` returns when nothing is left out by the tree."""
+
+    def all_pairs(tree, metrics, *_):
+        count = len(tree.order)
+        for i in range(len(metrics.scales)):
+            yield Pairs(np.full(count, i), np.arange(count))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(nearest, "survivors", all_pairs)
+        patched.setattr(nearest, "nearer_than", all_pairs)
+        return ask()
+
+
+def same(one, two) -> bool:
+    """Whether two answers are equal to the last bit."""
+    return (
+        np.array_equal(one.triangles, two.triangles)
+        and np.array_equal(one.points, two.points, equal_nan=True)
+        and np.array_equal(one.values, two.values)
+    )
+
+
+def facing_minima(surface, root, offset, push):
+    """Triangles that face the push, and the distance and the place of each one's best point."""
+    facing = np.flatnonzero(surface.normals @ (push / np.linalg.norm(push)) < -1e-12)
+    shares, squared = closest_in_triangles(surface.corners[facing] @ root.T - offset)
+    return facing, np.sqrt(squared), (shares[:, :, None] * surface.corners[facing]).sum(axis=1)

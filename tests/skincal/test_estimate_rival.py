@@ -1,0 +1,98 @@
+"""A second place that fits nearly as well: found, told with the right odds, and only where it is one."""
+
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.result import Method, State
+from skincal.estimate.surface import RIVAL_ODDS
+from skincal.scene import NoiseSettings
+from skincal.surface.mesh import make_surface
+from tests.skincal.estimate_support import solve
+
+NOISE = NoiseSettings()
+
+
+def plates(*depths: float, cells: int = 12, half: float = 0.06):
+    """Square plates that face +z, one below the other."""
+    grid = np.linspace(-half, half, cells + 1)
+    x, y = np.meshgrid(grid, grid, indexing="ij")
+    i = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    flat = np.concatenate(
+        [np.stack([i, i + cells + 1, i + 1], axis=1), np.stack([i + 1, i + cells + 1, i + cells + 2], axis=1)]
+    )
+    count = (cells + 1) ** 2
+    vertices = [np.stack([x.ravel(), y.ravel(), np.full(count, z)], axis=1) for z in depths]
+    return make_surface(np.concatenate(vertices), np.concatenate([flat + n * count for n in range(len(depths))]))
+
+
+def press(number, point, push, moment_noise=None):
+    force = 8.0 * np.asarray(push, dtype=float) / np.linalg.norm(push)
+    moment = np.cross(point, force) + (0 if moment_noise is None else moment_noise)
+    return Contact(number, 0, 1, force, moment, np.array([0]), np.array([50.0]), np.eye(4), "", 0.0, True)
+
+
+def test_one_axis_through_two_plates_may_mean_either():
+    push = np.array([0.1, 0.0, -1.0])
+    one = solve([press(1, np.zeros(3), push)], [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
+    assert one.state is State.ESTIMATED
+    np.testing.assert_allclose(one.position, 0.0, atol=1e-12)
+    assert one.rival is not None
+    np.testing.assert_allclose(one.rival.position, [0.003, 0.0, -0.03], atol=1e-12)
+    assert one.rival.odds == pytest.approx(1.0, abs=0.01)
+
+
+def test_pokes_from_two_sides_leave_no_rival():
+    contacts = [press(i, np.zeros(3), [0.4 * s, 0.0, -1.0]) for i, s in enumerate((-1, 1), start=1)]
+    one = solve(contacts, [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
+    np.testing.assert_allclose(one.position, 0.0, atol=1e-12)
+    assert one.rival is None
+
+
+@pytest.mark.parametrize(("depths", "tilt"), [((0.0,), 0.0), ((0.0,), 0.3), ((0.0, -0.5), 0.3)])
+def test_a_single_place_has_no_rival(depths, tilt):
+    rng, surface = np.random.default_rng(1), plates(*depths)
+    for _ in range(5):
+        contacts = [press(i, [0.01, 0.02, 0.0], [*rng.normal(0, tilt, 2), -1.0]) for i in range(1, 6)]
+        one = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
+        assert one.state is State.ESTIMATED
+        assert one.rival is None
+
+
+def test_the_far_side_of_a_tube_is_no_rival_since_a_poke_pushes_inward():
+    angle = np.linspace(0, 2 * np.pi, 65)[:-1]
+    ring = np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle)], axis=1)
+    vertices = np.concatenate([np.c_[ring, np.full(64, z)] for z in (0.0, 0.1)])
+    i, j = np.arange(64), (np.arange(64) + 1) % 64
+    tube = make_surface(vertices, np.concatenate([np.stack([i, j, i + 64], axis=1), np.stack([j, j + 64, i + 64], axis=1)]))
+    one = solve([press(1, [0.04, 0.0, 0.05], [-1.0, 0.0, 0.0])], [0], Method.SURFACE, NOISE, tube)[0]
+    assert one.position[0] > 0
+    assert one.rival is None
+
+
+def test_the_odds_are_those_of_being_wrong():
+    """The truth is on either plate as often: of estimates with given odds, 1/(1 + odds) must be on the wrong one."""
+    # All noise is in the moment, so that what is drawn is what the model says.
+    noise = NoiseSettings(force=1e-9, moment=0.02, contact=1e-9, reach=1e-9)
+    surface, rng = plates(0.0, -0.02, cells=4), np.random.default_rng(2)
+    wrong, expected, variance, seen, alone, missed = 0, 0.0, 0.0, 0, 0, 0
+    for _ in range(600):
+        depth = -0.02 * int(rng.integers(2))
+        tilts = rng.normal(0, 0.15, (3, 2))
+        contacts = [
+            press(i, [0.0, 0.0, depth], [*tilt, -1.0], 0.02 * rng.standard_normal(3)) for i, tilt in enumerate(tilts, start=1)
+        ]
+        one = solve(contacts, [0], Method.SURFACE, noise, surface)[0]
+        if one.position is None:
+            continue
+        is_wrong = abs(one.position[2] - depth) > 0.01
+        if one.rival is None:
+            alone, missed = alone + 1, missed + is_wrong
+            continue
+        assert 1.0 <= one.rival.odds < RIVAL_ODDS
+        share = 1.0 / (1.0 + one.rival.odds)
+        seen, wrong, expected, variance = seen + 1, wrong + is_wrong, expected + share, variance + share * (1 - share)
+    assert seen > 100
+    assert abs(wrong - expected) < 3.5 * np.sqrt(variance)
+    assert alone > 100
+    assert missed <= alone / (1.0 + RIVAL_ODDS), "no rival means odds above the limit"

@@ -1,0 +1,233 @@
+import pickle
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+from surface_support import KINDS, by_every_triangle, folded, poked, random_metrics, same, soup, together, tube
+
+from skincal.surface import nearest, search, tree
+from skincal.surface.mesh import make_surface
+from skincal.surface.nearest import nearest_to_rows
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 63, 64, 65, 513, 700, 4097])
+def test_every_triangle_is_in_the_ball_and_the_cone_of_each_node_above_it(count):
+    rng = np.random.default_rng(count)
+    surface = soup(rng, count)
+    built = surface.tree
+    assert sorted(built.order) == list(range(count))
+    np.testing.assert_array_equal(built.order[built.places], np.arange(count))
+    corners, normals = surface.corners[built.order] - built.origin, surface.normals[built.order]
+    for height, level in enumerate(built.levels):
+        node = np.arange(count) // tree.WIDTH**height
+        away = np.linalg.norm(corners - level.centres[:3].T.astype(float)[node][:, None], axis=2).max(axis=1)
+        assert (away <= level.radii.astype(float)[node] + 1e-7 * built.extent).all()
+        sine = level.sines.astype(float)[node]
+        turned = np.linalg.norm(np.cross(normals, level.middles.T.astype(float)[node]), axis=1)
+        ahead = np.einsum("ij,ij->i", normals, level.middles.T.astype(float)[node])
+        assert ((sine > 1) | ((turned <= sine) & (ahead > 0))).all()
+        np.testing.assert_array_equal(
+            level.groups.reshape(-1, 8, tree.WIDTH)[node // tree.WIDTH, 3, node % tree.WIDTH], level.radii[node]
+        )
+
+
+def test_a_node_is_not_much_larger_than_its_share_of_the_surface():
+    """Else the search is right and slow: on a grid, eight triangles fit into a ball of 1.5 to 2 times a cell's side."""
+    surface = tube(160, 80)
+    side = np.sqrt(2 * np.pi * 1.2 * 0.04 * 0.15 / len(surface.triangles))
+    for height, level in enumerate(surface.tree.levels):
+        count = len(surface.triangles) // 8**height
+        assert np.median(level.radii[:count]) < 1.6 * side * 8 ** (height / 2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", ["tube", "folded", "layers", "soup", "copies", "five", "far", "apart"])
+def test_the_tree_leaves_nothing_out_to_the_last_bit(kind, shape, monkeypatch):
+    rng = np.random.default_rng(17)
+    # Large enough for three levels of nodes.
+    part = tube(80, 60, bump=0.003)
+    surface = {
+        "tube": lambda: part,
+        "folded": lambda: folded(70),
+        "layers": lambda: together(part, tube(80, 60, radius=0.037)),
+        "soup": lambda: soup(rng, 5000),
+        "copies": lambda: make_surface(
+            part.vertices, np.concatenate([part.triangles, part.triangles[::-1], part.triangles[:, [1, 0, 2]]])
+        ),
+        "five": lambda: make_surface(part.vertices, part.triangles[:5]),
+        "far": lambda: make_surface(part.vertices + np.array([1000.0, -300.0, 20.0]), part.triangles),
+        # Single precision rounds to 0.03 mm there: more than what its slack is not for would forgive.
+        "apart": lambda: together(
+            *[make_surface(0.1 * part.vertices + np.array([x, 0.0, 0.0]), part.triangles) for x in (-400.0, 400.0)]
+        ),
+    }[shape]()
+    count = 4 if kind == "nought" else 40
+    roots, offsets, pushes = random_metrics(rng, surface, count, kind)
+    if shape == "apart":
+        targets = surface.vertices[rng.integers(len(surface.vertices), size=count)] + rng.normal(0, 1e-5, (count, 3))
+        offsets = np.einsum("tij,tj->ti", roots, targets)
+    for own in (pushes, None):
+        found = nearest_to_rows(surface, roots, offsets, own)
+
+        def ask(own=own):
+            return nearest_to_rows(surface, roots, offsets, own)
+
+        assert same(found, by_every_triangle(monkeypatch, ask))
+    assert (found.triangles >= 0).all()
+
+
+def test_targets_on_corners_are_found_to_the_last_bit(monkeypatch):
+    """There the bound of a ball through the corner is as large as the optimum, and a start from another triangle with that
+    corner leaves no room: only the slack for rounding keeps the one that faces most."""
+    surface = tube(80, 60)
+    rng = np.random.default_rng(19)
+    start = rng.integers(len(surface.triangles), size=300)
+    targets = surface.corners[start, rng.integers(3, size=300)]
+    for root in (np.eye(3), np.diag([1.0, 1.0, 0.3]), np.diag([0.0, 1.0, 0.0])):
+        asked = np.tile(root, (len(targets), 1, 1)), targets @ root, -targets * [1, 1, 0]
+
+        def ask(asked=asked):
+            return nearest_to_rows(surface, *asked)
+
+        every = by_every_triangle(monkeypatch, ask)
+        assert same(ask(), every)
+        assert same(nearest_to_rows(surface, *asked, start), every)
+
+
+def test_targets_far_from_the_part_are_found_to_the_last_bit_too(monkeypatch):
+    """Bounds in single precision tell less there; they may not tell anything wrong."""
+    rng = np.random.default_rng(23)
+    surface = tube(20, 20)
+    for away in (1.0, 1e3, 1e6, 1e9):
+        roots, _, pushes = random_metrics(rng, surface, 20, "full rank")
+        offsets = np.einsum("tij,tj->ti", roots, rng.normal(0, away, (20, 3)))
+        asked = roots, offsets, pushes
+
+        def ask(asked=asked):
+            return nearest_to_rows(surface, *asked)
+
+        assert same(ask(), by_every_triangle(monkeypatch, ask))
+
+
+@pytest.mark.parametrize("scale", [1e-140, 1e-12, 1e12, 1e140])
+def test_the_size_of_the_weights_does_not_matter(scale):
+    rng = np.random.default_rng(29)
+    surface = tube()
+    scale = 2.0 ** np.round(np.log2(scale))
+    for kind in KINDS:
+        roots, offsets, pushes = random_metrics(rng, surface, 20, kind)
+        one = nearest_to_rows(surface, roots, offsets, pushes)
+        two = nearest_to_rows(surface, roots * scale, offsets * scale, pushes * scale)
+        np.testing.assert_array_equal(one.triangles, two.triangles)
+        np.testing.assert_array_equal(one.points, two.points)
+
+
+def test_an_answer_does_not_depend_on_the_others_nor_on_where_the_search_starts():
+    rng = np.random.default_rng(31)
+    surface = tube(40, 40, bump=0.004)
+    asked = [
+        np.concatenate(part) for part in zip(*[random_metrics(rng, surface, 120, kind) for kind in KINDS[:-1]], strict=True)
+    ]
+    many = nearest_to_rows(surface, *asked)
+    order = rng.permutation(len(asked[0]))
+    for start in (None, many.triangles, np.full(len(order), -1), rng.integers(-1, len(surface.triangles), len(order))):
+        mixed = nearest_to_rows(surface, *[part[order] for part in asked], None if start is None else start[order])
+        back = np.argsort(order)
+        assert same(many, nearest.NearestMany(mixed.points[back], mixed.triangles[back], mixed.values[back]))
+    for i in order[:60]:
+        one = nearest_to_rows(surface, *[part[i : i + 1] for part in asked])
+        assert same(one, nearest.NearestMany(many.points[i : i + 1], many.triangles[i : i + 1], many.values[i : i + 1]))
+
+
+def test_the_arrays_given_are_left_as_they_are():
+    rng = np.random.default_rng(37)
+    surface = tube()
+    for count in (1, 5):
+        asked = random_metrics(rng, surface, count, "full rank")
+        copies = [part.copy() for part in asked]
+        nearest_to_rows(surface, *asked)
+        for part, copy in zip(asked, copies, strict=True):
+            np.testing.assert_array_equal(part, copy)
+
+
+def kept(surface, asked):
+    metrics = nearest._metrics(surface.tree, *asked)
+    return sum(len(pairs.nodes) for pairs in search.survivors(surface.tree, metrics)) / len(asked[0])
+
+
+def test_few_triangles_are_left_however_many_there_are():
+    rng = np.random.default_rng(41)
+    for pokes in (1, 3, 10):
+        few, many = ([kept(surface, poked(rng, surface, 200, pokes, 0.0005))] for surface in (tube(25, 20), tube(250, 200)))
+        assert few[0] < 20
+        assert many[0] < 2 * few[0], "100 times the triangles"
+
+
+def test_a_search_is_hundreds_of_times_quicker_than_every_triangle(monkeypatch):
+    rng = np.random.default_rng(43)
+    surface = tube(250, 200)
+    surface.prepare()
+    asked = poked(rng, surface, 400, 3)
+    few = [part[:5] for part in asked]
+
+    def took(ask):
+        times = []
+        for _ in range(3):
+            begin = time.process_time()
+            ask()
+            times.append(time.process_time() - begin)
+        return min(times)
+
+    every = took(lambda: by_every_triangle(monkeypatch, lambda: nearest_to_rows(surface, *few))) / 5
+    # Measured 900 times. The bar is loose for a busy machine.
+    assert took(lambda: nearest_to_rows(surface, *asked)) / 400 < every / 100
+
+
+def test_a_root_of_nought_for_every_taxel_does_not_fill_the_memory():
+    """All triangles are equally near, to each of many metrics: they are taken in parts."""
+    surface = tube(60, 50)
+    surface.prepare()
+    count = 100
+    asked = np.zeros((count, 3, 3)), np.ones((count, 3)), np.tile([-1.0, 0.0, 0.0], (count, 1))
+    tracemalloc.start()
+    found = nearest_to_rows(surface, *asked)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # Measured 110 MB; 290 MB if all are taken together.
+    assert peak < 180e6
+    assert (found.triangles == found.triangles[0]).all()
+    assert found.points[0, 0] == pytest.approx(surface.vertices[:, 0].max()), "first met by the push"
+    np.testing.assert_array_equal(found.values, 3.0)
+
+
+def test_of_triangles_equally_near_the_one_that_faces_the_push_most_is_named():
+    surface = tube(40, 30)
+    rng = np.random.default_rng(53)
+    targets = surface.vertices[rng.integers(len(surface.vertices), size=100)]
+    pushes = -targets * [1, 1, 0] + rng.normal(0, 0.01, (100, 3))
+    found = nearest_to_rows(surface, np.tile(np.eye(3), (100, 1, 1)), targets, pushes)
+    np.testing.assert_allclose(found.points, targets, atol=1e-12)
+    for target, push, triangle in zip(targets, pushes, found.triangles, strict=True):
+        around = np.flatnonzero((surface.corners == target).all(axis=2).any(axis=1))
+        assert triangle in around
+        against = surface.normals[around] @ push
+        assert surface.normals[triangle] @ push == pytest.approx(against.min(), abs=1e-9 * np.linalg.norm(push))
+
+
+def test_a_surface_travels_with_its_tree():
+    surface = tube()
+    surface.prepare()
+    again = pickle.loads(pickle.dumps(surface))
+    assert "tree" in vars(again)
+    rng = np.random.default_rng(47)
+    asked = random_metrics(rng, surface, 30, "full rank")
+    assert same(nearest_to_rows(surface, *asked), nearest_to_rows(again, *asked))
+    np.testing.assert_array_equal(again.fans.starts, surface.fans.starts)
+
+
+def test_fans_hold_the_triangles_around_each_vertex():
+    surface = tube(5, 4)
+    for vertex in range(len(surface.vertices)):
+        own = surface.fans.triangles[surface.fans.starts[vertex] : surface.fans.starts[vertex + 1]]
+        assert sorted(own) == sorted(np.flatnonzero((surface.triangles == vertex).any(axis=1)))
