@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -18,19 +17,23 @@ from typing import BinaryIO
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
+    AttachmentIndex,
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
+    McapRecord,
     MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
     Statistics,
+    SummaryOffset,
 )
 
 from skincal.session.segment import (
+    CHUNK_HEAD,
     DAMAGE,
     HEAD_SIZE,
     MAGIC,
@@ -41,14 +44,13 @@ from skincal.session.segment import (
     message_head,
     open_chunk,
     read_body,
+    read_chunk,
     spans,
     words_of,
 )
 
 _FOOTER_HEAD_SIZE = HEAD_SIZE + 8 + 8
 """Bytes of the footer that its checksum covers."""
-_CHUNK_HEAD = struct.Struct("<QQQII")
-"""First and last time, size and checksum before compression, length of the compression's name."""
 _NAME_MAX = 16
 """Bytes. No compression has a longer name."""
 CHECKED_BYTES = 64 << 20
@@ -79,6 +81,7 @@ class Survey:
     schemas: dict[int, Schema] = field(default_factory=dict[int, Schema])
     channels: dict[int, Channel] = field(default_factory=dict[int, Channel])
     metadata: list[MetadataIndex] = field(default_factory=list[MetadataIndex])
+    attachments: list[AttachmentIndex] = field(default_factory=list[AttachmentIndex])
 
     @property
     def messages(self) -> int:
@@ -126,16 +129,16 @@ def _take(found: Survey, file: BinaryIO, span: Span, *, check: bool) -> None:
     start = span.start - HEAD_SIZE
     if span.opcode == Opcode.CHUNK:
         if not found.channels:  # the first chunk describes them
-            _learn(found, open_chunk(_chunk(file, span)))
+            _learn(found, open_chunk(read_chunk(read_body(file, span))))
         elif check:
-            open_chunk(_chunk(file, span))
+            open_chunk(read_chunk(read_body(file, span)))
         file.seek(span.start)
-        start_ns, end_ns, size, _, length = _CHUNK_HEAD.unpack(file.read(_CHUNK_HEAD.size))
+        start_ns, end_ns, size, _, length = CHUNK_HEAD.unpack(file.read(CHUNK_HEAD.size))
         index = ChunkIndex(
             chunk_length=span.end - start,
             chunk_start_offset=start,
             compression=file.read(min(length, _NAME_MAX)).decode(),
-            compressed_size=span.end - span.start - _CHUNK_HEAD.size - length - 8,
+            compressed_size=span.end - span.start - CHUNK_HEAD.size - length - 8,
             message_end_time=end_ns,
             message_index_length=0,
             message_index_offsets={},
@@ -153,11 +156,22 @@ def _take(found: Survey, file: BinaryIO, span: Span, *, check: bool) -> None:
     elif span.opcode == Opcode.METADATA:
         name = Metadata.read(ReadDataStream(BytesIO(read_body(file, span)))).name
         found.metadata.append(MetadataIndex(offset=start, length=span.end - start, name=name))
+    elif span.opcode == Opcode.ATTACHMENT:
+        found.attachments.append(_attachment(file, span))
     found.end = span.end
 
 
-def _chunk(file: BinaryIO, span: Span) -> Chunk:
-    return Chunk.read(ReadDataStream(BytesIO(read_body(file, span))))
+def _attachment(file: BinaryIO, span: Span) -> AttachmentIndex:
+    attachment = Attachment.read(ReadDataStream(BytesIO(read_body(file, span))))
+    return AttachmentIndex(
+        offset=span.start - HEAD_SIZE,
+        length=span.end - span.start + HEAD_SIZE,
+        log_time=attachment.log_time,
+        create_time=attachment.create_time,
+        data_size=len(attachment.data),
+        name=attachment.name,
+        media_type=attachment.media_type,
+    )
 
 
 def _learn(found: Survey, data: bytes) -> None:
@@ -184,7 +198,7 @@ def _indexes(file: BinaryIO, chunk: _ChunkFound) -> Iterator[MessageIndex]:
     """Yield the message indexes of a chunk, made from its messages."""
     start = chunk.index.chunk_start_offset
     span = Span(Opcode.CHUNK, start + HEAD_SIZE, start + chunk.index.chunk_length)
-    data = open_chunk(_chunk(file, span))
+    data = open_chunk(read_chunk(read_body(file, span)))
     places: dict[int, list[tuple[int, int]]] = {}
     for inner in inner_spans(data):
         if inner.opcode == Opcode.MESSAGE:
@@ -201,7 +215,7 @@ def _write_summary(target: BinaryIO, found: Survey) -> None:
         for channel, count in chunk.counts.items():
             counts[channel] = counts.get(channel, 0) + count
     statistics = Statistics(
-        attachment_count=0,
+        attachment_count=len(found.attachments),
         channel_count=len(found.channels),
         channel_message_counts=counts,
         chunk_count=len(found.chunks),
@@ -214,12 +228,18 @@ def _write_summary(target: BinaryIO, found: Survey) -> None:
     groups = [*found.schemas.values(), *found.channels.values(), statistics]
     records = [*groups, *(chunk.index for chunk in found.chunks), *found.metadata]
     summary = b"".join(_built(record) for record in records)
-    footer = _built(Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
+    offsets = 0
+    if found.attachments:
+        attached = b"".join(_built(record) for record in found.attachments)
+        place = SummaryOffset(Opcode.ATTACHMENT_INDEX, start + len(summary), len(attached))
+        offsets = start + len(summary) + len(attached)
+        summary += attached + _built(place)
+    footer = _built(Footer(summary_start=start, summary_offset_start=offsets, summary_crc=0))
     crc = zlib.crc32(footer[:_FOOTER_HEAD_SIZE], zlib.crc32(summary))
-    target.write(summary + _built(Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)) + MAGIC)
+    target.write(summary + _built(Footer(summary_start=start, summary_offset_start=offsets, summary_crc=crc)) + MAGIC)
 
 
-def _built(record: Schema | Channel | Statistics | ChunkIndex | MessageIndex | MetadataIndex | DataEnd | Footer) -> bytes:
+def _built(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -5,7 +5,8 @@ evidence in a segment is its *items*: chunks as read (`/raw/LINK`), and changes 
 (`/events`, JSON). Items are numbered from 0 in the order in which they were taken, in the MCAP message's `sequence`; the
 first is an event that says what the segment is, and the last of one that was put down in good order says so. Beside them
 stand *notes* (`/session`, JSON): what the session took from the detector with an item, and how many readings there were.
-Events and notes tell the session without the bytes; their `n` counts both together. Decoded readings (`/wrench`, `/taxels`,
+Events and notes tell the session without the bytes; their `n` counts both together, and a segment that is closed ends with all
+of them once more in one piece (`outline`). Decoded readings (`/wrench`, `/taxels`,
 `/joints`) are for other programs, such as Foxglove and PlotJuggler; skincal does not read them back.
 
 Every half second, and at every contact, what is buffered becomes one compressed chunk with a checksum, so that a kill loses
@@ -34,6 +35,8 @@ from skincal.readings import Chunk, FloatArray, LinkEvent, Sample, Stream
 from skincal.scene import Scene
 from skincal.session import cdr
 from skincal.session.actions import Stamped, to_json
+from skincal.session.outline import MEDIA_TYPE, NAME, OutlineWriter
+from skincal.session.packed import ChunkIndexes
 from skincal.session.scene_copy import SCENE_FOLDER, copy_scene, scene_digest
 from skincal.session.taken import Taken, taken_to_json
 from skincal.session.totals import Totals, totals_to_json
@@ -117,9 +120,12 @@ class JournalWriter:
         """Why nothing is written any more; empty while all is well."""
         self._file: BufferedWriter = path.open("xb")
         self._mcap = Writer(self._file, chunk_size=_CHUNK_SIZE)
+        # The library has no way to do this. Where it names its list otherwise, memory grows and nothing else happens.
+        vars(self._mcap)["_Writer__chunk_indices"] = ChunkIndexes()
         self._channels: dict[str, int] = {}
         self._items = 0
         self._told = 0
+        self._outline = OutlineWriter()
         self._frames = 0
         self._flushed_ns: int | None = None
         self._buffered = False
@@ -211,7 +217,7 @@ class JournalWriter:
         self._add(item)
         for note in notes:
             kind, body = ("taken", taken_to_json(note)) if isinstance(note, Taken) else ("totals", totals_to_json(note))
-            self._add_json(NOTE_TOPIC, item.host_ns, {"type": kind, **body}, self._items - 1)
+            self._add_json(NOTE_TOPIC, item.host_ns, {"type": kind, **body}, self._items - 1, note)
         if apart:
             self._flush()
         self.tick(item.host_ns)
@@ -251,9 +257,10 @@ class JournalWriter:
         self._add_json(EVENT_TOPIC, host_ns, {"host_ns": host_ns, **event}, self._items)
         self._items += 1
 
-    def _add_json(self, topic: str, host_ns: int, document: dict[str, Any], sequence: int) -> None:
+    def _add_json(self, topic: str, host_ns: int, document: dict[str, Any], sequence: int, note: Note | None = None) -> None:
         at = self.unix_ns(host_ns)
         data = json.dumps({"n": self._told, **document}, allow_nan=False).encode()
+        self._outline.add(data, note)
         self._mcap.add_message(self._channels[topic], at, data, at, sequence=sequence)
         self._told += 1
         self._buffered = True
@@ -265,6 +272,11 @@ class JournalWriter:
             os.fsync(self._file.fileno())
 
     def _finish(self) -> None:
+        self._flush()
+        outline = self._outline.finish()
+        if outline:
+            now_ns = time.time_ns()
+            self._mcap.add_attachment(now_ns, now_ns, NAME, MEDIA_TYPE, outline)
         self._mcap.finish()
         self._file.flush()
         os.fsync(self._file.fileno())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,6 +17,7 @@ from skincal.scene import Scene, load_scene
 from skincal.session import cdr
 from skincal.session.actions import Stamped, from_json
 from skincal.session.journal import EVENT_TOPIC, FORMAT, NOTE_TOPIC, RAW_TOPIC, Ending, Note, link_specs
+from skincal.session.outline import read_outline
 from skincal.session.scene_copy import SCENE_FILE, SCENE_FOLDER, scene_digest
 from skincal.session.segment import RawMessage, SegmentReader
 from skincal.session.taken import Taken, taken_from_json
@@ -36,6 +37,7 @@ class SegmentMark:
 LogItem: TypeAlias = Chunk | LinkEvent | Stamped | SegmentMark | Ending
 LogState: TypeAlias = SegmentMark | LinkEvent | Stamped | Ending | Note
 FORMAT_WITH_NOTES = 2
+_NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": taken_from_json, "totals": totals_from_json}
 
 
 class SessionLog:
@@ -91,8 +93,8 @@ class SessionLog:
     def state(self) -> Iterator[LogState]:
         """Yield what tells the session without the bytes, in order: actions, and what was taken from the detector.
 
-        What was read last says in `has_notes` and `scene_changed` whether that is enough; it is read without the other
-        chunks of the file, whose damage stays unseen.
+        What was read last says in `has_notes` and `scene_changed` whether that is enough; it is read from the outlines of
+        segments that were closed, else without the other chunks of the file, whose damage stays unseen.
         """
         ended = True
         for segment in self._segments(sparse=True):
@@ -116,7 +118,7 @@ class SessionLog:
         for index, path in enumerate(self.segments):
             segment = _SegmentItems(path, sparse=sparse)
             yield segment
-            self.whole &= segment.reader.whole and segment.complete
+            self.whole &= segment.whole
             sentence = segment.finding()
             if sentence:
                 self._findings.append(sentence)
@@ -180,16 +182,33 @@ class _SegmentItems:
         self.hole = ""
         self.count = 0
         self._sparse = sparse
+        self._outlined = False
         self._first_ns = self._last_ns = 0
         self._topics: dict[int, str] = {}
 
     @property
     def complete(self) -> bool:
         """Everything that was written was read."""
-        return self.reader.data_complete and not self.hole
+        return self._outlined or (self.reader.data_complete and not self.hole)
+
+    @property
+    def whole(self) -> bool:
+        """The segment was closed, and nothing is known to be wrong with it."""
+        return self._outlined or (self.reader.whole and not self.hole)
 
     def read(self) -> Iterator[_Record]:
         """Yield the items up to the first damage."""
+        lines = read_outline(self.path) if self._sparse else None
+        if lines is None:
+            yield from self._read_chunks()
+            return
+        for line in lines:
+            document = json.loads(line)
+            del document["n"]
+            yield _told(document, self.path)
+        self._outlined = True
+
+    def _read_chunks(self) -> Iterator[_Record]:
         for record in self.reader.records():
             if isinstance(record, Channel):
                 self._topics[record.id] = record.topic
@@ -215,7 +234,7 @@ class _SegmentItems:
         if topic.startswith(RAW_TOPIC):
             host_ns, raw = cdr.decode_chunk(record.data)
             return Chunk(topic.removeprefix(RAW_TOPIC), host_ns, raw)
-        return _note(document, self.path) if topic == NOTE_TOPIC else _event(document, self.path)
+        return _told(document, self.path)
 
     def finding(self) -> str:
         """Return a sentence about what was lost; empty if nothing was."""
@@ -236,9 +255,14 @@ class _SegmentItems:
         )
 
 
+def _told(document: dict[str, Any], path: Path) -> LinkEvent | Stamped | Ending | Note | _Beginning:
+    """Return the event or the note of a JSON object."""
+    return _note(document, path) if document.get("type") in _NOTES else _event(document, path)
+
+
 def _event(event: dict[str, Any], path: Path) -> LinkEvent | Stamped | Ending | _Beginning:
-    host_ns = int(event.pop("host_ns"))
-    kind = event.pop("type")
+    host_ns = int(event.pop("host_ns", 0))
+    kind = event.pop("type", None)
     if kind == "link":
         return LinkEvent(event["link"], host_ns, LinkState(event["state"]), event["text"])
     if kind == "action":
@@ -247,21 +271,17 @@ def _event(event: dict[str, Any], path: Path) -> LinkEvent | Stamped | Ending | 
         return Ending(host_ns)
     if kind == "segment":
         return _beginning(host_ns, event, path)
-    raise InputError(f"{path}: has an event {kind!r}, which this version does not know; open it with a newer skincal.")
+    raise InputError(f"{path}: has an event or note {kind!r}, which this version does not know; open it with a newer skincal.")
 
 
 def _note(note: dict[str, Any], path: Path) -> Note:
-    kind = note.get("type")
+    kind = note.pop("type")
     try:
-        if kind == "taken":
-            return taken_from_json(note)
-        if kind == "totals":
-            return totals_from_json(note)
+        return _NOTES[kind](note)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: a note of kind {kind!r} does not fit ({error!r}); play the session from its bytes."
         ) from None
-    raise InputError(f"{path}: has a note {kind!r}, which this version does not know; open it with a newer skincal.")
 
 
 def _beginning(host_ns: int, event: dict[str, Any], path: Path) -> _Beginning:

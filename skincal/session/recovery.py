@@ -7,6 +7,7 @@ from pathlib import Path
 from skincal.errors import InputError
 from skincal.session.closing import close_copy, survey
 from skincal.session.log import find_segments
+from skincal.session.outline import read_outline
 from skincal.session.segment import SegmentReader, has_end
 
 
@@ -14,7 +15,8 @@ def recover_session(folder: Path) -> tuple[str, ...]:
     """Make every segment of a session readable for other programs too, and ready to go on.
 
     A damaged segment is written anew up to its damage, and the damaged file is kept beside it as `*.mcap.damaged`. Segments
-    after a hole cannot be played on what is left, and are put aside as `*.mcap.after-damage`.
+    after a hole cannot be played on what is left, and are put aside as `*.mcap.after-damage`. A segment whose outline is whole
+    is left as it is: all of its pokes are known, whatever became of the readings between them.
 
     Returns
     -------
@@ -45,6 +47,8 @@ def recover_session(folder: Path) -> tuple[str, ...]:
 
 def _recover(path: Path) -> tuple[str, bool]:
     """Return a sentence if the segment had to be written anew, and whether something is missing at its end for sure."""
+    if read_outline(path) is not None:
+        return "", False
     if has_end(path):
         reader = SegmentReader(path, (), sparse=True)
         for _ in reader.records():

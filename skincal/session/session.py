@@ -6,7 +6,8 @@ numbers, and nothing else, so that taking a poke out and in again gives the same
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,12 +16,13 @@ import numpy as np
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.errors import InputError
+from skincal.estimate.ledger import Ledger
 from skincal.estimate.result import Estimate, Method
-from skincal.estimate.solve import estimate_taxels
+from skincal.estimate.solve import estimate_from
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
 from skincal.session.actions import Action, Exclude, MarkDead, Restore, Revive, SetPose, Undo
-from skincal.session.history import History, Step
+from skincal.session.history import History, PokeStep, Step
 from skincal.session.snapshot import PokeRecord, Snapshot
 
 if TYPE_CHECKING:
@@ -46,13 +48,20 @@ class Session:
         self.methods = (Method.FREE,) if surface is None else (Method.FREE, Method.SURFACE)
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
-        self._outcomes: dict[int, Outcome] = {}
+        # In the order of their numbers, so that a snapshot copies them and makes nothing anew.
+        self._records: dict[int, PokeRecord] = {}
         self._excluded: set[int] = set()
         self._found: Mapping[int, str] = {}
         self._marked: set[int] = set()
         self._revived: set[int] = set()
         self._history = History()
-        self._pokes_of: dict[int, set[int]] = {}
+        self._answers: Counter[int] = Counter()
+        """How many contacts that count each channel answered in."""
+        layout = scene.skin.layout
+        self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
+        self._ledger = Ledger()
+        self._stale: set[int] = set()
+        """Pokes that the ledger does not know as they are now."""
         self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
         self._dirty: set[int] = set(self.channels)
         self._touched: IntArray = np.empty(0, dtype=np.int64)
@@ -63,7 +72,7 @@ class Session:
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """The contacts that count: accepted and not excluded, in the order of their numbers."""
-        return tuple(self._kept(self._outcomes))
+        return tuple(self._kept(self._records))
 
     @property
     def excluded(self) -> tuple[int, ...]:
@@ -73,15 +82,14 @@ class Session:
     @property
     def channels(self) -> tuple[int, ...]:
         """The taxels: those of the layout, or without one those that answered in a contact that counts."""
-        layout = self.scene.skin.layout
-        if layout is not None:
-            return tuple(int(channel) for channel in layout.channels)
-        return tuple(sorted(channel for channel, pokes in self._pokes_of.items() if any(True for _ in self._kept(pokes))))
+        if self._layout is not None:
+            return self._layout
+        return tuple(sorted(channel for channel, count in self._answers.items() if count))
 
     @property
     def last_poke(self) -> int:
         """Number of the last poke, whatever it ended as; 0 before the first."""
-        return max(self._outcomes, default=0)
+        return next(reversed(self._records), 0)
 
     @property
     def found_dead(self) -> Mapping[int, str]:
@@ -97,31 +105,24 @@ class Session:
 
     def add(self, outcome: Outcome) -> None:
         """Take a poke's outcome; one with the same number replaces the earlier."""
-        before = self._outcomes.get(outcome.poke)
-        self._outcomes[outcome.poke] = outcome
-        was, now = isinstance(before, Contact), isinstance(outcome, Contact)
-        if isinstance(before, Contact):
-            for channel in before.channels:
-                self._pokes_of[int(channel)].discard(before.poke)
-        if isinstance(outcome, Contact):
-            for channel in outcome.channels:
-                self._pokes_of.setdefault(int(channel), set()).add(outcome.poke)
+        before = self._records.get(outcome.poke)
+        was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
+        self._put(PokeRecord(outcome, outcome.poke in self._excluded))
         if now and not was:
-            self._history.add(self._poke_step(outcome.poke))
+            self._history.add_poke(outcome.poke)
         if was and not now:
             self._history.forget_poke(outcome.poke)
-        self._touch(before)
-        self._touch(outcome)
 
     def settle(self) -> None:
         """Make every outcome final as it stands: what could have changed it will not come."""
-        for outcome in list(self._outcomes.values()):
-            if not outcome.final:
-                self.add(replace(outcome, final=True))
+        for record in list(self._records.values()):
+            if not record.outcome.final:
+                self.add(replace(record.outcome, final=True))
 
     def outcome(self, poke: int) -> Outcome | None:
         """Return how a poke ended; None where there is no such poke."""
-        return self._outcomes.get(poke)
+        record = self._records.get(poke)
+        return None if record is None else record.outcome
 
     def find_dead(self, found: Mapping[int, str]) -> None:
         """Take the channels that the detector found to be dead, in place of those before."""
@@ -170,8 +171,8 @@ class Session:
         last = self._history.last(self._is_excluded)
         self._snapshot = Snapshot(
             generation=self._generation,
-            pokes=tuple(PokeRecord(self._outcomes[poke], poke in self._excluded) for poke in sorted(self._outcomes)),
-            estimates={method: tuple(self._estimates[method][channel] for channel in channels) for method in self.methods},
+            pokes=tuple(self._records.values()),
+            estimates={method: tuple(map(of.__getitem__, channels)) for method, of in self._estimates.items()},
             touched=self._touched,
             pose=self._current_pose[0],
             link_from_sensor=self._current_pose[1],
@@ -189,7 +190,7 @@ class Session:
             scene=self.scene,
             channels=self.channels,
             estimates=estimates,
-            contacts=tuple(outcome for _, outcome in sorted(self._outcomes.items()) if isinstance(outcome, Contact)),
+            contacts=tuple(one.outcome for one in self._records.values() if isinstance(one.outcome, Contact)),
             mesh_sha256=None if self.surface is None else self.surface.sha256,
             version=__version__,
             excluded=self.excluded,
@@ -198,27 +199,43 @@ class Session:
 
     def _solve(self, channels: tuple[int, ...]) -> None:
         dirty = [channel for channel in channels if channel in self._dirty]
-        pokes = set[int]().union(*(self._pokes_of.get(channel, ()) for channel in dirty))
-        contacts = list(self._kept(pokes))
-        dead = self.dead
-        for method in self.methods:
-            solved = estimate_taxels(contacts, dirty, method, self.scene.noise, self.surface, dead)
-            self._estimates[method].update(solved)
+        for poke in self._stale:
+            self._ledger.drop(poke)
+        self._ledger.add(self._kept(self._stale))
+        self._stale.clear()
+        last = self._estimates.get(Method.SURFACE, {})
+        solved = estimate_from(self._ledger, dirty, self.methods, self.scene.noise, self.surface, self.dead, last)
+        for method, estimates in solved.items():
+            self._estimates[method].update(estimates)
         self._dirty.clear()
 
-    def _kept(self, pokes: Mapping[int, Outcome] | set[int]) -> list[Contact]:
-        kept: list[Contact] = []
-        for poke in sorted(pokes):
-            outcome = self._outcomes[poke]
-            if isinstance(outcome, Contact) and poke not in self._excluded:
-                kept.append(outcome)
-        return kept
+    def _kept(self, pokes: Iterable[int]) -> list[Contact]:
+        """Return those of `pokes` that count, in the order of their numbers."""
+        records = (self._records[poke] for poke in sorted(pokes))
+        return [one.outcome for one in records if isinstance(one.outcome, Contact) and not one.excluded]
 
-    def _touch(self, outcome: Outcome | None) -> None:
-        """Mark the taxels of a poke as dirty."""
-        if isinstance(outcome, Contact):
-            self._dirty.update(int(channel) for channel in outcome.channels)
+    def _put(self, record: PokeRecord) -> None:
+        """Take a poke as it stands now, in place of what it was."""
+        poke = record.outcome.poke
+        before, late = self._records.get(poke), poke < self.last_poke
+        self._records[poke] = record
+        if before is None and late:
+            self._records = dict(sorted(self._records.items()))
+        if before is not None:
+            self._count(before, -1)
+        self._count(record, 1)
         self._changed()
+
+    def _count(self, record: PokeRecord, by: int) -> None:
+        """Take the taxels of a poke up or down, and mark them as dirty."""
+        outcome = record.outcome
+        if isinstance(outcome, Contact):
+            channels = outcome.channels.tolist()
+            self._dirty.update(channels)
+            self._stale.add(outcome.poke)
+            if not record.excluded:
+                for channel in channels:
+                    self._answers[channel] += by
 
     def _changed(self) -> None:
         if self._snapshot is not None:
@@ -228,29 +245,28 @@ class Session:
     def _is_excluded(self, poke: int) -> bool:
         return poke in self._excluded
 
-    def _poke_step(self, poke: int) -> Step:
-        return Step(f"poke {poke}", poke, lambda: self._set_excluded(poke, True))
-
     def _undo(self) -> None:
-        step = self._history.last(self._is_excluded)
+        step = self._history.drop_last(self._is_excluded)
         if step is None:
             raise InputError("There is nothing to undo: no poke was accepted and nothing was changed.")
-        self._history.drop(step)
-        step.take_back()
+        if isinstance(step, PokeStep):
+            self._set_excluded(step.poke, True)
+        else:
+            step.take_back()
 
     def _choose_poke(self, action: Exclude | Restore) -> None:
         poke, out = action.poke, isinstance(action, Exclude)
-        if not isinstance(self._outcomes.get(poke), Contact):
+        if not isinstance(self.outcome(poke), Contact):
             raise InputError(f"Poke {poke} is not an accepted poke of this session; expected the number of one.")
         if (poke in self._excluded) == out:
             raise InputError(f"Poke {poke} {'is already excluded' if out else 'counts already'}.")
         self._set_excluded(poke, out)
         words = f"exclusion of poke {poke}" if out else f"return of poke {poke}"
-        self._history.add(Step(words, None, lambda: self._set_excluded(poke, not out)))
+        self._history.add(Step(words, lambda: self._set_excluded(poke, not out)))
 
     def _set_excluded(self, poke: int, out: bool) -> None:
         (self._excluded.add if out else self._excluded.discard)(poke)
-        self._touch(self._outcomes[poke])
+        self._put(PokeRecord(self._records[poke].outcome, out))
 
     def _choose_pose(self, name: str) -> None:
         known = {} if self.scene.arm is None else self.scene.arm.poses
@@ -262,7 +278,7 @@ class Session:
         def take_back() -> None:
             self.pose = before
 
-        self._history.add(Step(f"choice of pose {name}" if name else "choice of the streamed pose", None, take_back))
+        self._history.add(Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back))
 
     def _choose_channel(self, action: MarkDead | Revive) -> None:
         channel = action.channel
@@ -278,7 +294,7 @@ class Session:
             self._dirty.add(channel)
 
         words = f"mark of channel {channel}" if isinstance(action, MarkDead) else f"return of channel {channel}"
-        self._history.add(Step(words, None, take_back))
+        self._history.add(Step(words, take_back))
 
     def _redo_dead(self, before: Mapping[int, str]) -> None:
         now = self.dead

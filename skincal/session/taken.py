@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
@@ -16,6 +17,7 @@ from skincal.contacts.detector import Doubt
 from skincal.contacts.judge import Poke, StillMean
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.contacts.tare import Tare
+from skincal.readings import FloatArray
 
 _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
@@ -61,12 +63,39 @@ def _outcome_to_json(outcome: Outcome, doubt: Doubt | None) -> dict[str, Any]:
 
 
 def _outcome_from_json(document: Mapping[str, Any]) -> tuple[Outcome, Doubt | None]:
-    values = _values(document)
-    doubt = values.pop("doubt", None)
-    if values.pop("is") == "contact":
-        return Contact(**values), _doubt(doubt)
+    doubt = _doubt(document.get("doubt"))
+    if document["is"] == "contact":
+        return _contact(document), doubt
+    values = _values({key: value for key, value in document.items() if key not in ("is", "doubt")})
     values["reason"] = Reason[values["reason"]]
-    return Rejection(**values), _doubt(doubt)
+    return Rejection(**values), doubt
+
+
+def _contact(document: Mapping[str, Any]) -> Contact:
+    # Written out, and not as `_values` does it: a session has ten thousand of these, and opening it waits for them.
+    return Contact(
+        poke=document["poke"],
+        start_s=_number(document["start_s"]),
+        end_s=_number(document["end_s"]),
+        force=np.array(document["force"], dtype=np.float64),
+        moment=np.array(document["moment"], dtype=np.float64),
+        channels=np.array(document["channels"], dtype=np.int64),
+        responses=np.array(document["responses"], dtype=np.float64),
+        link_from_sensor=_pose(np.array(document["link_from_sensor"], dtype=np.float64).tobytes()),
+        pose=document["pose"],
+        tare_change=_number(document["tare_change"]),
+        final=document["final"],
+    )
+
+
+@lru_cache(maxsize=64)
+def _pose(raw: bytes) -> FloatArray:
+    """Return a pose, (4, 4), from its bytes: one array for all pokes in it, and not to be written to."""
+    return np.frombuffer(raw).reshape(4, 4)
+
+
+def _number(value: float | str | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def _doubt(document: Mapping[str, Any] | None) -> Doubt | None:

@@ -4,16 +4,20 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from skincal.arm import Arm, DhLink
-from skincal.contacts.outcome import Contact
+from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.errors import InputError
 from skincal.estimate.result import Method, State
 from skincal.scene import ArmSpec
 from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo, from_json, to_json
 from skincal.session.session import Session
-from tests.skincal.poke_script import same_estimates, small_scene, some_pokes
+from tests.skincal.poke_script import outcome_key, same_estimates, small_scene, some_pokes
 
+NUMBERS = st.integers(1, 9)
+SOME_CHANNELS = (1, 2, 3, 7, 8, 20)
 ACTIONS = [Exclude(3), Restore(3), Undo(), SetPose("up"), SetPose(""), MarkDead(7), Revive(7)]
 
 
@@ -85,6 +89,52 @@ def test_a_restored_poke_gives_the_same_bits_as_before(outcomes):
     assert not same_estimates(session.snapshot(), before)
     session.act(Restore(4))
     assert same_estimates(session.snapshot(), before)
+
+
+MOVES = st.lists(
+    st.tuples(st.sampled_from(["add", "release", "exclude", "restore", "undo", "reject", "dead", "revive", "look"]), NUMBERS),
+    max_size=40,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(moves=MOVES, layout=st.booleans(), kept=st.sets(NUMBERS))
+def test_whatever_was_added_and_taken_away_leaves_no_trace(outcomes, moves, layout, kept):
+    """After any sequence of moves a session is made to hold some pokes; it is the one that never held anything else."""
+    final = {one.poke: one for one in outcomes if one.final}
+    session = Session(small_scene(layout=layout), None)
+    for move, number in moves:
+        play(session, move, number, outcomes)
+    for number, outcome in final.items():
+        session.add(outcome)
+        if (number in kept) == (number in session.excluded):
+            session.act(Restore(number) if number in kept else Exclude(number))
+    for channel in session.dead:
+        session.act(Revive(channel))
+    never = Session(small_scene(layout=layout), None)
+    for number in sorted(kept):
+        never.add(final[number])
+    assert [outcome_key(one) for one in session.contacts] == [outcome_key(one) for one in never.contacts]
+    assert session.channels == never.channels
+    assert same_estimates(session.snapshot(), never.snapshot())
+
+
+def play(session, move, number, outcomes):
+    """Do one move; one that makes no sense as things stand is refused and changes nothing."""
+    empty = np.empty(0, dtype=np.int64)
+    channel = SOME_CHANNELS[number % len(SOME_CHANNELS)]
+    try:
+        if move in ("add", "release"):
+            session.add(next(one for one in outcomes if one.poke == number and one.final == (move == "add")))
+        elif move == "reject":
+            session.add(Rejection(number, 0.0, 1.0, Reason.SLID, 1.0, 0.5, "", empty, final=True))
+        elif move == "look":
+            session.snapshot()
+        else:
+            wishes = {"exclude": Exclude(number), "restore": Restore(number), "undo": Undo()}
+            session.act((wishes | {"dead": MarkDead(channel), "revive": Revive(channel)})[move])
+    except InputError:
+        pass
 
 
 def test_without_a_layout_the_taxels_are_those_that_answered():

@@ -16,7 +16,7 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.contacts.tare import Tare
 from skincal.readings import Chunk, Loss, Stream
 from skincal.scene import load_scene
-from skincal.session import cdr, journal, segment
+from skincal.session import cdr, journal, log, segment
 from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
 from skincal.session.journal import JournalWriter, create_session, open_next_segment
 from skincal.session.log import read_session
@@ -325,7 +325,8 @@ def test_damaged_bytes_cost_no_contact(scene, tmp_path):
     assert "lost" in played.findings[0]
 
 
-def test_a_note_that_is_missing_ends_the_reading_and_is_said(scene, tmp_path):
+def test_a_note_that_is_missing_ends_the_reading_and_is_said(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(log, "read_outline", lambda _: None)
     live = record(scene, tmp_path / "s", some_pokes(scene, 4))
     live.close()
     path = tmp_path / "s" / "segment-0001.mcap"

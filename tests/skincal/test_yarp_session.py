@@ -13,6 +13,7 @@ from skincal.files.json_file import read_json
 from skincal.files.yarp import read_yarp
 from skincal.session.road import Road
 from skincal.surface.mesh import load_surface
+from tests.skincal.estimate_support import solve
 from tests.skincal.files_support import CHANNELS, Part, make_part
 
 EPOCH = 1_420_000_000.0
@@ -90,7 +91,6 @@ def test_the_written_positions_are_the_true_ones(played, tmp_path, method):
 
 
 def test_the_json_of_the_log_computes_again(played, tmp_path):
-    from skincal.estimate.solve import estimate_taxels
 
     _, road = played
     calibration = road.session.calibration()
@@ -98,7 +98,7 @@ def test_the_json_of_the_log_computes_again(played, tmp_path):
     file = read_json(tmp_path / "c.json")
     assert road.session.surface is not None
     for method, estimates in calibration.estimates.items():
-        again = estimate_taxels(file.used_contacts, file.channels, method, file.noise, road.session.surface, file.dead)
+        again = solve(file.used_contacts, file.channels, method, file.noise, road.session.surface, file.dead)
         for one in estimates:
             other = again[one.channel]
             assert one.state is other.state

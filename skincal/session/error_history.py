@@ -1,0 +1,308 @@
+"""How the error fell over a session's pokes: for each of them, what the pokes up to it would have given.
+
+A point of the course is solved from the first k pokes that count now, and from nothing else. A poke that was taken out
+leaves no trace in it, and a session that is opened again has the course that it had live, to the last bit.
+
+Where the taxels' places are known, the error is the distance of an estimate to its taxel's place. Where they are not, it
+is the error that the estimate predicts of itself (`Estimate.rms`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.result import Estimate, Method
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import Scene
+from skincal.session.session import Session
+from skincal.session.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from skincal.surface.mesh import Surface
+
+POINTS_MAX = 256
+"""Most points of a course: about half the pixels of a plot in a side panel."""
+PAUSE_MAX_S = 60.0
+"""s. Longest pause between two pokes on the axis of time: a night between two halves of a session would hide both."""
+TAXELS, MEAN, P95, MAX = range(4)
+"""Columns of a spread: how many taxels it is of, and metres."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorPoint:
+    """Errors of the first `count` pokes that count."""
+
+    count: int
+    spreads: Mapping[Method, FloatArray]
+    """(1 + modules, 4) float: all taxels, then each module; columns as for `spreads_of`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorSeries:
+    """The course of errors over a session. Values between two points were left out, never averaged."""
+
+    counts: IntArray
+    """(n,) number of pokes that count at each point, ascending."""
+    pokes: IntArray
+    """(n,) number in the session of the last of them."""
+    times: FloatArray
+    """(n,) s since the first poke that counts; pauses beyond `PAUSE_MAX_S` are cut to it."""
+    spreads: Mapping[Method, FloatArray]
+    """(n, 1 + modules, 4) float: all taxels, then each module; columns as for `spreads_of`."""
+    stride: int
+    """Every how many pokes there is a point; the newest is always one."""
+    missing: int
+    """Points that are not worked out yet."""
+
+
+def spreads_of(errors: FloatArray, groups: IntArray, count: int) -> FloatArray:
+    """Return number, mean, 95th percentile and maximum of the errors of each group.
+
+    Parameters
+    ----------
+    errors : (n,) float, metres, finite
+    groups : (n,) int, 0 to count - 1; negative for none
+    count : number of groups
+
+    Returns
+    -------
+    (count, 4) float; NaN in a group without an error, whose number is 0. The percentile is numpy's (linear).
+    """
+    result = np.full((count, 4), np.nan)
+    result[:, TAXELS] = 0.0
+    chosen = groups >= 0
+    errors, groups = errors[chosen], groups[chosen]
+    if not len(errors):
+        return result
+    order = np.lexsort((errors, groups))
+    errors, groups = errors[order], groups[order]
+    starts = np.flatnonzero(np.diff(groups, prepend=-1))
+    sizes = np.diff(starts, append=len(groups))
+    place = starts + 0.95 * (sizes - 1)
+    low = np.floor(place).astype(np.int64)
+    high = np.minimum(low + 1, starts + sizes - 1)
+    result[groups[starts]] = np.stack(
+        [
+            sizes.astype(float),
+            np.add.reduceat(errors, starts) / sizes,
+            errors[low] + (place - low) * (errors[high] - errors[low]),
+            errors[starts + sizes - 1],
+        ],
+        axis=1,
+    )
+    return result
+
+
+class ErrorRule:
+    """What counts as the error of an estimate.
+
+    Parameters
+    ----------
+    scene : says which module a channel is of
+    known : places of taxels by channel, (3,) float, metres, link frame; None for the predicted error
+    """
+
+    def __init__(self, scene: Scene, known: Mapping[int, FloatArray] | None) -> None:
+        width, layout = scene.skin.channels, scene.skin.layout
+        self.modules = 0 if layout is None else len(layout.modules)
+        self._module_of = np.full(width, -1, dtype=np.int64) if layout is None else layout.module_of
+        self._places = None if known is None else np.full((width, 3), np.nan)
+        if self._places is not None and known is not None:
+            for channel, place in known.items():
+                if 0 <= channel < width:
+                    self._places[channel] = place
+
+    def spreads(self, estimates: Sequence[Estimate]) -> FloatArray:
+        """Return the spreads of one method's estimates, (1 + modules, 4): all taxels, then each module."""
+        channels, errors = self.errors(estimates)
+        everything = spreads_of(errors, np.zeros(len(errors), dtype=np.int64), 1)
+        return np.concatenate([everything, spreads_of(errors, self._module_of[channels], self.modules)])
+
+    def errors(self, estimates: Sequence[Estimate]) -> tuple[IntArray, FloatArray]:
+        """Return the channels whose error is known, (n,), and the errors, (n,) float, metres."""
+        found = [e for e in estimates if e.position is not None and e.rms is not None]
+        channels = np.array([e.channel for e in found], dtype=np.int64)
+        if self._places is None:
+            errors = np.array([e.rms for e in found], dtype=float)
+        else:
+            positions = np.array([e.position for e in found], dtype=float).reshape(-1, 3)
+            errors = np.linalg.norm(positions - self._places[channels], axis=1)
+        known = np.isfinite(errors)
+        return channels[known], errors[known]
+
+
+class Recount:
+    """Works out points of a course, some at a time; a frozen wish, so that any thread may do it while a session goes on.
+
+    Parameters
+    ----------
+    contacts : those that count, in the order of their numbers
+    dead : channels that are not used
+    wanted : after how many contacts there is to be a point, ascending; one at least
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        surface: Surface | None,
+        rule: ErrorRule,
+        contacts: Sequence[Contact],
+        dead: Mapping[int, str],
+        wanted: Sequence[int],
+    ) -> None:
+        self._session = Session(scene, surface)
+        self._session.find_dead(dead)
+        self._rule = rule
+        self._contacts = contacts
+        self._wanted = list(wanted)
+        self._at = 0
+        self._taken = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether every point was worked out."""
+        return self._at == len(self._wanted)
+
+    @property
+    def reach(self) -> int:
+        """How many of the contacts the points are made from."""
+        return self._wanted[-1]
+
+    def work(self, seconds: float = float("inf")) -> tuple[ErrorPoint, ...]:
+        """Return the next points: what can be had in `seconds`, and one at least."""
+        end = time.monotonic() + seconds
+        points: list[ErrorPoint] = []
+        while not self.done:
+            points.append(self._next())
+            if time.monotonic() > end:
+                break
+        return tuple(points)
+
+    def _next(self) -> ErrorPoint:
+        count = self._wanted[self._at]
+        for contact in self._contacts[self._taken : count]:
+            self._session.add(contact)
+        self._taken = count
+        point = point_of(count, self._session.snapshot().estimates, self._rule)
+        self._at += 1
+        return point
+
+
+def point_of(count: int, estimates: Mapping[Method, Sequence[Estimate]], rule: ErrorRule) -> ErrorPoint:
+    """Return the point of a session whose first `count` contacts gave `estimates`."""
+    return ErrorPoint(count, {method: rule.spreads(found) for method, found in estimates.items()})
+
+
+class ErrorHistory:
+    """The course of errors of a session that goes on.
+
+    `take` follows the session and costs what the errors of one snapshot cost; what is missing then (the past of a session
+    that is opened again, everything after a poke that was taken out) is worked out by the `Recount` of `wish`, in any
+    thread, and given back by `put`.
+
+    Parameters
+    ----------
+    scene, surface : of the session
+    known : as for `ErrorRule`
+    """
+
+    def __init__(self, scene: Scene, surface: Surface | None, known: Mapping[int, FloatArray] | None) -> None:
+        self._scene = scene
+        self._surface = surface
+        self._rule = ErrorRule(scene, known)
+        self._contacts: tuple[Contact, ...] = ()
+        self._dead: Mapping[int, str] = {}
+        self._points: dict[int, ErrorPoint] = {}
+        self._stride = 1
+        self._wish: Recount | None = None
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Take the session as it stands: what no longer holds of the past is dropped, the newest point is added."""
+        contacts = counting(snapshot)
+        same = _common(self._contacts, contacts) if dict(self._dead) == dict(snapshot.dead) else 0
+        if self._wish is not None and same < self._wish.reach:
+            self._wish = None
+        count = len(contacts)
+        self._contacts, self._dead, self._stride = contacts, snapshot.dead, stride_of(count)
+        self._points = {
+            at: point for at, point in self._points.items() if at <= same and (at % self._stride == 0 or at == count)
+        }
+        if count and count not in self._points:
+            self._points[count] = point_of(count, snapshot.estimates, self._rule)
+
+    def wish(self) -> Recount | None:
+        """Return what is to be worked out, and the same until it is done or no longer holds; None where nothing is missing."""
+        if self._wish is None or self._wish.done:
+            wanted = [at for at in range(self._stride, len(self._contacts), self._stride) if at not in self._points]
+            self._wish = None
+            if wanted:
+                self._wish = Recount(self._scene, self._surface, self._rule, self._contacts, self._dead, wanted)
+        return self._wish
+
+    def put(self, recount: Recount, points: Sequence[ErrorPoint]) -> bool:
+        """Take points that were worked out; return whether they still hold."""
+        if recount is not self._wish:
+            return False
+        self._points |= {point.count: point for point in points if point.count % self._stride == 0}
+        return True
+
+    def series(self) -> ErrorSeries:
+        """Return the course as far as it is known."""
+        points = [self._points[count] for count in sorted(self._points)]
+        counts = np.array([point.count for point in points], dtype=np.int64)
+        methods: tuple[Method, ...] = tuple(points[-1].spreads) if points else ()
+        expected = len(range(self._stride, len(self._contacts), self._stride)) + bool(self._contacts)
+        return ErrorSeries(
+            counts=counts,
+            pokes=np.array([self._contacts[point.count - 1].poke for point in points], dtype=np.int64),
+            times=poking_times([contact.end_s for contact in self._contacts])[counts - 1],
+            spreads={method: np.stack([point.spreads[method] for point in points]) for method in methods},
+            stride=self._stride,
+            missing=expected - len(counts),
+        )
+
+
+def error_series(
+    scene: Scene, surface: Surface | None, snapshot: Snapshot, known: Mapping[int, FloatArray] | None
+) -> ErrorSeries:
+    """Return the whole course of errors of a session at once; parameters as for `ErrorHistory`."""
+    history = ErrorHistory(scene, surface, known)
+    history.take(snapshot)
+    wish = history.wish()
+    if wish is not None:
+        history.put(wish, wish.work())
+    return history.series()
+
+
+def counting(snapshot: Snapshot) -> tuple[Contact, ...]:
+    """Return the contacts that count, in the order of their numbers."""
+    return tuple(p.outcome for p in snapshot.pokes if not p.excluded and isinstance(p.outcome, Contact))
+
+
+def stride_of(count: int) -> int:
+    """Return every how many of `count` pokes there is a point: a power of two, so that a longer session keeps points."""
+    stride = 1
+    while count > POINTS_MAX * stride:
+        stride *= 2
+    return stride
+
+
+def poking_times(ends_s: Sequence[float]) -> FloatArray:
+    """Return the time spent at each poke since the first, (n,) float, seconds.
+
+    The host's clock starts anew with the machine, and a session may be taken up days later: a step back counts as nothing,
+    one of more than `PAUSE_MAX_S` as that.
+    """
+    return np.cumsum(np.clip(np.diff(np.array(ends_s, dtype=float), prepend=ends_s[:1]), 0.0, PAUSE_MAX_S))
+
+
+def _common(first: Sequence[Contact], second: Sequence[Contact]) -> int:
+    """Return with how many of the same contacts both begin."""
+    shorter = min(len(first), len(second))
+    return next((at for at in range(shorter) if first[at] is not second[at]), shorter)

@@ -1,0 +1,312 @@
+"""The course of errors: the same live, opened again, in pieces and after an undo; nothing of it is averaged."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skincal.contacts.outcome import Contact
+from skincal.errors import InputError
+from skincal.estimate.result import Method
+from skincal.files.reference import Origin, error_summary, find_truth, load_reference, plan_reference
+from skincal.scene import resource
+from skincal.session.actions import Exclude, MarkDead, Restore, Revive, Undo
+from skincal.session.error_history import (
+    MAX,
+    MEAN,
+    P95,
+    PAUSE_MAX_S,
+    POINTS_MAX,
+    TAXELS,
+    ErrorHistory,
+    error_series,
+    poking_times,
+    spreads_of,
+    stride_of,
+)
+from skincal.session.replay import load
+from skincal.session.session import Session
+
+POKES = 14
+
+
+@pytest.fixture(scope="module")
+def sample():
+    """A recorded session: its road, the truth, and its first contacts."""
+    folder = resource("sessions/sample")
+    road = load(folder)
+    truth = find_truth(folder, road.scene.link, road.session.channels)
+    return road, truth, road.session.contacts[:POKES]
+
+
+def poked(road, contacts) -> Session:
+    session = Session(road.scene, road.session.surface)
+    for contact in contacts:
+        session.add(contact)
+    return session
+
+
+def history_of(road, truth) -> ErrorHistory:
+    return ErrorHistory(road.scene, road.session.surface, None if truth is None else truth.places)
+
+
+def finish(history: ErrorHistory):
+    wish = history.wish()
+    while wish is not None:
+        assert history.put(wish, wish.work(0.0))
+        wish = history.wish()
+    return history.series()
+
+
+def same(one, other) -> bool:
+    return (
+        np.array_equal(one.counts, other.counts)
+        and np.array_equal(one.pokes, other.pokes)
+        and np.array_equal(one.times, other.times)
+        and all(np.array_equal(one.spreads[m], other.spreads[m], equal_nan=True) for m in (Method.FREE, Method.SURFACE))
+        and (one.stride, one.missing) == (other.stride, other.missing)
+    )
+
+
+def test_the_newest_point_is_what_the_report_says(sample):
+    road, truth, contacts = sample
+    session = poked(road, contacts)
+    series = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    assert series.counts.tolist() == list(range(1, POKES + 1))
+    assert (series.stride, series.missing) == (1, 0)
+    for method in (Method.FREE, Method.SURFACE):
+        told = error_summary(session.snapshot().estimates[method], truth.places)
+        last = series.spreads[method][-1, 0]
+        assert last[TAXELS] == told.taxels
+        assert last[[MEAN, P95, MAX]] == pytest.approx([told.mean, told.p95, told.max], rel=1e-12)
+
+
+def test_each_point_of_the_past_is_a_session_that_ended_there(sample):
+    road, truth, contacts = sample
+    series = error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places)
+    for count in (1, 5, 9):
+        told = error_summary(poked(road, contacts[:count]).snapshot().estimates[Method.SURFACE], truth.places)
+        assert series.spreads[Method.SURFACE][count - 1, 0, [TAXELS, MEAN]] == pytest.approx([told.taxels, told.mean])
+        assert series.pokes[count - 1] == contacts[count - 1].poke
+
+
+def test_without_a_reference_it_is_the_predicted_error(sample):
+    road, _, contacts = sample
+    session = poked(road, contacts)
+    series = error_series(road.scene, road.session.surface, session.snapshot(), None)
+    predicted = [e.rms for e in session.snapshot().estimates[Method.SURFACE] if e.rms is not None]
+    assert series.spreads[Method.SURFACE][-1, 0, MEAN] == pytest.approx(np.mean(predicted))
+    assert series.spreads[Method.SURFACE][-1, 0, MAX] == max(predicted)
+
+
+def test_followed_live_opened_late_and_in_pieces_it_is_the_same_to_the_last_bit(sample):
+    road, truth, contacts = sample
+    live, session = history_of(road, truth), Session(road.scene, road.session.surface)
+    for contact in contacts:
+        # As the detector gives them: once at the release, and again when the tare after it is known.
+        session.add(replace(contact, moment=contact.moment * 1.01, final=False))
+        live.take(session.snapshot())
+        session.add(contact)
+        live.take(session.snapshot())
+        assert live.wish() is None
+    late = history_of(road, truth)
+    late.take(session.snapshot())
+    assert late.series().missing == POKES - 1
+    whole = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    assert same(live.series(), whole)
+    assert same(finish(late), whole)
+
+
+def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
+    road, truth, contacts = sample
+    history, session = history_of(road, truth), poked(road, contacts)
+    history.take(session.snapshot())
+    before = finish(history)
+    session.act(Undo())
+    history.take(session.snapshot())
+    assert history.wish() is None
+    assert same(
+        history.series(), error_series(road.scene, road.session.surface, poked(road, contacts[:-1]).snapshot(), truth.places)
+    )
+    session.act(Restore(contacts[-1].poke))
+    session.act(Exclude(contacts[3].poke))
+    history.take(session.snapshot())
+    after = finish(history)
+    assert contacts[3].poke not in after.pokes
+    left_out = (*contacts[:3], *contacts[4:])
+    assert same(after, error_series(road.scene, road.session.surface, poked(road, left_out).snapshot(), truth.places))
+    session.act(Restore(contacts[3].poke))
+    history.take(session.snapshot())
+    assert same(finish(history), before)
+
+
+def test_a_taxel_that_is_not_used_leaves_the_whole_course(sample):
+    road, truth, contacts = sample
+    history, session = history_of(road, truth), poked(road, contacts)
+    history.take(session.snapshot())
+    before = finish(history)
+    dead = int(contacts[0].channels[0])
+    session.act(MarkDead(dead))
+    history.take(session.snapshot())
+    assert finish(history).spreads[Method.SURFACE][0, 0, TAXELS] == before.spreads[Method.SURFACE][0, 0, TAXELS] - 1
+    session.act(Revive(dead))
+    history.take(session.snapshot())
+    assert same(finish(history), before)
+
+
+def test_work_that_no_longer_holds_is_dropped(sample):
+    road, truth, contacts = sample
+    history, session = history_of(road, truth), poked(road, contacts)
+    history.take(session.snapshot())
+    stale = history.wish()
+    points = stale.work(0.0)
+    assert len(points) == 1
+    session.act(Exclude(contacts[0].poke))
+    history.take(session.snapshot())
+    assert not history.put(stale, points)
+    assert history.series().counts.tolist() == [POKES - 1]
+    assert history.wish() is not stale
+
+
+def test_a_poke_more_does_not_waste_the_work_that_is_under_way(sample):
+    road, truth, contacts = sample
+    history, session = history_of(road, truth), poked(road, contacts[:-1])
+    history.take(session.snapshot())
+    wish = history.wish()
+    points = wish.work(0.0)
+    session.add(contacts[-1])
+    history.take(session.snapshot())
+    assert history.wish() is wish
+    assert history.put(wish, points)
+    assert same(finish(history), error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places))
+
+
+def test_the_second_telling_of_the_last_poke_does_not_waste_the_work_that_is_under_way(sample):
+    road, truth, contacts = sample
+    history, session = history_of(road, truth), poked(road, contacts[:-1])
+    session.add(replace(contacts[-1], moment=contacts[-1].moment * 1.01, final=False))
+    history.take(session.snapshot())
+    wish = history.wish()
+    points = wish.work(0.0)
+    session.add(contacts[-1])
+    history.take(session.snapshot())
+    assert history.wish() is wish
+    assert history.put(wish, points)
+    assert same(finish(history), error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places))
+
+
+def test_another_telling_of_the_last_poke_of_a_wish_drops_it(sample):
+    road, truth, contacts = sample
+    history, session = history_of(road, truth), poked(road, contacts)
+    session.add(replace(contacts[-2], moment=contacts[-2].moment * 1.01, final=False))
+    history.take(session.snapshot())
+    stale = history.wish()
+    points = stale.work()
+    session.add(contacts[-2])
+    history.take(session.snapshot())
+    assert not history.put(stale, points)
+    assert same(finish(history), error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places))
+
+
+def test_modules_are_told_apart(sample):
+    road, truth, contacts = sample
+    session = poked(road, contacts)
+    series = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    layout = road.scene.skin.layout
+    for row, module in enumerate(layout.modules, start=1):
+        inside = [e for e in session.snapshot().estimates[Method.SURFACE] if e.channel in module.channels]
+        told = error_summary(inside, truth.places)
+        last = series.spreads[Method.SURFACE][-1, row]
+        assert last[TAXELS] == (0 if told is None else told.taxels)
+        assert told is None or last[MEAN] == pytest.approx(told.mean)
+
+
+def test_a_session_without_pokes_has_an_empty_course(sample):
+    road, truth, _ = sample
+    series = error_series(road.scene, road.session.surface, poked(road, ()).snapshot(), truth.places)
+    assert (len(series.counts), len(series.times), series.missing) == (0, 0, 0)
+
+
+def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monkeypatch):
+    road, truth, contacts = sample
+    monkeypatch.setattr("skincal.session.error_history.POINTS_MAX", 4)
+    live, session = history_of(road, truth), Session(road.scene, road.session.surface)
+    for contact in contacts:
+        session.add(contact)
+        live.take(session.snapshot())
+    late = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    monkeypatch.undo()
+    full = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    assert late.stride == 4
+    assert late.counts.tolist() == [4, 8, 12, 14]
+    assert np.array_equal(live.series().counts, late.counts)
+    for method in late.spreads:
+        assert np.array_equal(late.spreads[method], full.spreads[method][late.counts - 1], equal_nan=True)
+        assert np.array_equal(live.series().spreads[method], late.spreads[method], equal_nan=True)
+
+
+@given(st.integers(0, 10**6))
+def test_a_course_has_at_most_a_few_hundred_points(count):
+    assert count / stride_of(count) <= POINTS_MAX
+    assert stride_of(count) == 1 or count / stride_of(count) > POINTS_MAX / 2
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.integers(-1, 3)), max_size=40))
+def test_spreads_are_those_of_numpy(pairs):
+    errors = np.array([error for error, _ in pairs], dtype=float)
+    groups = np.array([group for _, group in pairs], dtype=np.int64)
+    found = spreads_of(errors, groups, 4)
+    for group in range(4):
+        inside = errors[groups == group]
+        assert found[group, TAXELS] == len(inside)
+        if len(inside):
+            wanted = [inside.mean(), np.percentile(inside, 95), inside.max()]
+            assert found[group, MEAN:] == pytest.approx(wanted, rel=1e-12, abs=1e-300)
+        else:
+            assert np.isnan(found[group, MEAN:]).all()
+
+
+def test_time_never_runs_backwards_and_a_night_counts_a_minute():
+    times = poking_times([100.0, 103.0, 103.0 + 8 * 3600, 5.0, 9.0])
+    assert times.tolist() == [0.0, 3.0, 3.0 + PAUSE_MAX_S, 3.0 + PAUSE_MAX_S, 7.0 + PAUSE_MAX_S]
+    assert len(poking_times([])) == 0
+
+
+def test_a_reference_says_what_it_is_and_is_of_this_part(sample, tmp_path):
+    road, truth, _ = sample
+    assert (truth.origin, truth.name) == (Origin.TRUTH, "truth.json")
+    channels = road.session.channels
+    path = tmp_path / "places.json"
+    taxel = {"channel": int(channels[0]), "position_m": [0.0, 0.1, 0.2]}
+    path.write_text(json.dumps({"link": road.scene.link, "taxels": [taxel]}))
+    chosen = load_reference(path, road.scene.link, channels)
+    assert (chosen.origin, chosen.name, list(chosen.places)) == (Origin.FILE, "places.json", [channels[0]])
+    with pytest.raises(InputError, match="in the frame of"):
+        load_reference(path, "another_link", channels)
+    path.write_text(json.dumps({"taxels": [{**taxel, "channel": 100_000}]}))
+    with pytest.raises(InputError, match="knows none"):
+        load_reference(path, road.scene.link, channels)
+    assert find_truth(tmp_path, road.scene.link, channels) is None
+
+
+def test_a_plan_is_called_a_plan_and_leaves_out_what_it_does_not_place():
+    places = np.full((4, 3), np.nan)
+    assert plan_reference("part", places) is None
+    places[2] = 0.1, 0.2, 0.3
+    plan = plan_reference("part", places)
+    assert plan.origin is Origin.PLAN
+    assert {channel: place.tolist() for channel, place in plan.places.items()} == {2: [0.1, 0.2, 0.3]}
+
+
+def test_places_of_channels_that_the_skin_does_not_have_are_passed_over(sample):
+    road, truth, contacts = sample
+    more = {**truth.places, 100_000: np.zeros(3)}
+    session = poked(road, contacts[:3])
+    assert isinstance(contacts[0], Contact)
+    one = error_series(road.scene, road.session.surface, session.snapshot(), more)
+    assert same(one, error_series(road.scene, road.session.surface, session.snapshot(), truth.places))
