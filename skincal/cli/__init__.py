@@ -1,4 +1,4 @@
-"""The commands: `skincal solve | simulate | record | import | export`.
+"""The commands: `skincal solve | simulate | record | import | export | study`.
 
 Results go to stdout, as text or with `--json` as one JSON value; everything else goes to stderr. Exit codes: 0 done,
 2 the user's input is at fault (one sentence, no traceback), 1 ours.
@@ -42,11 +42,12 @@ def _options(
 
 def _register() -> None:
     """Add the commands; a function, so that each module is imported after `app` exists."""
-    from skincal.cli import calibrate, record, simulate
+    from skincal.cli import calibrate, record, simulate, study
 
     calibrate.add_to(app)
     record.add_to(app)
     simulate.add_to(app)
+    study.add_to(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,101 @@
+"""`study`: measure the program itself, and write the numbers and a figure."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from skincal.cli.calibrate import Json
+from skincal.errors import InputError
+from skincal.studies import STUDIES
+
+if TYPE_CHECKING:
+    from skincal.studies import Study
+    from skincal.studies.figure import Figure
+
+DEFAULT_FOLDER = Path("studies")
+Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that ends within 45 s.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for NAME.json, NAME.svg and NAME.png; else ./studies, or with --json none: nothing is written.",
+        show_default=False,
+    ),
+]
+_studies = typer.Typer(
+    help="Measure the program itself: numbers and a figure.",
+    no_args_is_help=True,
+    epilog="Example: skincal study runtime --quick --out measured",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add a command for each study."""
+    for name, purpose in STUDIES.items():
+        example = f"Examples: skincal study {name} --quick --out measured; skincal study {name} --json"
+        _studies.command(name, help=purpose, epilog=example)(_command(name))
+    app.add_typer(_studies, name="study")
+
+
+def _command(name: str) -> Callable[..., None]:
+    def command(quick: Quick = False, as_json: Json = False, out: Out = None) -> None:
+        folder = DEFAULT_FOLDER if out is None and not as_json else out
+        if folder is not None:
+            _check_folder(folder, name)
+        study = _load(name)
+        result = study.run(quick, _say)
+        text = json.dumps(result, allow_nan=False)
+        written = [] if folder is None else _write(study, name, result, folder)
+        if as_json:
+            typer.echo(text)
+        else:
+            for line in (*study.summary(result), *(f"wrote {path}" for path in written)):
+                typer.echo(line)
+
+    return command
+
+
+def _say(sentence: str) -> None:
+    typer.echo(sentence, err=True)
+
+
+def _load(name: str) -> Study:
+    # Only now: the other commands neither draw nor search.
+    module: Any = import_module(f"skincal.studies.{name}")
+    return module
+
+
+def _check_folder(folder: Path, name: str) -> None:
+    """Make the folder and see that files can be written there, now rather than after minutes of measuring."""
+    try:
+        for path in (folder / f"{name}.{ending}" for ending in ("json", "svg", "png")):
+            if path.is_dir():
+                raise InputError(f"{path}: a folder is in the way of the file; move it, or choose another folder by --out.")
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".skincal-"):
+            pass
+    except OSError as error:
+        why = os.strerror(error.errno) if error.errno else str(error)
+        raise InputError(f"{folder}: is no folder that can be written to ({why}); choose another by --out.") from None
+
+
+def _write(study: Study, name: str, result: dict[str, Any], folder: Path) -> list[Path]:
+    from skincal.studies.figure import write_figure
+
+    path = folder / f"{name}.json"
+    try:
+        path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another folder by --out.") from None
+
+    def draw(figure: Figure) -> None:
+        study.draw(result, figure)
+
+    return [path, *write_figure(draw, folder, name)]

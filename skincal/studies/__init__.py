@@ -1,0 +1,41 @@
+"""Studies of the program itself: each gives numbers, lines for a person and a figure.
+
+A study is a module with `run(quick, progress)`, which returns what JSON can hold, `summary(result)`, lines for a person,
+and `draw(result, figure)`. It is imported when its command runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from skincal.studies.figure import Figure
+
+STUDIES: Mapping[str, str] = {
+    "stability": "Every solver against 80-digit arithmetic on stiff and extreme cases.",
+    "runtime": "Error against run time: the two methods, the paper's way, brute force and other honest alternatives.",
+}
+"""Name of each study, which is its module's in this package, and what it shows."""
+
+
+class Study(Protocol):
+    """What a study's module offers."""
+
+    def run(self, quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
+        """Measure, and return what JSON can hold: no NaN.
+
+        Parameters
+        ----------
+        quick : a shorter version, within 45 s
+        progress : takes a sentence now and then
+        """
+        ...
+
+    def summary(self, result: dict[str, Any]) -> list[str]:
+        """Return lines for a person."""
+        ...
+
+    def draw(self, result: dict[str, Any], figure: Figure) -> None:
+        """Draw the result into an empty figure."""
+        ...

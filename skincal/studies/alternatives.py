@@ -1,0 +1,240 @@
+"""Other honest ways to the same two answers, in numpy, vectorised and in blocks that fit the cache.
+
+For the free method: the paper's stacked system (5) as it stands, three rows a contact, by `numpy.linalg.lstsq` for each
+taxel; and its normal equations, all taxels at once. For the surface method (II-B), where the answer is the best over all
+triangles that face the pokes: every triangle by the program's own closed form (brute force); only those that face the
+pokes; only those of them that a bound on their balls does not rule out; and the paper's way, each triangle a constrained
+least squares, by quadprog and by scipy's SLSQP, only on the side that is pushed. All get the taxel's 3 x 3 factor, not its
+hundreds of rows, and none computes an uncertainty. Both favour the alternative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib import import_module, util
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.ledger import Ledger
+from skincal.estimate.qr import factor
+from skincal.estimate.robust import trust
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import NoiseSettings
+from skincal.surface.closest import closest_in_columns, closest_in_triangles
+from skincal.surface.mesh import Surface
+from skincal.surface.nearest import GRAZING
+from skincal.wrench import move_wrench
+
+BLOCK = 2048
+"""Triangles solved at once: their numbers stay in a core's cache. Measured: 1,000 and 16,000 are slower."""
+SLSQP: dict[str, Any] = {"method": "SLSQP", "bounds": ((0, 1), (0, 1)), "options": {"ftol": 1e-9, "maxiter": 100}}
+"""mm^2: the objective is in mm^2, so that SLSQP's limit, which is absolute, means 3e-5 mm where a metric is near 1."""
+_PER_M2 = 1e6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Systems:
+    """For each of t taxels |root p - offset|^2, and from where it is pushed."""
+
+    channels: list[int]
+    roots: FloatArray
+    """(t, 3, 3) float."""
+    offsets: FloatArray
+    """(t, 3) float."""
+    pushes: FloatArray
+    """(t, 3) float."""
+
+
+def systems(contacts: Sequence[Contact], channels: Iterable[int], noise: NoiseSettings) -> Systems:
+    """Return the systems of those of `channels` that answered: what every alternative for the surface begins with."""
+    evidence = Ledger(contacts).evidence(list(channels))
+    evidence = evidence.trusted(trust(evidence, noise))
+    factors = factor(*evidence.rows(), 2 * evidence.starts)
+    return Systems(evidence.channels.tolist(), factors.roots, factors.offsets, evidence.pushes())
+
+
+def facing(surface: Surface, push: FloatArray) -> IntArray:
+    """Return the triangles that `push` (3,) can act on."""
+    return np.flatnonzero(surface.normals @ (push / np.linalg.norm(push)) < -GRAZING)
+
+
+def every_triangle(surface: Surface, root: FloatArray, offset: FloatArray, push: FloatArray) -> FloatArray:
+    """Return the best point, (3,), of every triangle by the closed form, among those that face the push."""
+    faces = surface.normals @ (push / np.linalg.norm(push)) < -GRAZING
+    return _best(surface, root, offset, np.arange(len(faces)), faces)
+
+
+def facing_triangles(surface: Surface, root: FloatArray, offset: FloatArray, push: FloatArray) -> FloatArray:
+    """Return the same; a triangle that does not face the push is not solved."""
+    which = facing(surface, push)
+    return _best(surface, root, offset, which, np.ones(len(which), dtype=bool))
+
+
+def bounded_triangles(surface: Surface, root: FloatArray, offset: FloatArray, push: FloatArray) -> FloatArray:
+    """Return the same; a triangle in a ball that lies too far off for it to be the best is not solved."""
+    which = facing(surface, push)
+    centres = root @ surface.centres[:, which] - offset[:, None]
+    distance = np.sqrt(centres[0] ** 2 + centres[1] ** 2 + centres[2] ** 2)
+    lower = distance - float(np.linalg.norm(root, 2)) * surface.radii[which]
+    left = which[lower <= distance.min()]
+    images = (surface.corners[left] @ root.T - offset).transpose(2, 1, 0)
+    winner = int(left[closest_in_columns(np.ascontiguousarray(images)).squared.argmin()])
+    return _point(surface, root, offset, winner)
+
+
+def _best(surface: Surface, root: FloatArray, offset: FloatArray, which: IntArray, counts: NDArray[np.bool_]) -> FloatArray:
+    """Solve the triangles `which` (n,) and return the best point of those that count (n,)."""
+    images = root @ surface.vertices.T - offset[:, None]
+    least, winner = np.inf, -1
+    for first in range(0, len(which), BLOCK):
+        some = which[first : first + BLOCK]
+        squared = closest_in_columns(images[:, surface.triangles[some].T]).squared
+        squared[~counts[first : first + BLOCK]] = np.inf
+        best = int(squared.argmin())
+        if squared[best] < least:
+            least, winner = float(squared[best]), int(some[best])
+    return _point(surface, root, offset, winner)
+
+
+def _point(surface: Surface, root: FloatArray, offset: FloatArray, triangle: int) -> FloatArray:
+    corners = surface.corners[triangle]
+    shares, _ = closest_in_triangles((corners @ root.T - offset)[None])
+    return shares[0] @ corners
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problems:
+    """Triangles as quadratic programmes of two shares x: minimise x'G x/2 + g'x, x >= 0, x_1 + x_2 <= 1; in mm^2."""
+
+    grams: FloatArray
+    """(n, 2, 2) float: G."""
+    slopes: FloatArray
+    """(n, 2) float: g."""
+    corners: FloatArray
+    """(n, 3, 3) float, metres: of the triangles themselves."""
+
+    def __len__(self) -> int:
+        """Return how many they are."""
+        return len(self.slopes)
+
+    def points(self, shares: FloatArray) -> FloatArray:
+        """Return the points (n, 3) of `shares` (n, 2), metres."""
+        whole = np.concatenate([1.0 - shares.sum(axis=1, keepdims=True), shares], axis=1)
+        return (whole[:, :, None] * self.corners).sum(axis=1)
+
+
+def problems(corners: FloatArray, roots: FloatArray, offsets: FloatArray) -> Problems:
+    """Return the programmes of triangles `corners` (n, 3, 3), metres, each in its own metric (n, 3, 3) and (n, 3)."""
+    images = corners @ roots.swapaxes(1, 2) - offsets[:, None]
+    along = images[:, 1:] - images[:, :1]
+    grams = _PER_M2 * along @ along.swapaxes(1, 2)
+    return Problems(grams, _PER_M2 * (along @ images[:, 0, :, None])[:, :, 0], corners)
+
+
+_SIDES = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]])
+_LIMITS = np.array([0.0, 0.0, -1.0])
+
+
+def _inside(x: FloatArray) -> float:
+    return 1.0 - x[0] - x[1]
+
+
+def _inward(_: FloatArray) -> FloatArray:
+    return _INWARD
+
+
+_INWARD = np.array([-1.0, -1.0])
+_THIRD_SIDE = {"type": "ineq", "fun": _inside, "jac": _inward}
+
+
+def has_quadprog() -> bool:
+    """Whether quadprog is installed; it is no part of the program."""
+    return util.find_spec(_QUADPROG) is not None
+
+
+_QUADPROG = "quadprog"
+
+
+def by_quadprog(some: Problems) -> FloatArray:
+    """Solve each programme by Goldfarb and Idnani's dual method; returns shares (n, 2)."""
+    solver: Any = import_module(_QUADPROG)
+    solved = [solver.solve_qp(gram, -slope, _SIDES, _LIMITS)[0] for gram, slope in zip(some.grams, some.slopes, strict=True)]
+    return np.array(solved).reshape(-1, 2)
+
+
+def by_slsqp(some: Problems) -> FloatArray:
+    """Solve each programme by sequential least squares from the triangle's middle, gradients given; returns shares (n, 2)."""
+    optimize: Any = import_module("scipy.optimize")
+    solved: list[FloatArray] = []
+    for gram, slope in zip(some.grams, some.slopes, strict=True):
+
+        def objective(x: FloatArray, gram: FloatArray = gram, slope: FloatArray = slope) -> tuple[float, FloatArray]:
+            pull = gram @ x
+            return 0.5 * float(x @ pull) + float(slope @ x), pull + slope
+
+        found = optimize.minimize(objective, (1 / 3, 1 / 3), jac=True, constraints=_THIRD_SIDE, **SLSQP)
+        solved.append(found.x)
+    return np.array(solved).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stacked:
+    """The paper's system (5) of each of t taxels, three rows an answer, one taxel after another."""
+
+    channels: list[int]
+    a: FloatArray
+    """(3n, 3) float: k S(u)."""
+    b: FloatArray
+    """(3n,) float: -k m/|f|."""
+    starts: IntArray
+    """(t + 1,): taxel i has the rows starts[i] to starts[i + 1]."""
+
+
+def stacked(contacts: Sequence[Contact], channels: Iterable[int]) -> Stacked:
+    """Stack the system (5) of those of `channels` that answered, in the link frame (eq. 6)."""
+    force, moment = move_wrench(
+        np.array([contact.link_from_sensor for contact in contacts]),
+        np.array([contact.force for contact in contacts]),
+        np.array([contact.moment for contact in contacts]),
+    )
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    u, right = force / size, -moment / size
+    owner = np.repeat(np.arange(len(contacts)), [len(contact.channels) for contact in contacts])
+    channel = np.concatenate([contact.channels for contact in contacts])
+    k = np.concatenate([contact.responses / contact.responses.max() for contact in contacts])
+    wanted = _among(channel, channels)
+    owner, channel, k = owner[wanted], channel[wanted], k[wanted]
+    order = np.argsort(channel, kind="stable")
+    owner, channel, k = owner[order], channel[order], k[order]
+    begins = np.flatnonzero(np.r_[True, channel[1:] != channel[:-1], True])
+    cross = np.zeros((len(u), 3, 3))
+    cross[:, [2, 0, 1], [1, 2, 0]], cross[:, [1, 2, 0], [2, 0, 1]] = u, -u
+    a = k[:, None, None] * cross[owner]
+    return Stacked(channel[begins[:-1]].tolist(), a.reshape(-1, 3), (k[:, None] * right[owner]).ravel(), 3 * begins)
+
+
+def _among(channel: IntArray, channels: Iterable[int]) -> NDArray[np.bool_]:
+    return np.isin(channel, np.array(list(channels), dtype=np.int64))
+
+
+def by_lstsq(rows: Stacked) -> FloatArray:
+    """Solve each taxel's rows by `numpy.linalg.lstsq`; returns positions (t, 3), metres."""
+    ends = zip(rows.starts[:-1].tolist(), rows.starts[1:].tolist(), strict=True)
+    solved = [np.linalg.lstsq(rows.a[first:last], rows.b[first:last])[0] for first, last in ends]
+    return np.array(solved, dtype=float).reshape(-1, 3)
+
+
+def by_normal_equations(rows: Stacked) -> FloatArray:
+    """Solve (A'A) p = A'b for all taxels at once; returns positions (t, 3), metres. NaN where A'A has no inverse."""
+    products = rows.a[:, :, None] * np.concatenate([rows.a, rows.b[:, None]], axis=1)[:, None]
+    sums = np.add.reduceat(products, rows.starts[:-1], axis=0)
+    normal, right = sums[:, :, :3], sums[:, :, 3]
+    positions = np.full(right.shape, np.nan)
+    # One axis alone, and no solve: numpy would refuse the lot.
+    sure = np.abs(np.linalg.det(normal)) > 0
+    positions[sure] = np.linalg.solve(normal[sure], right[sure][:, :, None])[:, :, 0]
+    return positions

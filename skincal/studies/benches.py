@@ -1,0 +1,135 @@
+"""What the solvers are measured on: simulated rigs of the scenes that ship, and meshes of their parts of any size.
+
+The rig is a good one, with the noise of its sensors and no other error (`RigErrors.noise`), poked by somebody careful,
+unguided: what is left of the error is the solver's and the noise's. Taxels lie on the mesh of the scene; the same
+contacts are solved on finer and coarser meshes of the same shape as well, whose error includes what a coarse mesh costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import Scene, load_scene, resource
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.resources import forearm_point, torso_point, tube
+from skincal.simulate.rig import NEIGHBOURS, Rig
+from skincal.surface.mesh import Surface, load_surface, make_surface
+from skincal.surface.nearest import nearest_points
+
+LAID_ON = 4_000
+"""Triangles."""
+_MM = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A part as a smooth tube, and how its mesh is cut."""
+
+    point: Callable[[FloatArray, FloatArray], FloatArray]
+    low: float
+    """mm, as the end below."""
+    high: float
+    steps: int
+    """Quads along, in the mesh that ships; `turns` around."""
+    turns: int
+    right_handed: bool
+
+    def mesh(self, triangles: int) -> Surface:
+        """Return a mesh of about so many triangles, as many times finer along as around."""
+        finer = float(np.sqrt(triangles / (2 * self.steps * self.turns)))
+        turns = max(3, round(self.turns * finer))
+        steps = max(1, round(triangles / (2 * turns)))
+        vertices, wound = tube(self.point, self.low, self.high, steps, turns, right_handed=self.right_handed)
+        return make_surface(vertices * _MM, wound)
+
+
+SHAPES = {
+    "icub-forearm": Shape(forearm_point, -2.0, 115.0, 60, 72, right_handed=False),
+    "whole-body": Shape(torso_point, 0.0, 560.0, 200, 250, right_handed=True),
+}
+
+
+class _Rig(Rig):
+    """A rig that finds the taxels near a tip by a search tree, in their order of distance."""
+
+    def _near(self, points: FloatArray) -> IntArray:
+        near: IntArray = self._tree.query(points, np.arange(1, min(NEIGHBOURS, len(self.places)) + 1))[1]
+        return near
+
+    def put_on(self, surface: Surface) -> None:
+        """Put the taxels where `surface` is nearest to them."""
+        self.surface = surface
+        self.places, triangles = nearest_points(surface, self.places)
+        self.normals = surface.normals[triangles]
+
+    @cached_property
+    def _tree(self) -> Any:
+        spatial: Any = import_module("scipy.spatial")
+        return spatial.cKDTree(self.places)
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A scene that is poked."""
+
+    name: str
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene that ships under this name."""
+        return load_scene(resource(f"scenes/{self.name}/scene.toml"))
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The mesh that ships with it."""
+        if self.scene.surface is None:
+            raise ValueError(f"{self.name} has no surface")
+        return load_surface(self.scene.surface)[0]
+
+    @cached_property
+    def rig(self) -> Rig:
+        """A good rig; always the same one.
+
+        The layout is laid on a coarser mesh and then put on the scene's: on 100,000 triangles laying alone takes 3 s.
+        """
+        rig = _Rig(self.scene, self.mesh(LAID_ON), RigErrors.noise(), np.random.default_rng(1))
+        rig.put_on(self.surface)
+        return rig
+
+    @property
+    def channels(self) -> list[int]:
+        """The taxels, ascending."""
+        return self.rig.channels.tolist()
+
+    def mesh(self, triangles: int | None) -> Surface:
+        """Return the mesh that ships, for None, or one of the same shape with about so many triangles."""
+        return self.surface if triangles is None else SHAPES[self.name].mesh(triangles)
+
+    def contacts(self, per_taxel: int, seed: int) -> list[Contact]:
+        """Poke each taxel `per_taxel` times, shared out among the arm poses."""
+        rng = np.random.default_rng((seed, per_taxel))
+        poses = list(self.rig.stances)
+        contacts: list[Contact] = []
+        first = 1
+        for place, pose in enumerate(poses[:per_taxel]):
+            rounds = len(range(place, per_taxel, len(poses)))
+            pokes = unguided(self.rig, rounds, rng)
+            contacts += simulate_contacts(self.rig, pokes, rng, pose, first)
+            first += len(pokes)
+        return contacts
+
+    def errors(self, positions: dict[int, FloatArray]) -> FloatArray:
+        """Return (n,) how far positions of taxels lie from the truth, metres."""
+        if not positions:
+            return np.empty(0)
+        rows = [self.rig.row_of(channel) for channel in positions]
+        return np.linalg.norm(np.array(list(positions.values())) - self.rig.places[rows], axis=1)

@@ -1,0 +1,464 @@
+"""Readings and meshes that are hard to solve: stiff, nearly parallel, far away, in the wrong unit, degenerate.
+
+All are made of a taxel's place, directions of push, forces and arm poses by the paper's (1), (2) and (6), in general
+directions so that no zero or one hides an error; what the solvers get are the rounded numbers, the inputs of the study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skincal.readings import FloatArray, IntArray
+
+TAXEL = np.array([0.031, -0.047, 0.083])
+"""m, link frame: where a forearm's taxel may be."""
+_SEED = 20260721
+_MANY = 1_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """The numbers that n contacts of one taxel come with: every one of them is an input."""
+
+    forces: FloatArray
+    """(n, 3) float, N, sensor frame."""
+    moments: FloatArray
+    """(n, 3) float, N m, about the sensor's origin."""
+    responses: FloatArray
+    """(n,) float > 0: t_j."""
+    strongest: FloatArray
+    """(n,) float: max_y t_y of the contact; where it equals t_j, the taxel is the strongest itself."""
+    poses: FloatArray
+    """(g, 4, 4) float: link_from_sensor of each arm pose."""
+    pose_of: IntArray
+    """(n,) int: which of `poses` a contact has."""
+
+    def moved(self, rng: np.random.Generator) -> Readings:
+        """Return the readings with every number moved by one unit in its last place, up or down."""
+        own = self.responses == self.strongest
+        strongest = moved(self.strongest, rng)
+        responses = np.where(own, strongest, moved(self.responses, rng))
+        poses = self.poses.copy()
+        poses[:, :3] = moved(poses[:, :3], rng)
+        return Readings(moved(self.forces, rng), moved(self.moments, rng), responses, strongest, poses, self.pose_of)
+
+    def ordered(self, order: IntArray) -> Readings:
+        """Return the contacts in another order; one named twice is there twice."""
+        return replace(
+            self, forces=self.forces[order], moments=self.moments[order], responses=self.responses[order],
+            strongest=self.strongest[order], pose_of=self.pose_of[order],
+        )  # fmt: skip
+
+
+def moved(values: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return each of `values` moved by one unit in its last place, up or down; zero has none and stays."""
+    towards = np.where(rng.integers(0, 2, values.shape) == 0, -np.inf, np.inf)
+    return np.where(values == 0, 0.0, np.nextafter(values, towards))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """A surface as it is given to `make_surface`."""
+
+    vertices: FloatArray
+    """(nv, 3) float, metres."""
+    triangles: IntArray
+    """(nt, 3) int."""
+
+    @property
+    def corners(self) -> FloatArray:
+        """(nt, 3, 3) float: the vertices of each triangle."""
+        return self.vertices[self.triangles]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """One taxel, to be solved by the free method, or on a mesh by the surface method."""
+
+    name: str
+    readings: Readings
+    mesh: Mesh | None = None
+    blind: bool = False
+    """All axes are parallel to the last digit: rank 2 is right."""
+    copies: int = 1
+    """How many times each reading is there, to the last digit, in the draws too."""
+    many: bool = False
+    """Too many readings to solve them 200 times in 80 digits: the draws take the exact answer's derivative. The sensor is
+    in the link frame, which stays, and the taxel is the strongest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """How large the cases are."""
+
+    contacts: int
+    grid: int
+    """Squares along each side of a sheet."""
+    many: int
+
+
+FULL = Sizes(contacts=24, grid=24, many=_MANY)
+QUICK = Sizes(contacts=10, grid=8, many=_MANY // 50)
+
+
+def unit(v: FloatArray) -> FloatArray:
+    """Return `v` (..., 3) at length 1."""
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def cone(rng: np.random.Generator, count: int, angle: float, axis: FloatArray | None = None) -> FloatArray:
+    """Return (count, 3) unit directions within `angle`, rad, of `axis` (3,), a random one if None; most near the rim."""
+    axis = unit(rng.normal(size=3)) if axis is None else axis
+    aside = unit(np.cross(axis, rng.normal(size=(count, 3))))
+    return unit(axis + np.tan(angle * rng.uniform(0.5, 1.0, (count, 1))) * aside)
+
+
+def arm_poses(rng: np.random.Generator, count: int, reach: float) -> FloatArray:
+    """Return (count, 4, 4) poses with a general rotation and the sensor `reach` metres away."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    for pose in poses:
+        rotation = np.asarray(np.linalg.qr(rng.normal(size=(3, 3)))[0])
+        pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+        pose[:3, 3] = reach * unit(rng.normal(size=3))
+    return poses
+
+
+def press(
+    rng: np.random.Generator,
+    directions: FloatArray,
+    *,
+    taxel: FloatArray = TAXEL,
+    weights: FloatArray | float = 1.0,
+    forces: FloatArray | float = 8.0,
+    scatter: FloatArray | float = 0.001,
+    poses: FloatArray | None = None,
+    pitch: float = 0.0,
+) -> Readings:
+    """Press a taxel in `directions` (n, 3) unit, link frame; what the sensor reads, poses in turn.
+
+    Parameters
+    ----------
+    scatter : m, how far off the taxel the contacts are
+    pitch : m, the torque about the push over the force: a finger that twists, or two contacts
+    """
+    count = len(directions)
+    poses = np.eye(4)[None] if poses is None else poses
+    pose_of = np.arange(count) % len(poses)
+    places = taxel + np.broadcast_to(scatter, count)[:, None] * unit(np.cross(directions, rng.normal(size=(count, 3))))
+    rotations, shifts = poses[pose_of, :3, :3], poses[pose_of, :3, 3]
+    force = directions * np.broadcast_to(forces, count)[:, None] * rng.uniform(0.8, 1.2, (count, 1))
+    # R' v as a row times R.
+    felt = np.einsum("ni,nij->nj", force, rotations)
+    lever = np.einsum("ni,nij->nj", places - shifts, rotations)
+    strongest = rng.uniform(50.0, 200.0, count)
+    weights = np.broadcast_to(weights, count)
+    responses = np.where(weights == 1.0, strongest, strongest * weights)
+    moments = np.asarray(np.cross(lever, felt), dtype=float) + pitch * felt
+    return Readings(felt, moments, responses, strongest, poses, pose_of)
+
+
+def _parallel(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    for digits in range(1, 10):
+        angle = 10.0**-digits
+        yield Case(f"axes within 1e-{digits} rad", press(rng, cone(rng, n, angle), scatter=0.0))
+    for digits in (2, 4, 6, 8):
+        yield Case(f"axes within 1e-{digits} rad, contacts 1 mm off", press(rng, cone(rng, n, 10.0**-digits)))
+    for digits in (3, 7):
+        down = np.array([0.0, 0.0, -1.0])
+        yield Case(f"axes within 1e-{digits} rad of z", press(rng, cone(rng, n, 10.0**-digits, down), scatter=0.0))
+    poses = arm_poses(rng, 4, 0.3)
+    yield Case("axes within 1e-5 rad, 4 arm poses", press(rng, cone(rng, n, 1e-5), scatter=0.0, poses=poses))
+
+
+def _few_axes(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    one = cone(rng, 1, 0.5)
+    yield Case("one axis", press(rng, one), blind=True)
+    yield Case("one axis, far sensor, general pose", press(rng, one, poses=arm_poses(rng, 1, 30.0)), blind=True)
+    yield Case("one axis, read many times", press(rng, one), blind=True, copies=sizes.contacts)
+    forces = np.geomspace(0.01, 100.0, sizes.contacts)
+    several = press(rng, np.repeat(one, sizes.contacts, axis=0), forces=forces, scatter=0.0)
+    yield Case("one axis, many forces", several, blind=True)
+    light = press(rng, np.repeat(one, sizes.contacts, axis=0), weights=np.geomspace(1, 1e-12, sizes.contacts), scatter=0.0)
+    yield Case("one axis, weights 1 to 1e-12", light, blind=True)
+    yield Case("two axes that cross", press(rng, cone(rng, 2, 0.8), scatter=0.0))
+    yield Case("two axes 1 mm apart", press(rng, cone(rng, 2, 0.8)))
+    yield Case("two axes within 1e-6 rad", press(rng, cone(rng, 2, 1e-6), scatter=0.0))
+    yield Case("two axes, one weighs 1e-12", press(rng, cone(rng, 2, 0.8), weights=np.array([1.0, 1e-12])))
+
+
+def _stiff(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    wide = cone(rng, n, 0.8)
+    yield Case("weights 1 to 1e-12", press(rng, wide, weights=np.geomspace(1, 1e-12, n)))
+    yield Case("weights 1 or 1e-12", press(rng, wide, weights=np.where(np.arange(n) % 2, 1.0, 1e-12)))
+    for digits in (3, 6, 9, 12):
+        weights = np.where(np.arange(n) == 0, 1.0, 10.0**-digits)
+        yield Case(f"one heavy axis, the rest weigh 1e-{digits}", press(rng, wide, weights=weights))
+    for digits in (3, 6, 9):
+        parts = [cone(rng, n // 2, 10.0**-digits, wide[0]), cone(rng, n - n // 2, 0.8, wide[0])]
+        for light in (1e-6, 1e-12):
+            weights = np.where(np.arange(n) < n // 2, 1.0, light)
+            readings = press(rng, np.concatenate(parts), weights=weights, scatter=0.0)
+            yield Case(f"heavy axes within 1e-{digits} rad, light ones of {light:.0e} fix the depth", readings)
+    for digits in (2, 4):
+        weights = np.where(np.arange(n) == 0, 1.0, 1e-12)
+        close = press(rng, cone(rng, n, 10.0**-digits), weights=weights, scatter=0.0)
+        yield Case(f"one heavy axis, 1e-12 within 1e-{digits} rad of it", close)
+    for light in (1e-3, 1e-6, 1e-9):
+        weights = np.where(np.arange(n) == 0, 1.0, light)
+        twisted = press(rng, wide, weights=weights, pitch=0.02)
+        yield Case(f"one heavy axis with a torque, the rest weigh {light:.0e}", twisted)
+    down = np.array([0.0, 0.0, -1.0])
+    parts = [cone(rng, 3, 1e-9, down), cone(rng, n - 3, 0.04, down)]
+    weights, scatter = np.where(np.arange(n) < 3, 1.0, 1e-4), np.where(np.arange(n) < 3, 0.01, 0.0)
+    along_z = press(rng, np.concatenate(parts), weights=weights, scatter=scatter)
+    yield Case("heavy axes within 1e-9 rad of z and 1 cm off, light ones of 1e-4", along_z)
+    poses = arm_poses(rng, 5, 0.4)
+    yield Case("weights 1 to 1e-12, 5 arm poses", press(rng, wide, weights=np.geomspace(1, 1e-12, n), poses=poses))
+
+
+def _scales(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    wide = cone(rng, n, 0.6)
+    for lever in (1e-3, 1e-1, 1e1, 1e4):
+        yield Case(f"levers of {lever:g} m", press(rng, wide, poses=arm_poses(rng, 3, lever)))
+        yield Case(f"taxel {lever:g} m from the link", press(rng, wide, taxel=TAXEL + lever * unit(rng.normal(size=3))))
+    for force in (1e-6, 1e-3, 1e2, 1e4):
+        yield Case(f"forces of {force:g} N", press(rng, wide, forces=force, poses=arm_poses(rng, 2, 0.3)))
+    yield Case("forces 1e-6 to 1e4 N", press(rng, wide, forces=np.geomspace(1e-6, 1e4, n), poses=arm_poses(rng, 2, 0.3)))
+    good = press(rng, wide, poses=arm_poses(rng, 3, 0.3))
+    in_mm = good.poses.copy()
+    in_mm[:, :3, 3] *= 1e3
+    yield Case("arm in millimetres by mistake", replace(good, poses=in_mm))
+    yield Case("newton millimetres by mistake", replace(good, moments=good.moments * 1e3))
+    close = press(rng, cone(rng, n, 1e-4), poses=arm_poses(rng, 3, 1e3), scatter=0.0)
+    yield Case("axes within 1e-4 rad, levers of 1000 m", close)
+
+
+def _counts(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    poses = arm_poses(rng, 7, 0.3)
+    yield Case("7 arm poses", press(rng, cone(rng, sizes.contacts, 0.5), poses=poses))
+    twice = press(rng, cone(rng, sizes.contacts, 0.5), poses=poses)
+    yield Case("every reading there 10 times", twice.ordered(np.tile(np.arange(sizes.contacts), 10)))
+    yield Case(f"{sizes.many} readings", press(rng, cone(rng, sizes.many, 0.5)), many=True)
+
+
+def sheet(rng: np.random.Generator, squares: int, bend: float = 20.0, side: float = 0.06) -> Mesh:
+    """Return a bent square sheet of 2 squares^2 triangles in a general direction, its middle at `TAXEL`.
+
+    Parameters
+    ----------
+    bend : 1/m, curvature; zero is flat, below zero is a hollow
+    side : m
+    """
+    steps = np.linspace(-side / 2, side / 2, squares + 1)
+    x, y = (one.ravel() for one in np.meshgrid(steps, steps, indexing="ij"))
+    local = np.stack([x, y, -bend * (x * x + 0.5 * y * y)], axis=1)
+    i = (np.arange(squares)[:, None] * (squares + 1) + np.arange(squares)).ravel()
+    lower = np.stack([i, i + squares + 1, i + 1], axis=1)
+    upper = np.stack([i + 1, i + squares + 1, i + squares + 2], axis=1)
+    return Mesh(local @ arm_poses(rng, 1, 1.0)[0, :3, :3].T + TAXEL, np.concatenate([lower, upper]))
+
+
+def _near(mesh: Mesh, point: FloatArray = TAXEL) -> int:
+    """Return the triangle whose middle is nearest to `point`."""
+    return int(np.linalg.norm(mesh.corners.mean(axis=1) - point, axis=1).argmin())
+
+
+def _at(mesh: Mesh, triangle: int, shares: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+    """Return a point of a triangle and the direction straight into it."""
+    corners = mesh.corners[triangle]
+    normal = np.asarray(np.cross(corners[1] - corners[0], corners[2] - corners[0]), dtype=float)
+    return np.array(shares) @ corners, -unit(normal)
+
+
+INSIDE, EDGE, VERTEX = (0.2, 0.5, 0.3), (0.4, 0.6, 0.0), (1.0, 0.0, 0.0)
+
+
+def _on_sheet(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    for name, bend in (("a bent sheet", 20.0), ("a hollow", -20.0), ("a flat sheet", 0.0)):
+        mesh = sheet(rng, sizes.grid, bend)
+        for place, shares in (("inside a triangle", INSIDE), ("on an edge", EDGE), ("on a vertex", VERTEX)):
+            taxel, push = _at(mesh, _near(mesh), shares)
+            scatter = 0.0005 if place == "inside a triangle" else 0.0
+            yield Case(f"{name}, {place}", press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=scatter), mesh)
+        for place, shares in (("an edge", EDGE), ("a vertex", VERTEX)):
+            taxel, push = _at(mesh, _near(mesh), shares)
+            yield Case(f"{name}, 0.3 mm over {place}", press(rng, cone(rng, n, 0.5, push), taxel=taxel - 3e-4 * push), mesh)
+
+
+def _stiff_on_sheet(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    mesh = sheet(rng, sizes.grid)
+    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    wide = cone(rng, n, 0.6, push)
+    for digits in (1, 3, 6, 9):
+        yield Case(f"surface, axes within 1e-{digits} rad", press(rng, cone(rng, n, 10.0**-digits, push), taxel=taxel), mesh)
+    yield Case("surface, one axis", press(rng, wide[:1], taxel=taxel), mesh)
+    yield Case("surface, two axes", press(rng, wide[:2], taxel=taxel), mesh)
+    yield Case("surface, weights 1 to 1e-12", press(rng, wide, taxel=taxel, weights=np.geomspace(1, 1e-12, n)), mesh)
+    weights = np.where(np.arange(n) == 0, 1.0, 1e-9)
+    yield Case("surface, one heavy axis, the rest weigh 1e-9", press(rng, wide, taxel=taxel, weights=weights), mesh)
+    poses = arm_poses(rng, 5, 0.4)
+    yield Case("surface, 5 arm poses", press(rng, wide, taxel=taxel, poses=poses), mesh)
+    yield Case("surface, levers of 1e4 m", press(rng, wide, taxel=taxel, poses=arm_poses(rng, 3, 1e4)), mesh)
+    yield Case("surface, forces 1e-6 to 1e4 N", press(rng, wide, taxel=taxel, forces=np.geomspace(1e-6, 1e4, n)), mesh)
+    good = press(rng, wide, taxel=taxel, poses=poses)
+    yield Case("surface, newton millimetres by mistake", replace(good, moments=good.moments * 1e3), mesh)
+    yield Case("surface, mesh in millimetres by mistake", good, replace(mesh, vertices=mesh.vertices * 1e3))
+    yield Case("surface, every reading there 10 times", good.ordered(np.tile(np.arange(n), 10)), mesh)
+    away = 1000.0 * unit(rng.normal(size=3))
+    far = replace(mesh, vertices=mesh.vertices + away)
+    yield Case("mesh 1 km from the origin", press(rng, wide, taxel=taxel + away), far)
+    poses = arm_poses(rng, 4, 0.4)
+    poses[:, :3, 3] += away
+    yield Case("mesh 1 km from the origin, sensor beside it", press(rng, wide, taxel=taxel + away, poses=poses), far)
+
+
+def _on_coarse_sheet(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    """Yield triangles half a metre wide: rounding of their size is far more than that of the readings."""
+    n = sizes.contacts
+    mesh = sheet(rng, 2, bend=1.0, side=1.0)
+    for name, shares in (
+        ("inside", INSIDE),
+        ("at an edge", EDGE),
+        ("at a vertex", VERTEX),
+        ("near a vertex", (1 - 6e-4, 0.0, 6e-4)),
+    ):
+        taxel, push = _at(mesh, _near(mesh), shares)
+        close = cone(rng, n, 1e-6, unit(push + 0.6 * unit(np.cross(push, rng.normal(size=3)))))
+        weights = np.where(np.arange(n) < 3, 1.0, 1e-3)
+        yield Case(
+            f"coarse sheet, {name}, axes within 1e-6 rad", press(rng, close, taxel=taxel, weights=weights, scatter=0.0), mesh
+        )
+        two = press(rng, cone(rng, 2, 1e-4, push), taxel=taxel, weights=np.array([1.0, 1e-8]), scatter=np.array([0.0075, 0.0]))
+        yield Case(f"coarse sheet, {name}, two axes, one weighs 1e-8", two, mesh)
+        grazing = unit(np.cross(push, rng.normal(size=3)) + 1e-6 * push)
+        grazed = press(rng, cone(rng, n, 1e-5, grazing), taxel=taxel, weights=1e-3, scatter=0.0)
+        yield Case(f"coarse sheet, {name}, axes within 1e-5 rad, tangent", grazed, mesh)
+
+
+def _tangent(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    mesh = sheet(rng, sizes.grid, bend=0.0)
+    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    aside = unit(np.cross(push, rng.normal(size=3)))
+    for digits in (2, 4, 6, 9):
+        grazing = unit(aside + 10.0**-digits * push)
+        yield Case(f"one axis 1e-{digits} rad from the surface", press(rng, grazing[None], taxel=taxel, scatter=0.0), mesh)
+        turned = np.cross(grazing, push) * rng.uniform(-0.5, 0.5, (n, 1))
+        yield Case(
+            f"axes 1e-{digits} rad from the surface", press(rng, unit(grazing + turned), taxel=taxel, scatter=1e-4), mesh
+        )
+    first = np.arange(n) == 0
+    for heavy, light in (
+        (1e-6, 1e-3),
+        (1e-6, 1e-6),
+        (1e-9, 1e-3),
+        (1e-9, 1e-6),
+        (1e-9, 1e-9),
+        (1e-10, 1e-9),
+        (1e-11, 1e-9),
+        (1e-11, 1e-12),
+    ):
+        grazing = unit(aside + heavy * push)
+        directions = np.concatenate([grazing[None], cone(rng, n - 1, 0.5, unit(push + 0.3 * aside))])
+        weights, scatter = np.where(first, 1.0, light), np.where(first, 0.0, 1e-3)
+        readings = press(rng, directions, taxel=taxel, weights=weights, scatter=scatter)
+        yield Case(f"heavy axis {heavy:.0e} rad from the surface, the rest weigh {light:.0e}", readings, mesh)
+
+
+def _gaps(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    mesh = sheet(rng, sizes.grid)
+    middle = _near(mesh)
+    taxel, push = _at(mesh, middle, INSIDE)
+    reach = 1.6 * 0.06 / sizes.grid
+    around = np.linalg.norm(mesh.corners.mean(axis=1) - taxel, axis=1) > reach
+    holed = replace(mesh, triangles=mesh.triangles[around])
+    yield Case("at a hole", press(rng, cone(rng, n, 0.5, push), taxel=taxel), holed)
+    yield Case("at a hole, one axis", press(rng, cone(rng, 1, 0.2, push), taxel=taxel), holed)
+    corner = _near(mesh, mesh.vertices[0])
+    rim = int(np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - mesh.vertices[sizes.grid // 2], axis=1)))
+    for name, triangle in (("at the rim", rim), ("at a corner of the rim", corner)):
+        taxel, push = _at(mesh, triangle, INSIDE)
+        outside = taxel + 1.5 * (taxel - TAXEL) * (reach / np.linalg.norm(taxel - TAXEL))
+        yield Case(name, press(rng, cone(rng, n, 0.5, push), taxel=outside), mesh)
+
+
+def _degenerate(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    n = sizes.contacts
+    for ratio in (1e2, 1e4, 1e6):
+        squares = sheet(rng, sizes.grid, bend=0.0)
+        # Squeezed along a direction of the plane: needles of that ratio.
+        _, push = _at(squares, 0, INSIDE)
+        thin = unit(squares.vertices[1] - squares.vertices[0])
+        offset = squares.vertices - TAXEL
+        needles = replace(squares, vertices=squares.vertices - np.outer(offset @ thin, thin) * (1 - 1 / ratio))
+        taxel, _ = _at(needles, _near(needles), INSIDE)
+        yield Case(
+            f"needles {ratio:.0e} times as long as wide", press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=0.0), needles
+        )
+    for height in (1e-9, 1e-12, 0.0):
+        mesh = sheet(rng, sizes.grid)
+        split, taxel, push = _with_sliver(mesh, height)
+        name = "a triangle without area" if height == 0.0 else f"a triangle {height:.0e} m high"
+        yield Case(name, press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=0.0), split)
+    mesh = sheet(rng, sizes.grid)
+    twice = replace(mesh, triangles=np.concatenate([mesh.triangles, mesh.triangles[:, [1, 2, 0]]]))
+    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    yield Case("every triangle there twice", press(rng, cone(rng, n, 0.5, push), taxel=taxel), twice)
+
+
+def _with_sliver(mesh: Mesh, height: float) -> tuple[Mesh, FloatArray, FloatArray]:
+    """Return the mesh with a sliver along an edge of its middle triangle, a point of the sliver and the push into it."""
+    middle = _near(mesh)
+    a, b, c = mesh.triangles[middle]
+    first, second, third = mesh.corners[middle]
+    between, push = _at(mesh, middle, (0.55, 0.45, 0.0))
+    if height == 0.0:
+        # A corner given twice: no rounding can give it an area.
+        return replace(mesh, triangles=np.concatenate([mesh.triangles, [[a, b, a]]])), between, push
+    across = np.asarray(np.cross(second - first, push), dtype=float)
+    inward = unit(across) * np.sign(across @ (third - first))
+    new = len(mesh.vertices)
+    vertices = np.concatenate([mesh.vertices, [between + height * inward]])
+    rest = np.delete(mesh.triangles, middle, axis=0)
+    triangles = np.concatenate([rest, [[a, b, new], [b, c, new], [c, a, new]]])
+    return Mesh(vertices, triangles), between, push
+
+
+def _two_sheets(rng: np.random.Generator, sizes: Sizes) -> Iterator[Case]:
+    """Yield sheets one behind the other, both met by a heavy axis; light axes say that it is the one behind."""
+    n = sizes.contacts
+    front = sheet(rng, sizes.grid)
+    taxel, push = _at(front, _near(front), INSIDE)
+    behind = taxel + 0.01 * push
+    count = len(front.vertices)
+    both = Mesh(
+        np.concatenate([front.vertices, front.vertices + 0.01 * push]),
+        np.concatenate([front.triangles, front.triangles + count]),
+    )
+    for light in (1.0, 1e-6, 1e-9, 1e-12):
+        weights = np.where(np.arange(n) == 0, 1.0, light)
+        directions = np.concatenate([push[None], cone(rng, n - 1, 0.5, push)])
+        yield Case(
+            f"two sheets, axes of weight {light:.0e} tell which", press(rng, directions, taxel=behind, weights=weights), both
+        )
+
+
+FAMILIES: tuple[Callable[[np.random.Generator, Sizes], Iterator[Case]], ...] = (
+    _parallel, _few_axes, _stiff, _scales, _counts, _on_sheet, _stiff_on_sheet, _tangent, _gaps, _degenerate, _two_sheets,
+    _on_coarse_sheet,
+)  # fmt: skip
+
+
+def all_cases(sizes: Sizes) -> Iterator[Case]:
+    """Yield every case; the numbers of one family do not depend on the others."""
+    for number, family in enumerate(FAMILIES):
+        yield from family(np.random.default_rng([_SEED, number]), sizes)

@@ -1,0 +1,100 @@
+"""What the window waits for: a poke's solve, a whole session's, and how much memory pokes take."""
+
+from __future__ import annotations
+
+import copy
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.solve import estimate_taxels
+from skincal.session.session import Session
+from skincal.studies.benches import Bench
+from skincal.studies.clock import Spread, at_rest, clock, timed
+
+TOUCHED = 7
+"""Taxels that a poke touches: what a tip of 4 mm between pads 5 mm apart reaches at most."""
+_MB = 1e6
+
+
+def solved_session(bench: Bench, contacts: Sequence[Contact]) -> Session:
+    """Return a session with these contacts, solved by every method of its scene."""
+    session = Session(bench.scene, bench.surface)
+    for contact in contacts:
+        session.add(contact)
+    session.snapshot()
+    return session
+
+
+def poke_time(bench: Bench, per_taxel: int, pokes: int) -> dict[str, Any]:
+    """Time a poke that touches seven taxels, in a session in which every taxel has been poked: taken in, solved, shown.
+
+    Parameters
+    ----------
+    per_taxel : pokes that each taxel has had
+    pokes : how many are timed; as many before them are not
+    """
+    contacts = bench.contacts(per_taxel, seed=1)
+    session = solved_session(bench, contacts)
+    others = bench.contacts(-(-2 * pokes // len(bench.channels)), seed=2)[: 2 * pokes]
+    fresh = [replace(touching(bench, contact), poke=session.last_poke + 1 + i) for i, contact in enumerate(others)]
+    seconds: list[float] = []
+    with at_rest():
+        for contact in fresh:
+            start = clock()
+            session.add(contact)
+            session.snapshot()
+            seconds.append(clock() - start)
+    return {"pokes_per_taxel": per_taxel, "taxels_touched": TOUCHED, "time_ms": Spread.of(seconds[pokes:]).times(1e3).json()}
+
+
+def touching(bench: Bench, contact: Contact) -> Contact:
+    """Return the contact as if the seven taxels nearest to the strongest one's place had answered."""
+    places = bench.rig.places
+    strongest = bench.rig.row_of(int(contact.channels[contact.responses.argmax()]))
+    rows = np.argsort(np.linalg.norm(places - places[strongest], axis=1))[:TOUCHED]
+    order = np.argsort(bench.rig.channels[rows])
+    responses = np.linspace(1.0, 0.2, TOUCHED) * float(contact.responses.max())
+    return replace(contact, channels=bench.rig.channels[rows][order], responses=responses[order])
+
+
+def resolve_time(bench: Bench, pokes: int, repeats: int) -> dict[str, Any]:
+    """Time a solve of every taxel by both methods, and a session filled anew, from so many contacts."""
+    contacts = bench.contacts(-(-pokes // len(bench.channels)), seed=3)[:pokes]
+    methods = Session(bench.scene, bench.surface).methods
+
+    def solve() -> object:
+        return estimate_taxels(contacts, bench.channels, methods, bench.scene.noise, bench.surface)
+
+    solve()
+    seconds, _ = timed(solve, repeats)
+    filled, _ = timed(lambda: solved_session(bench, contacts), repeats)
+    return {
+        "contacts": len(contacts),
+        "time_ms": Spread.of(seconds).times(1e3).json(),
+        "session_ms": Spread.of(filled).times(1e3).json(),
+    }
+
+
+def memory(bench: Bench, pokes: int) -> dict[str, Any]:
+    """Measure the memory that pokes take: contacts with arrays of their own, estimates and a snapshot."""
+    contacts = bench.contacts(-(-pokes // len(bench.channels)), seed=4)[:pokes]
+    # What is loaded once is no poke's.
+    solved_session(bench, contacts[:10])
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        session = solved_session(bench, [copy.deepcopy(contact) for contact in contacts])
+        after = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    counted = len(session.contacts)
+    return {
+        "pokes": counted,
+        "megabytes": (after - before) / _MB,
+        "megabytes_per_1000": (after - before) / _MB / counted * 1000,
+    }

@@ -1,0 +1,112 @@
+"""What the solvers and what they stand on take: `python3 -m pytest tests/benchmarks --benchmark-only`.
+
+Not part of the tests: `docs/benchmarks.md` says how to compare two states of the program. The contacts are those of the
+runtime study: a good rig, poked with care, unguided.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from skincal.estimate.ledger import Ledger
+from skincal.estimate.result import Method
+from skincal.estimate.solve import estimate_from, estimate_taxels
+from skincal.scene import resource
+from skincal.session.replay import load
+from skincal.studies import alternatives, live
+from skincal.studies.benches import SHAPES, Bench
+from skincal.surface.mesh import make_surface
+from skincal.surface.nearest import nearest_to_rows
+
+PER_TAXEL = 12
+BOTH = list(Method)
+
+
+@pytest.fixture(scope="module")
+def forearm():
+    return Bench("icub-forearm")
+
+
+@pytest.fixture(scope="module")
+def torso():
+    return Bench("whole-body")
+
+
+@pytest.fixture(scope="module")
+def forearm_contacts(forearm):
+    return forearm.contacts(PER_TAXEL, seed=1)
+
+
+@pytest.fixture(scope="module")
+def torso_contacts(torso):
+    return torso.contacts(PER_TAXEL, seed=1)
+
+
+def test_a_poke_of_seven_taxels_in_a_session(benchmark, forearm, forearm_contacts):
+    """Taken in, solved by both methods, shown."""
+    session = live.solved_session(forearm, forearm_contacts)
+    touching = live.touching(forearm, forearm_contacts[0])
+
+    def poke():
+        session.add(replace(touching, poke=session.last_poke + 1))
+        return session.snapshot()
+
+    snapshot = benchmark.pedantic(poke, rounds=50, warmup_rounds=5)
+    assert len(snapshot.touched) == live.TOUCHED
+
+
+def test_seven_taxels_solved_by_both_methods(benchmark, forearm, forearm_contacts):
+    ledger = Ledger(forearm_contacts)
+    channels = live.touching(forearm, forearm_contacts[0]).channels.tolist()
+    found = benchmark(estimate_from, ledger, channels, BOTH, forearm.scene.noise, forearm.surface)
+    assert len(found[Method.SURFACE]) == live.TOUCHED
+
+
+@pytest.mark.parametrize("method", BOTH)
+def test_the_forearm_from_its_contacts(benchmark, forearm, forearm_contacts, method):
+    found = benchmark(estimate_taxels, forearm_contacts, forearm.channels, [method], forearm.scene.noise, forearm.surface)
+    assert len(found[method]) == 84
+
+
+@pytest.mark.parametrize("method", BOTH)
+def test_the_whole_body_from_its_contacts(benchmark, torso, torso_contacts, method):
+    told = (torso_contacts, torso.channels, [method], torso.scene.noise, torso.surface)
+    found = benchmark.pedantic(estimate_taxels, told, rounds=3, warmup_rounds=1)
+    assert len(found[method]) == 4200
+
+
+@pytest.mark.parametrize("method", BOTH)
+def test_the_whole_body_from_a_sessions_ledger(benchmark, torso, torso_contacts, method):
+    told = (Ledger(torso_contacts), torso.channels, [method], torso.scene.noise, torso.surface)
+    found = benchmark.pedantic(estimate_from, told, rounds=3, warmup_rounds=1)
+    assert len(found[method]) == 4200
+
+
+def test_the_whole_bodys_search(benchmark, torso, torso_contacts):
+    systems = alternatives.systems(torso_contacts, torso.channels, torso.scene.noise)
+    told = (torso.surface, systems.roots, systems.offsets, systems.pushes)
+    found = benchmark.pedantic(nearest_to_rows, told, rounds=3, warmup_rounds=1)
+    assert (found.triangles >= 0).all()
+
+
+def test_one_taxel_by_every_triangle_of_the_whole_body(benchmark, torso, torso_contacts):
+    systems = alternatives.systems(torso_contacts, torso.channels[:1], torso.scene.noise)
+    point = benchmark(alternatives.every_triangle, torso.surface, systems.roots[0], systems.offsets[0], systems.pushes[0])
+    assert point.shape == (3,)
+
+
+@pytest.mark.parametrize("triangles", [10_000, 100_000])
+def test_a_search_tree_is_built(benchmark, triangles):
+    mesh = SHAPES["whole-body"].mesh(triangles)
+
+    def build():
+        return make_surface(mesh.vertices, mesh.triangles).tree
+
+    assert len(benchmark.pedantic(build, rounds=3).places) == len(mesh.triangles)
+
+
+def test_the_sample_session_is_loaded(benchmark):
+    road = benchmark.pedantic(load, (resource("sessions/sample"),), rounds=3, warmup_rounds=1)
+    assert road.session.contacts

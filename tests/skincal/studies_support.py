@@ -1,0 +1,27 @@
+"""A runtime study so small that several tests can share it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from skincal.studies import runtime
+from skincal.studies.runtime import PartSizes, Sizes
+
+FOREARM = "icub-forearm"
+TINY = Sizes(
+    small=PartSizes(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
+    large=PartSizes(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
+    per_taxel=2,
+    live_pokes=3,
+    live_per_taxel=(2,),
+    resolved=100,
+    memory_pokes=84,
+)
+
+
+@lru_cache
+def tiny() -> tuple[dict[str, Any], list[str]]:
+    """Return the study's result and what it said on the way."""
+    said: list[str] = []
+    return runtime.run(True, said.append, TINY), said

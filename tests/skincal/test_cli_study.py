@@ -1,0 +1,147 @@
+"""`skincal study`: files, JSON on stdout, and a folder that cannot be used."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from skincal.cli import main
+from skincal.studies import STUDIES, runtime
+from tests.skincal.studies_support import tiny
+
+
+@pytest.fixture
+def run(capsys):
+    def run(*arguments):
+        code = main(["study", *map(str, arguments)])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err, err
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def canned(monkeypatch):
+    """Make the runtime study give a small result at once; return the list of what it was asked for."""
+    asked = []
+
+    def give(quick, progress):
+        asked.append(quick)
+        progress("measuring")
+        return {"study": "runtime", "quick": quick, "bars": {}, "table": [], "left_out": ["nothing"]}
+
+    monkeypatch.setattr(runtime, "run", give)
+    monkeypatch.setattr(runtime, "draw", lambda _, figure: figure.add_subplot().plot([0, 1]))
+    return asked
+
+
+def test_a_study_writes_its_numbers_and_its_figure(run, tmp_path, monkeypatch):
+    result, said = tiny()
+
+    def measure(quick, progress):
+        progress(said[0])
+        return {**result, "quick": quick}
+
+    monkeypatch.setattr(runtime, "run", measure)
+    code, out, err = run("runtime", "--quick", "--out", tmp_path / "new" / "measured")
+    assert code == 0
+    names = {path.name for path in (tmp_path / "new" / "measured").iterdir()}
+    assert names == {"runtime.json", "runtime.svg", "runtime.png"}
+    written = json.loads((tmp_path / "new" / "measured" / "runtime.json").read_text(encoding="utf-8"))
+    assert written == {**result, "quick": True}
+    assert "wrote " in out
+    assert "surface, as shipped" in out
+    assert "poking icub-forearm" in err
+
+
+def test_json_goes_to_stdout_and_no_file_is_written(run, tmp_path, monkeypatch, canned):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run("runtime", "--json")
+    assert code == 0
+    assert json.loads(out)["study"] == "runtime"
+    assert err == "measuring\n"
+    assert list(tmp_path.iterdir()) == []
+    assert canned == [False]
+
+
+def test_json_with_a_folder_gives_both(run, tmp_path, canned):
+    code, out, _ = run("runtime", "--json", "--quick", "--out", tmp_path)
+    assert code == 0
+    assert json.loads(out) == json.loads((tmp_path / "runtime.json").read_text(encoding="utf-8"))
+    assert (tmp_path / "runtime.png").exists()
+    assert canned == [True]
+
+
+def test_without_a_folder_files_go_into_studies(run, tmp_path, monkeypatch, canned):
+    monkeypatch.chdir(tmp_path)
+    assert run("runtime")[0] == 0
+    assert (tmp_path / "studies" / "runtime.svg").exists()
+    assert canned == [False]
+
+
+@pytest.mark.parametrize("inside", ["", "below"])
+def test_a_file_in_the_way_of_the_folder_is_one_sentence_before_anything_is_measured(run, tmp_path, canned, inside):
+    (tmp_path / "taken").write_text("", encoding="utf-8")
+    code, out, err = run("runtime", "--out", tmp_path / "taken" / inside)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "choose another by --out" in err
+    assert canned == []
+
+
+def test_a_folder_name_that_no_system_takes_is_refused(run, tmp_path, canned):
+    code, _, err = run("runtime", "--out", tmp_path / ("x" * 300))
+    assert code == 2
+    assert "choose another by --out" in err
+    assert "Traceback" not in err
+    assert canned == []
+
+
+def test_a_folder_in_the_way_of_a_file_is_one_sentence_before_anything_is_measured(run, tmp_path, canned):
+    (tmp_path / "runtime.png").mkdir()
+    code, _, err = run("runtime", "--out", tmp_path)
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "runtime.png" in err
+    assert canned == []
+
+
+def test_a_folder_that_cannot_be_written_to_is_one_sentence(run, tmp_path, canned, monkeypatch):
+    def refuse(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.NamedTemporaryFile", refuse)
+    code, _, err = run("runtime", "--out", tmp_path)
+    assert code == 2
+    assert "Permission denied" in err
+    assert err.count("\n") == 1
+    assert canned == []
+
+
+def test_an_unknown_study_is_the_users_error(run):
+    code, _, err = run("astrology")
+    assert code == 2
+    assert "astrology" in err
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_help_has_an_example_for_each_study(run, name):
+    code, out, _ = run(name, "--help")
+    assert code == 0
+    assert f"skincal study {name} --quick" in " ".join(out.split())
+    assert "--quick" in out
+
+
+def test_the_studies_are_listed_without_being_loaded():
+    told = (
+        "import sys\n"
+        "from skincal.cli import main\n"
+        "main(['study', '--help'])\n"
+        "print('HEAVY', sorted({'matplotlib', 'scipy', 'skincal.studies.runtime', 'skincal.simulate'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.rstrip().endswith("HEAVY []")
+    assert all(name in done.stdout for name in STUDIES)

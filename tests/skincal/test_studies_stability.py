@@ -1,0 +1,358 @@
+"""The stability study: its exact answers, that it can fail, and that the shipped solvers do not make it fail."""
+
+import json
+from dataclasses import replace
+
+import matplotlib.figure
+import mpmath
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Contact
+from skincal.session.actions import Exclude, Restore, Undo
+from skincal.session.session import Session
+from skincal.studies import exact, stability
+from skincal.studies.cases import Case, Readings, Sizes, all_cases, arm_poses, cone, moved, press, sheet, unit
+from skincal.studies.stability import ALTERNATIVES, Found, judge, shipped
+from skincal.surface.mesh import make_surface
+from tests.skincal.poke_script import same_estimates, small_scene
+
+TINY = Sizes(contacts=6, grid=4, many=300)
+CASES = {case.name: case for case in all_cases(TINY)}
+NUMBERS = {name: number for number, name in enumerate(CASES)}
+
+
+@pytest.fixture(autouse=True)
+def digits():
+    with mpmath.workdps(120):
+        yield
+
+
+def rows_of_the_paper(readings: Readings):
+    """(5) with K and (6) row by row in mpmath: A (3n, 3) and b (3n)."""
+    mp = mpmath.mpf
+    rows, right = [], []
+    for i in range(len(readings.forces)):
+        pose = mpmath.matrix([[mp(float(x)) for x in row] for row in readings.poses[readings.pose_of[i]]])
+        turn, shift = pose[:3, :3], pose[:3, 3]
+        f = turn * mpmath.matrix([mp(float(x)) for x in readings.forces[i]])
+        m = turn * mpmath.matrix([mp(float(x)) for x in readings.moments[i]]) + skew(shift) * f
+        k = mp(float(readings.responses[i])) / mp(float(readings.strongest[i]))
+        size = mpmath.norm(f)
+        s = skew(f) * (k / size)
+        # Not the first row first: mpmath divides by nought where the leading element is nought.
+        rows += [[s[r, c] for c in range(3)] for r in (1, 2, 0)]
+        right += [-k * m[r] / size for r in (1, 2, 0)]
+    return mpmath.matrix(rows), mpmath.matrix(right)
+
+
+def skew(v):
+    return mpmath.matrix([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def difference(ours, theirs):
+    return float(max(abs(mpmath.mpf(str(a)) - b) for a, b in zip(ours, theirs, strict=True)))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "axes within 1e-9 rad",
+        "weights 1 to 1e-12, 5 arm poses",
+        "heavy axes within 1e-9 rad, light ones of 1e-12 fix the depth",
+        "levers of 10000 m",
+        "forces 1e-6 to 1e4 N",
+    ],
+)
+def test_the_decimal_answer_is_that_of_a_qr_of_the_papers_rows_in_mpmath(name):
+    readings = CASES[name].readings
+    a, b = rows_of_the_paper(readings)
+    theirs, _ = mpmath.qr_solve(a, b)
+    assert difference(exact.solve(exact.system(readings)), theirs) < 1e-30
+
+
+@pytest.mark.parametrize("name", ["one axis, many forces", "one axis, far sensor, general pose"])
+def test_the_blind_answer_is_that_of_the_eigenvectors_in_mpmath(name):
+    readings = CASES[name].readings
+    a, b = rows_of_the_paper(readings)
+    values, axes = mpmath.eigsy(a.T * a)
+    h = a.T * b
+    theirs = sum((axes[:, i] * ((axes[:, i].T * h)[0] / values[i]) for i in (1, 2)), mpmath.zeros(3, 1))
+    ours, blind = exact.solve_blind(exact.system(readings))
+    assert difference(ours, theirs) < 1e-40
+    assert min(difference(blind, axes[:, 0]), difference(blind, -axes[:, 0])) < 1e-40
+
+
+def least_on_triangle(a, b, corners):
+    """Minimise |A p - b| over a triangle in mpmath, by QR in its plane and along its edges: the value and the point."""
+    places = [mpmath.matrix([mpmath.mpf(float(x)) for x in corner]) for corner in corners]
+    found = []
+    edges = [places[1] - places[0], places[2] - places[0]]
+    plane = mpmath.matrix(3, 2)
+    for column in range(2):
+        plane[:, column] = edges[column]
+    s, t = mpmath.qr_solve(a * plane, b - a * places[0])[0]
+    if s >= 0 and t >= 0 and s + t <= 1:
+        found.append(places[0] + edges[0] * s + edges[1] * t)
+    for i in range(3):
+        one, edge = places[i], places[(i + 1) % 3] - places[i]
+        along = a * edge
+        share = (along.T * (b - a * one))[0] / (along.T * along)[0]
+        found.append(one + edge * min(max(share, 0), 1))
+    return min(((mpmath.norm(a * p - b), p) for p in found), key=lambda one: one[0])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "a bent sheet, inside a triangle",
+        "a flat sheet, 0.3 mm over an edge",
+        "a bent sheet, 0.3 mm over a vertex",
+        "heavy axis 1e-09 rad from the surface, the rest weigh 1e-06",
+        "at the rim",
+        "needles 1e+04 times as long as wide",
+    ],
+)
+def test_the_decimal_answer_on_a_surface_is_that_of_mpmath_over_all_triangles(name):
+    case = CASES[name]
+    a, b = rows_of_the_paper(case.readings)
+    push = np.array([float(x) for x in exact.mean_push(case.readings)])
+    surface = make_surface(case.mesh.vertices, case.mesh.triangles)
+    facing = case.mesh.corners[surface.normals @ unit(push) < 0]
+    _, theirs = min((least_on_triangle(a, b, corners) for corners in facing), key=lambda one: one[0])
+    ours = exact.best(exact.system(case.readings), [exact.exactly(corners) for corners in facing])
+    assert difference(ours, theirs) < 1e-30
+
+
+def test_triangles_left_out_of_the_draws_are_the_best_in_none():
+    case = CASES["heavy axis 1e-11 rad from the surface, the rest weigh 1e-09"]
+    draws = 5
+    truth = exact.find_truth(case, draws, np.random.default_rng(1))
+    rng = np.random.default_rng(1)
+    push = np.array([float(x) for x in exact.mean_push(case.readings)])
+    facing = make_surface(case.mesh.vertices, case.mesh.triangles).normals @ unit(push) < 0
+    change = 0.0
+    for _ in range(draws):
+        corners = moved(case.mesh.vertices, rng)[case.mesh.triangles[facing]]
+        other = exact.best(exact.system(case.readings.moved(rng)), [exact.exactly(one) for one in corners])
+        change = max(change, exact.distance(truth.answer, other))
+    assert truth.change == change > 0
+
+
+def test_a_draw_moves_every_number_by_one_unit_in_its_last_place():
+    readings = CASES["weights 1 to 1e-12, 5 arm poses"].readings
+    other = readings.moved(np.random.default_rng(1))
+    for name in ("forces", "moments", "strongest"):
+        before, after = getattr(readings, name), getattr(other, name)
+        assert (np.nextafter(before, after) == after).all()
+        assert len(np.unique(np.sign(after - before))) == 2, "up and down"
+    np.testing.assert_array_equal(readings.responses == readings.strongest, other.responses == other.strongest)
+    np.testing.assert_array_equal(readings.poses[:, 3], other.poses[:, 3])
+    assert (readings.poses[:, :3] != other.poses[:, :3]).all()
+    assert (moved(np.array([0.0, -0.0]), np.random.default_rng(1)) == 0).all()
+
+
+def test_the_derivative_moves_the_answer_as_the_draws_in_80_digits_do():
+    rng = np.random.default_rng(3)
+    readings = press(rng, cone(rng, 40, 0.5))
+    case = Case("some", readings, many=True)
+    fast = exact.find_truth(case, 300, rng)
+    draws = (replace(readings, forces=moved(readings.forces, rng), moments=moved(readings.moments, rng)) for _ in range(300))
+    slow = max(exact.distance(fast.answer, exact.solve(exact.system(one))) for one in draws)
+    assert fast.change == pytest.approx(slow, rel=0.25)
+
+
+def truth_of(name, draws=8):
+    return exact.find_truth(CASES[name], draws, np.random.default_rng(NUMBERS[name]))
+
+
+SOME = [
+    "axes within 1e-3 rad",
+    "axes within 1e-9 rad",
+    "one axis, many forces",
+    "one heavy axis, the rest weigh 1e-9",
+    "one heavy axis, 1e-12 within 1e-4 rad of it",
+    "levers of 10000 m",
+    "300 readings",
+    "a bent sheet, on a vertex",
+    "surface, axes within 1e-9 rad",
+    "heavy axis 1e-09 rad from the surface, the rest weigh 1e-06",
+    "two sheets, axes of weight 1e-12 tell which",
+    "a triangle 1e-09 m high",
+]
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_the_shipped_solvers_hold(name):
+    for record in judge(CASES[name], truth_of(name), shipped):
+        assert record["holds"], record
+
+
+def unsorted(contacts, _surface):
+    """Solve by QR of the rows as they come."""
+    readings = Readings(
+        forces=np.array([one.force for one in contacts]),
+        moments=np.array([one.moment for one in contacts]),
+        responses=np.array([one.responses[0] for one in contacts]),
+        strongest=np.array([one.responses[-1] for one in contacts]),
+        poses=np.array([one.link_from_sensor for one in contacts]),
+        pose_of=np.arange(len(contacts)),
+    )
+    return Found(stability.by_qr(*stability.two_rows(readings))[0])
+
+
+def test_unsorted_qr_is_caught_on_stiff_weights():
+    name = "one heavy axis, the rest weigh 1e-9"
+    (record,) = judge(CASES[name], truth_of(name), unsorted)
+    assert not record["holds"]
+    assert record["error_over_bound"] > 100
+
+
+def test_normal_equations_are_caught_on_near_parallel_axes():
+    name = "axes within 1e-6 rad"
+    records = stability.compare(CASES[name], truth_of(name))
+    shares = {one["method"]: one["error_over_bound"] for one in records}
+    assert set(shares) == set(ALTERNATIVES)
+    assert shares["normal equations"] > 100 > 1 > shares["QR, rows as they come"]
+
+
+def test_a_third_row_lets_a_heavy_torque_leak_even_sorted_and_pivoted():
+    name = "one heavy axis with a torque, the rest weigh 1e-06"
+    truth = truth_of(name)
+    shares = {one["method"]: one["error_over_bound"] for one in stability.compare(CASES[name], truth)}
+    assert shares["sorted and pivoted QR, three rows a contact"] > 100
+    assert judge(CASES[name], truth, shipped)[0]["holds"]
+
+
+def test_a_solver_that_follows_the_order_of_the_contacts_is_caught():
+    name = "a bent sheet, inside a triangle"
+
+    def by_order(contacts, surface):
+        return Found(shipped(contacts, surface).point + 1e-17 * contacts[0].poke)
+
+    (record,) = judge(CASES[name], truth_of(name), by_order)
+    assert record["error"] <= record["bound"]
+    assert not record["same_bits"]
+    assert not record["holds"]
+
+
+def test_a_solver_that_reports_no_blind_direction_is_caught():
+    name = "one axis, read many times"
+
+    def sure(contacts, surface):
+        return Found(shipped(contacts, surface).point)
+
+    position, direction = judge(CASES[name], truth_of(name), sure)
+    assert position["holds"]
+    assert not direction["holds"]
+
+
+def test_a_solver_without_a_number_is_caught():
+    name = "two axes that cross"
+    (record,) = judge(CASES[name], truth_of(name), lambda *_: Found(np.full(3, np.nan)))
+    assert record["error"] == exact.NO_NUMBER
+    assert not record["holds"]
+
+
+@pytest.fixture(scope="module")
+def result():
+    with pytest.MonkeyPatch.context() as patch, mpmath.workdps(15):
+        patch.setattr(stability, "QUICK", TINY)
+        patch.setattr(stability, "DRAWS_QUICK", 4)
+        said = []
+        result = stability.run(quick=True, progress=said.append)
+        assert said[0].startswith("the bar")
+        assert len(said) == 1 + len(CASES)
+        return result
+
+
+def test_the_study_has_at_least_forty_cases_and_all_hold(result):
+    cases = result["cases"]
+    assert len(cases) >= 40
+    assert len({one["name"] for one in cases}) == len(cases)
+    assert {one["solver"] for one in cases} == {"free", "surface"}
+    assert [one["name"] for one in cases if not one["holds"]] == []
+    assert result["held"] == len(cases)
+    for one in cases:
+        assert one["holds"] == (one["error"] <= one["bound"] and one["same_bits"])
+        assert one["error_over_bound"] == pytest.approx(one["error"] / one["bound"])
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+
+
+def test_no_bar_is_so_high_that_it_proves_nothing(result):
+    loose = [one["name"] for one in result["cases"] if one["bound"] > 1e-3 * one["size"]]
+    assert loose == []
+
+
+def test_the_summary_names_what_misses_and_the_figure_every_case(result):
+    broken = list(result["cases"])
+    broken[3] = {**broken[3], "holds": False, "error_over_bound": exact.NO_NUMBER}
+    result = {**result, "cases": broken, "held": len(broken) - 1}
+    lines = stability.summary(result)
+    assert lines[0].startswith(f"{len(broken) - 1} of {len(broken)} cases hold")
+    assert next(line for line in lines if line.startswith("MISSES")).startswith(f"MISSES: {broken[3]['name']}")
+    figure = matplotlib.figure.Figure(layout="constrained")
+    stability.draw(result, figure)
+    figure.draw_without_rendering()
+    drawn = {label.get_text() for panel in figure.axes for label in panel.get_yticklabels()}
+    assert drawn == {one["name"] for one in broken}
+
+
+def stiff_pokes(first, count, weights, rng, mesh):
+    """Pokes of two taxels on a sheet over two arm poses; channel 3 answers by `weights`."""
+    corners = mesh.corners[len(mesh.triangles) // 2]
+    push = -unit(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
+    readings = press(rng, cone(rng, count, 0.4, push), weights=weights, poses=arm_poses(rng, 2, 0.3))
+    return [
+        Contact(
+            first + i, 0.0, 1.0, readings.forces[i], readings.moments[i], np.array([3, 5]),
+            np.array([readings.responses[i], readings.strongest[i]]), readings.poses[readings.pose_of[i]],
+            f"pose {readings.pose_of[i]}", 0.0, True,
+        )
+        for i in range(count)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("away", [Exclude, Undo], ids=["excluded", "undone"])
+def test_pokes_added_and_taken_away_leave_every_estimate_where_it_was(away):
+    rng = np.random.default_rng(9)
+    mesh = sheet(rng, 8)
+    surface = make_surface(mesh.vertices, mesh.triangles)
+    light = stiff_pokes(1, 8, np.geomspace(1e-2, 1e-9, 8), rng, mesh)
+    heavy = stiff_pokes(9, 6, 1.0, rng, mesh)
+    never, session = Session(small_scene(), surface), Session(small_scene(), surface)
+    for poke in light:
+        never.add(poke)
+    for poke in light + heavy:
+        session.add(poke)
+    assert not same_estimates(session.snapshot(), never.snapshot()), "the heavy pokes move the estimates"
+    for poke in reversed(heavy):
+        session.act(Undo() if away is Undo else Exclude(poke.poke))
+        session.snapshot()
+    np.testing.assert_allclose(positions(session), positions(never), rtol=0, atol=1e-12)
+    assert same_estimates(session.snapshot(), never.snapshot()), "and not by a bit"
+
+
+def test_pokes_taken_away_and_brought_back_leave_every_estimate_where_it_was():
+    rng = np.random.default_rng(10)
+    mesh = sheet(rng, 8)
+    session = Session(small_scene(), make_surface(mesh.vertices, mesh.triangles))
+    for poke in stiff_pokes(1, 12, np.geomspace(1, 1e-9, 12), rng, mesh):
+        session.add(poke)
+    before, there = session.snapshot(), positions(session)
+    for poke in (1, 7, 12):
+        session.act(Exclude(poke))
+    assert not same_estimates(session.snapshot(), before)
+    for poke in (7, 12, 1):
+        session.act(Restore(poke))
+    np.testing.assert_allclose(positions(session), there, rtol=0, atol=1e-12)
+    assert same_estimates(session.snapshot(), before)
+
+
+def positions(session):
+    """Every position of every method, at least one taxel by each."""
+    estimates = session.snapshot().estimates
+    placed = {method: [one.position for one in estimates[method] if one.position is not None] for method in estimates}
+    assert len(placed) == 2
+    assert all(placed.values())
+    return np.concatenate(list(placed.values()))

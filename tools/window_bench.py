@@ -1,0 +1,259 @@
+"""The window's live figures: `python -m tools.window_bench --seconds 30`.
+
+Opens the real window on the display there is (or under `xvfb-run -a -s "-screen 0 1600x1000x24"`), lets the simulated rig
+that ships poke, and measures, without changing anything that the window does:
+
+- first paint and first 3D picture, from the start of this program;
+- pictures of the 3D view a second while the tool presses;
+- from the arrival of the reading that ends a poke to the end of the picture that shows its outcome;
+- how long the window does not answer: the lateness of a timer of 5 ms; and what of it its own thread works, by processor
+  time, which other programs on the machine do not change.
+"""
+
+# ruff: noqa: E402 - what the imports take is part of what is measured.
+
+from __future__ import annotations
+
+import time
+
+STARTED = time.monotonic()
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from PySide6.QtCore import QEvent, QObject, QSettings, QStandardPaths, QTimer
+from PySide6.QtWidgets import QApplication, QStackedLayout, QWidget
+
+from app.preflight import no_display, objection
+
+if TYPE_CHECKING:
+    from app.controller import Picture
+    from app.window import Window
+
+BEAT_MS = 5
+SETTLED_S = 5.0
+"""s. Stalls from here on are those of work; before, those of start-up."""
+LONG_S = 0.1
+"""s. A stall that a person sees."""
+SHORT_S = 0.3
+"""s. Pressing that is shorter is no measure of pictures a second."""
+
+
+class Measure(QObject):
+    """Times of what happens to a window."""
+
+    def __init__(self, window: Window) -> None:
+        super().__init__()
+        self.window = window
+        self.first_paint: float | None = None
+        self.first_picture: float | None = None
+        self.pictures: list[float] = []
+        self.presses: list[tuple[float, float]] = []
+        self.latencies: list[float] = []
+        self.stalls: list[tuple[float, float, float]] = []
+        """When, how late, and for how much work of the window's thread."""
+        self._canvas: QWidget | None = None
+        self._pressing_since: float | None = None
+        self._released: list[float] = []
+        self._last_beat, self._worked = time.monotonic(), time.thread_time()
+        self._beat = QTimer(self)
+        self._beat.setInterval(BEAT_MS)
+        self._beat.timeout.connect(self._take_beat)
+        self._beat.start()
+        window.installEventFilter(self)
+
+    def watch(self) -> bool:
+        """Watch the session and the 3D view; return whether both are there."""
+        desk = self.window.desk
+        if desk is None or not desk.workspace.view.list_layers():
+            return False
+        from skincal.session.road import Road
+
+        stack = desk.workspace.view.layout()
+        canvas = stack.currentWidget() if isinstance(stack, QStackedLayout) else None
+        assert canvas is not None
+        self._canvas = canvas
+        canvas.installEventFilter(self)
+        _around_feed(Road, self._released)
+        desk.workspace.view.update()
+        return True
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Paint, and take the time at which it is done."""
+        if event.type() is not QEvent.Type.Paint:
+            return False
+        watched.event(event)
+        if watched is self._canvas:
+            self._painted()
+        else:
+            self.first_paint = time.monotonic() - STARTED
+            watched.removeEventFilter(self)
+        return True
+
+    def take(self, picture: Picture) -> None:
+        """Take a moment of the session: whether the tool presses."""
+        from app.policies import PRESSING
+
+        now = time.monotonic()
+        pressing = picture.live.progress.phase in PRESSING
+        if pressing and self._pressing_since is None:
+            self._pressing_since = now
+        elif not pressing and self._pressing_since is not None:
+            self.presses.append((self._pressing_since, now))
+            self._pressing_since = None
+
+    def _painted(self) -> None:
+        now = time.monotonic()
+        if not self.pictures:
+            self.first_picture = now - STARTED
+        self.pictures.append(now)
+        self.latencies += [now - released for released in self._released]
+        self._released.clear()
+
+    def _take_beat(self) -> None:
+        now, worked = time.monotonic(), time.thread_time()
+        self.stalls.append((now - STARTED, now - self._last_beat - BEAT_MS * 1e-3, worked - self._worked))
+        self._last_beat, self._worked = now, worked
+
+    def result(self) -> dict[str, Any]:
+        """Return the figures: seconds, and pictures a second."""
+        self._beat.stop()
+        long_enough = [(a, b) for a, b in self.presses if b - a >= SHORT_S]
+        shown = sum(sum(a <= t <= b for t in self.pictures) for a, b in long_enough)
+        pressed = sum(b - a for a, b in long_enough)
+        early = [stall for stall in self.stalls if stall[0] < SETTLED_S]
+        later = [stall for stall in self.stalls if stall[0] >= SETTLED_S]
+        return {
+            "first_paint_s": self.first_paint,
+            "first_picture_s": self.first_picture,
+            "pictures": len(self.pictures),
+            "pictures_per_s_pressing": shown / pressed if pressed else None,
+            "pressing_s": pressed,
+            "releases": len(self.latencies),
+            "release_to_painted_p50_s": percentile(self.latencies, 50),
+            "release_to_painted_p95_s": percentile(self.latencies, 95),
+            "longest_stall_starting_s": max((late for _, late, _ in early), default=None),
+            "longest_work_starting_s": max((work for _, _, work in early), default=None),
+            "longest_stall_s": max((late for _, late, _ in later), default=None),
+            "longest_work_s": max((work for _, _, work in later), default=None),
+            "stalls_above_100_ms": sum(late > LONG_S for _, late, _ in later),
+            "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+            "cpu_share": time.process_time() / (time.monotonic() - STARTED),
+        }
+
+
+def percentile(values: list[float], share: float) -> float | None:
+    """Return the value that `share` percent do not exceed; None of nothing."""
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else None
+
+
+def _around_feed(road: type[Any], released: list[float]) -> None:
+    """Note the arrival of each reading that ends a poke."""
+    before = road.feed
+
+    def feed(self: Any, item: Any) -> None:
+        last = self.session.last_poke
+        before(self, item)
+        if self.session.last_poke != last:
+            released.append(item.host_ns * 1e-9)
+
+    road.feed = feed
+
+
+def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str) -> dict[str, Any]:
+    """Run the window for so long and return its figures."""
+    from app.plan import Plan, find_scene, server_command
+    from app.run import run_window
+    from app.window import Window
+
+    application = QApplication(sys.argv[:1])
+    found: list[Measure] = []
+    watching = QTimer()
+    watching.setInterval(10)
+
+    def attach() -> None:
+        window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window))
+        window.resize(*size)
+        found.append(Measure(window))
+        window.controller.ticked.connect(found[0].take)
+        watching.timeout.connect(watch)
+        watching.start()
+        QTimer.singleShot(round(seconds * 1e3), end)
+
+    def watch() -> None:
+        if found[0].watch():
+            watching.stop()
+            if found[0].window.desk is not None:
+                found[0].window.desk.workspace.show_tab(tab)
+
+    results: list[dict[str, Any]] = []
+
+    def end() -> None:
+        results.append(found[0].result())
+        found[0].window.close()
+        application.quit()
+
+    QTimer.singleShot(0, attach)
+    path = None if scene is None else find_scene(scene)
+    run_window(Plan(scene=path, server=server_command(path)))
+    return results[0]
+
+
+def table(result: dict[str, Any]) -> str:
+    """Return the figures as lines for a person."""
+
+    def ms(name: str) -> str:
+        value = result[name]
+        return "-" if value is None else f"{value * 1e3:.0f} ms"
+
+    rate = result["pictures_per_s_pressing"]
+    lines = [
+        ("first paint", ms("first_paint_s")),
+        ("first 3D picture", ms("first_picture_s")),
+        ("pictures a second while pressing", "-" if rate is None else f"{rate:.1f}  ({result['pressing_s']:.1f} s)"),
+        ("release to painted, median", f"{ms('release_to_painted_p50_s')}  ({result['releases']} pokes)"),
+        ("release to painted, p95", ms("release_to_painted_p95_s")),
+        (
+            f"longest stall in the first {SETTLED_S:.0f} s",
+            f"{ms('longest_stall_starting_s')}  (own work {ms('longest_work_starting_s')})",
+        ),
+        ("longest stall after that", f"{ms('longest_stall_s')}  (own work {ms('longest_work_s')})"),
+        ("stalls above 100 ms after that", str(result["stalls_above_100_ms"])),
+        ("processor, shares of one core", f"{result['cpu_share']:.2f}"),
+    ]
+    if result["load_average"] is not None:
+        lines.append(("load of the machine, 1 min", f"{result['load_average']:.1f}  (times hold where it is below 2)"))
+    return "\n".join(f"{name:34} {value}" for name, value in lines)
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser("window_bench", description="Measure the window's live figures.")
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--scene", type=Path, help="scene file, or the name of one that ships")
+    parser.add_argument("--size", default="1280x720", help="of the window, pixels")
+    parser.add_argument("--tab", default="Readings", help="which tab is open: Readings, Pokes, Taxel, Devices, Errors, Arm")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    reason = no_display() or objection()
+    if reason:
+        print(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tools.window_bench', file=sys.stderr)
+        return 2
+    width, _, height = options.size.partition("x")
+    with tempfile.TemporaryDirectory() as folder:
+        # The operator's own settings and log stay as they are.
+        QStandardPaths.setTestModeEnabled(True)
+        QSettings.setPath(QSettings.Format.NativeFormat, QSettings.Scope.UserScope, folder)
+        result = measure(options.seconds, options.scene, (int(width), int(height)), options.tab)
+    print(json.dumps(result, indent=1) if options.json else table(result))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
