@@ -41,6 +41,13 @@ COMMANDS: tuple[Command, ...] = (
     Command(
         "export", "Session", "Export calibration\N{HORIZONTAL ELLIPSIS}", ("Ctrl+E",), "Write the file that the robot loads"
     ),
+    Command(
+        "reference",
+        "Session",
+        "Compare with\N{HORIZONTAL ELLIPSIS}",
+        ("Ctrl+R",),
+        "Show the error against a truth.json or an iCub position file",
+    ),
     Command("picture", "Session", "Save 3D picture\N{HORIZONTAL ELLIPSIS}", ("Ctrl+P",), "Write the 3D view as it stands"),
     Command("quit", "Session", "Quit", ("Ctrl+Q",), "Everything recorded is on the disk already"),
     Command("space", "Poke", "Pause", ("Space",), "Do the obvious thing: pause, or go on"),
@@ -148,7 +155,7 @@ def key_words() -> str:
         if c.keys
     )
     more = (
-        "<tr><td><b>1 to 5</b></td><td>Tabs</td></tr>"
+        "<tr><td><b>1 to 6</b></td><td>Tabs</td></tr>"
         "<tr><td><b>Arrows</b></td><td>On the map: the next taxel. In a list: the next row</td></tr>"
         "<tr><td><b>Tab</b></td><td>The next part of the window</td></tr>"
     )

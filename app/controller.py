@@ -26,6 +26,7 @@ from skincal.errors import InputError
 if TYPE_CHECKING:
     from app.opening import Part
     from skincal.estimate.result import Method
+    from skincal.files.reference import Reference
     from skincal.session.actions import Action
     from skincal.session.road import Road
     from skincal.session.snapshot import LiveView, Snapshot
@@ -76,6 +77,8 @@ class Controller(QObject):
     """`Running`."""
     said = Signal(object)
     """`Message`."""
+    truth_found = Signal(object)
+    """`Reference`: where the taxels of a simulated rig are."""
     stored = Signal(str)
     """Where the recording is, in words."""
 
@@ -85,6 +88,7 @@ class Controller(QObject):
         self._background = Background()
         self._server: LinkServer | None = None
         self._links: tuple[LinkSpec, ...] = ()
+        self._truth = b""
         self._storage: Storage | None = None
         self._part: Part | None = None
         self._recording: Recording | None = None
@@ -128,7 +132,7 @@ class Controller(QObject):
         recording, self._recording = self._recording, None
         storage, self._storage = self._storage, None
         self._part = self._shown = None
-        self._links = ()
+        self._links, self._truth = (), b""
         if recording is not None:
             self._run(recording.end, _nothing)
         elif storage is not None:
@@ -159,9 +163,13 @@ class Controller(QObject):
 
     def _start_server(self, command: tuple[str, ...]) -> None:
         self._server = LinkServer(self)
+        self._server.said_truth.connect(self._take_truth)
         self._server.served.connect(self._take_links)
         self._server.failed.connect(self._fail)
         self._server.start(command)
+
+    def _take_truth(self, truth: bytes) -> None:
+        self._truth = truth
 
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._links = links
@@ -176,10 +184,10 @@ class Controller(QObject):
             self._make_road()
 
     def _make_road(self) -> None:
-        part, links, storage = self._part, self._links, self._storage
+        part, links, storage, truth = self._part, self._links, self._storage, self._truth
         if part is not None and links and storage is not None:
             self._run(
-                lambda: _begin_session(part, links, storage.folder),
+                lambda: begin_session(part, links, storage.folder, truth),
                 lambda road: self._take_recording(Recording(road, storage)),
                 lambda road: road.close(),
             )
@@ -198,6 +206,13 @@ class Controller(QObject):
         self.session_opened.emit(recording.road.snapshot())
         self._tell_storage()
         self._publish(recording, time.monotonic_ns())
+        part = self._part
+        if part is not None:
+            self._run(lambda: find_truth_of(recording.storage.folder, part), self._tell_truth)
+
+    def _tell_truth(self, truth: Reference | None) -> None:
+        if truth is not None:
+            self.truth_found.emit(truth)
 
     @property
     def links(self) -> tuple[LinkSpec, ...]:
@@ -319,6 +334,12 @@ class Controller(QObject):
 
         self._run(write, done, failed=failed)
 
+    def compute(
+        self, work: Callable[[], Any], done: Callable[[Any], None], failed: Callable[[str], None] | None = None
+    ) -> None:
+        """Do `work` in the background; its result is dropped where something else was opened meanwhile."""
+        self._run(work, done, failed=failed)
+
     # Helpers
 
     def _run(
@@ -375,10 +396,22 @@ def _load_session(folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Road
     return open_road(folder, links)
 
 
-def _begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path) -> Road:
+def begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path, truth: bytes) -> Road:
+    """Start a recording; what a simulated rig says of its taxels is laid beside it."""
     from app.opening import new_road
+    from skincal.files.reference import TRUTH_NAME
 
-    return new_road(part, links, folder)
+    road = new_road(part, links, folder)
+    if truth:
+        (folder / TRUTH_NAME).write_bytes(truth)
+    return road
+
+
+def find_truth_of(folder: Path, part: Part) -> Reference | None:
+    """Return the truth that lies beside a recording; None where there is none."""
+    from skincal.files.reference import find_truth
+
+    return find_truth(folder, part.scene.link, part.channels.tolist())
 
 
 def _nothing(_result: Any) -> None:

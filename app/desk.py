@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QByteArray, QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
@@ -16,6 +17,7 @@ from PySide6.QtWidgets import QFileDialog, QSplitter, QWidget
 from app.commands import Commands
 from app.controller import Controller, Picture
 from app.dialogs.export import ExportDialog
+from app.error_tracker import ErrorTracker
 from app.frame import Frame, same_results
 from app.opening import Part
 from app.panels.devices import LinkChips
@@ -28,6 +30,9 @@ from skincal.errors import InputError
 from skincal.estimate.result import Method
 from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
 from skincal.session.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from skincal.files.reference import Reference
 
 
 class Desk(QObject):
@@ -67,6 +72,8 @@ class Desk(QObject):
         self.workspace = Workspace(part, make_view)
         self.method = self.workspace.methods[0]
         self.chips = LinkChips()
+        self.tracker = ErrorTracker(part, controller.compute)
+        self.workspace.error_course.begin(self.tracker)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
         self._connect()
         self.workspace.wait("opening", part.scene.name)
@@ -76,6 +83,7 @@ class Desk(QObject):
         workspace = self.workspace
         workspace.taxel_selected.connect(self.select_taxel)
         workspace.method_chosen.connect(self.show_method)
+        workspace.inspect.poke_wanted.connect(self.select_poke)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
         for panel in (workspace.map, workspace.inspect):
             panel.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
@@ -171,8 +179,13 @@ class Desk(QObject):
     def select_last(self) -> None:
         """Show the newest poke in the list."""
         if self.frame is not None and self.frame.snapshot.pokes:
-            self.workspace.tabs.setCurrentWidget(self.workspace.pokes)
-            self.workspace.pokes.select(self.frame.snapshot.pokes[-1].outcome.poke)
+            self.select_poke(self.frame.snapshot.pokes[-1].outcome.poke)
+
+    def select_poke(self, poke: int) -> None:
+        """Show a poke in the list."""
+        # Opened first: a list that nobody sees does not know the newest pokes.
+        self.workspace.tabs.setCurrentWidget(self.workspace.pokes)
+        self.workspace.pokes.select(poke)
 
     def reset_camera(self) -> None:
         """Bring the whole part into the 3D view."""
@@ -208,6 +221,38 @@ class Desk(QObject):
         dialog.write_requested.connect(write)
         dialog.open()
 
+    def ask_reference(self, parent: QWidget) -> None:
+        """Ask for a file with known places of the taxels, and show the error against it."""
+        kinds = "Known places (*.json *.txt *.ini);;All files (*)"
+        # A folder that is not there yet would stand in the dialog as a file's name.
+        folder = self._documents if self._documents.is_dir() else Path.home()
+        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(folder), kinds)
+        if path:
+            self.compare_with(Path(path))
+
+    def compare_with(self, path: Path) -> None:
+        """Show the error against the places in a file."""
+        from skincal.files.reference import load_reference
+
+        part = self.workspace.part
+        channels = part.channels.tolist()
+        self._controller.compute(
+            lambda: load_reference(path, part.scene.link, channels),
+            self._take_reference,
+            lambda sentence: self.said.emit(Message(sentence, error=True)),
+        )
+
+    def offer(self, reference: Reference) -> None:
+        """Compare estimates with it, where the panel of errors is open."""
+        self.tracker.offer(reference)
+        self.workspace.error_course.show_sources()
+        self.show_again()
+
+    def _take_reference(self, reference: Reference) -> None:
+        self.offer(reference)
+        self.workspace.tabs.setCurrentWidget(self.workspace.error_course)
+        self.show_again()
+
     def ask_picture(self, parent: QWidget) -> None:
         """Ask for a file and write the 3D view to it."""
         path, _ = QFileDialog.getSaveFileName(
@@ -226,16 +271,22 @@ class Desk(QObject):
         return {"window/across": self.workspace.across, "window/right": self.workspace.right}
 
     def restore(self, settings: QSettings) -> None:
-        """Put the splitters where they were."""
+        """Put the splitters where they were, and open the tab that was."""
         for name, splitter in self._splitters().items():
             state = settings.value(name)
             if isinstance(state, QByteArray):
                 splitter.restoreState(state)
+        self.workspace.error_course.restore(settings)
+        self.workspace.show_tab(str(settings.value("window/tab", "")))
 
     def save(self, settings: QSettings) -> None:
-        """Remember where the splitters are."""
+        """Remember where the splitters are, and which tab is open; nothing of panels that were not laid out yet."""
+        if not self.workspace.tabs.count():
+            return
         for name, splitter in self._splitters().items():
             settings.setValue(name, splitter.saveState())
+        self.workspace.error_course.save(settings)
+        settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
 
     def close(self) -> None:
         """Give the 3D view's resources back, and take out of the window what belongs to this session."""

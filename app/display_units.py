@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from skincal.skin import Layout
 DASH = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
+
+
+Lengths = TypeVar("Lengths", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +74,14 @@ def millimetres(value: float | None, decimals: int = 1) -> str:
     return quantity(value, "m", decimals)
 
 
-def in_millimetres(value: float) -> float:
-    """Return a length in metres as a number of millimetres."""
+def in_millimetres(value: Lengths) -> Lengths:
+    """Return lengths in metres as numbers of millimetres."""
     return value * 1e3
+
+
+def in_minutes(times: FloatArray) -> FloatArray:
+    """Return times in seconds as numbers of minutes."""
+    return times / 60.0
 
 
 def newtons(value: float | None, decimals: int = 1) -> str:

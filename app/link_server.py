@@ -1,6 +1,7 @@
 """A process that serves links: started and read without ever blocking the window.
 
-It prints one line of JSON that names its links, and runs until its standard input closes.
+It prints one line of JSON that names its links, and, where it simulates them, its taxels; it runs until its standard input
+closes.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ class LinkServer(QObject):
 
     served = Signal(object)
     """tuple of `LinkSpec`."""
+    said_truth = Signal(object)
+    """bytes that serve as a `truth.json`, before `served`: a simulated rig knows where its taxels are."""
     failed = Signal(str)
 
     def __init__(self, parent: QObject | None = None) -> None:
@@ -80,9 +83,13 @@ class LinkServer(QObject):
         self._line = b""
         self._process.readyReadStandardOutput.disconnect(self._read)
         try:
-            self.served.emit(parse_links(head))
+            links = parse_links(head)
         except (ValueError, KeyError, TypeError) as error:
             self.failed.emit(f"The device process said {head[:80]!r}; expected its links as JSON ({error}).")
+            return
+        if b'"taxels"' in head:
+            self.said_truth.emit(head)
+        self.served.emit(links)
 
     def _finished(self) -> None:
         if not self._stopping:

@@ -16,6 +16,7 @@ from skincal.readings import IntArray
 from skincal.scene import Scene, load_scene
 
 if TYPE_CHECKING:
+    from skincal.files.reference import Reference
     from skincal.session.road import Road
     from skincal.streams.links import LinkSpec
     from skincal.surface.lay import LaidSkin
@@ -33,6 +34,8 @@ class Part:
     """(n,) channels that can be taxels: those of the layout, or all."""
     findings: tuple[str, ...]
     """What the mesh loader has to say."""
+    plan: Reference | None = None
+    """Where the layout places the taxels; None where it does not."""
 
 
 def load_part(path: Path) -> Part:
@@ -56,11 +59,14 @@ def _with_layout(scene: Scene, surface: Surface | None, findings: tuple[str, ...
     layout = scene.skin.layout
     if layout is None:
         return Part(scene, surface, None, np.arange(scene.skin.channels), findings)
+    from skincal.files.reference import plan_reference
     from skincal.surface.lay import lay
 
     # The layout works these out when they are first asked for: better here than in the window's thread.
     _ = layout.places, layout.module_of, layout.spacing
-    return Part(scene, surface, lay(layout, scene.skin.anchor, surface), layout.channels, findings)
+    laid = lay(layout, scene.skin.anchor, surface)
+    plan = None if laid is None else plan_reference(scene.name, laid.places)
+    return Part(scene, surface, laid, layout.channels, findings, plan)
 
 
 def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Road:

@@ -71,7 +71,8 @@ class NowMemory:
         return NowMemory(outcome=snapshot.pokes[-1].outcome if snapshot.pokes else None)
 
 
-_PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
+PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
+"""Phases in which a tool presses."""
 
 
 def now_line(memory: NowMemory, at: Frame) -> tuple[Now, NowMemory]:
@@ -84,7 +85,7 @@ def now_line(memory: NowMemory, at: Frame) -> tuple[Now, NowMemory]:
     trouble = _trouble(at)
     if trouble is not None:
         return trouble, memory
-    if memory.phase in _PRESSING:
+    if memory.phase in PRESSING:
         return _pressing(memory.phase, at), memory
     if at.now_s < memory.verdict_until_s and memory.outcome is not None:
         return _verdict(memory.outcome, at), memory
@@ -112,7 +113,7 @@ def _settle(memory: NowMemory, at: Frame) -> NowMemory:
     if phase is not memory.coming:
         memory = replace(memory, coming=phase, coming_since_s=at.now_s)
     # A poke's begin and end are said at once: the detector's own two thresholds keep them from flickering.
-    if phase in _PRESSING or memory.phase in _PRESSING or at.now_s - memory.coming_since_s >= SETTLE_S:
+    if phase in PRESSING or memory.phase in PRESSING or at.now_s - memory.coming_since_s >= SETTLE_S:
         memory = replace(memory, phase=phase)
     return memory
 
@@ -152,7 +153,7 @@ def _calm(phase: Phase, at: Frame) -> Now:
         return _no_data(at)
     if phase is Phase.TARING:
         return Now(Tone.WAIT, "keep hands off", "Taring: the sensor's offset is taken while nothing touches the part.")
-    if phase in _PRESSING:
+    if phase in PRESSING:
         return _pressing(phase, at)
     limits = at.scene.contacts
     low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import logging
 import logging.handlers
 import signal
@@ -19,6 +20,7 @@ from PySide6.QtWidgets import QApplication
 from app.controller import Controller
 from app.panels.message_bar import Message
 from app.plan import Addresses, Plan, check_addresses, dated_folder, find_scene, server_command
+from app.scene3d.probe import best_canvas
 from app.theme import Choice, Theme
 from app.window import Window
 from skincal.errors import InputError
@@ -26,6 +28,9 @@ from skincal.errors import InputError
 LOG = logging.getLogger("skincal")
 LOG_BYTES = 1_000_000
 """A log file grows to this size; one older is kept."""
+GARBAGE = (10_000, 20, 20)
+"""When Python looks for cyclic garbage. A full look stops every thread: 50 ms once VTK and pyqtgraph are imported, and by
+default the imports themselves bring several about. So it takes four million new objects; what pokes leave is a thousand."""
 SWITCH_S = 0.0005
 """s. Python's thread switch: at its default of 5 ms background work delays the picture seven times as much (measured)."""
 
@@ -108,6 +113,7 @@ def start_log() -> Path:
 def run_window(plan: Plan) -> int:
     """Open the window and return the exit code once it is closed: 1 where a fault of the program happened."""
     sys.setswitchinterval(SWITCH_S)
+    gc.set_threshold(*GARBAGE)
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     application.setApplicationName("skincal")
@@ -135,3 +141,5 @@ def run_window(plan: Plan) -> int:
 def _begin(controller: Controller, plan: Plan) -> None:
     start_log()
     controller.open(plan)
+    # While the scene is read beside it the window has nothing else to do; later it would stand still for this.
+    best_canvas()

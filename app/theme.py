@@ -44,6 +44,8 @@ class Colours:
     warn: str
     axes: tuple[str, str, str]
     """Curves of x, y and z."""
+    methods: tuple[str, str]
+    """Curves of the free and the surface method, of Okabe and Ito's hues; each has its own symbol, too."""
 
 
 DARK = Colours(
@@ -59,6 +61,7 @@ DARK = Colours(
     bad="#FF8A5C",
     warn="#E8B84A",
     axes=("#FF8A7A", "#6FD08C", "#6FB4FF"),
+    methods=("#56B4E9", "#E69F00"),
 )
 LIGHT = Colours(
     dark=False,
@@ -73,6 +76,7 @@ LIGHT = Colours(
     bad="#B03A06",
     warn="#7A5200",
     axes=("#C2321F", "#0F7433", "#1463C4"),
+    methods=("#0072B2", "#D55E00"),
 )
 
 GAP = 8
@@ -136,6 +140,8 @@ def style_sheet(colours: Colours) -> str:
         border-bottom: 1px solid {colours.line}; }}
     QTableView {{ border: none; background: {colours.panel}; gridline-color: {colours.raised};
         selection-background-color: {colours.accent}; selection-color: {colours.on_accent}; }}
+    QToolButton[choice="true"] {{ padding: 2px 8px; border: 1px solid {colours.line}; border-radius: 3px; }}
+    QToolButton[choice="true"]:checked {{ color: {colours.on_accent}; background: {colours.accent}; }}
     QFrame#card {{ background: {colours.panel}; border: 1px solid {colours.line}; border-radius: 6px; }}
     QLabel[quiet="true"] {{ color: {colours.muted}; }}
     """

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from app.controller import Picture
     from app.desk import Desk
     from app.opening import Part
+    from skincal.files.reference import Reference
     from skincal.session.snapshot import Snapshot
 
 LOG = logging.getLogger(__name__)
@@ -48,7 +49,7 @@ class Window(QMainWindow):
     def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path) -> None:
         super().__init__()
         self.setWindowTitle("skincal")
-        self._controller = controller
+        self.controller = controller
         self._theme = theme
         self._settings = settings
         self._documents = documents
@@ -66,11 +67,12 @@ class Window(QMainWindow):
         return {
             "new": self.ask_new,
             "open": self.ask_session,
-            "keep": self._controller.keep,
+            "keep": self.controller.keep,
             "export": self._of_desk(lambda desk: desk.ask_export(self)),
+            "reference": self._of_desk(lambda desk: desk.ask_reference(self)),
             "picture": self._of_desk(lambda desk: desk.ask_picture(self)),
             "quit": self.close,
-            "space": self._controller.toggle,
+            "space": self.controller.toggle,
             "undo": self._of_desk(lambda desk: desk.undo()),
             "exclude": self._of_desk(lambda desk: desk.exclude_or_restore()),
             "last": self._of_desk(lambda desk: desk.select_last()),
@@ -116,12 +118,13 @@ class Window(QMainWindow):
             self.restoreGeometry(geometry)
 
     def _connect(self) -> None:
-        controller = self._controller
+        controller = self.controller
         controller.part_loaded.connect(self._take_part)
         controller.session_opened.connect(self._take_session)
         controller.ticked.connect(self._take_picture)
         controller.running_changed.connect(self._running_changed)
         controller.said.connect(self.tell)
+        controller.truth_found.connect(self._take_truth)
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._set_colours)
 
@@ -131,12 +134,17 @@ class Window(QMainWindow):
         from app.desk import Desk
 
         self._drop_desk()
-        desk = Desk(part, self._controller, self.commands, self._documents, parent=self)
+        desk = Desk(part, self.controller, self.commands, self._documents, parent=self)
         self.desk = desk
         desk.said.connect(self.tell)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
-        # Making the panels and laying them out each take half of what a window may stand still.
-        QTimer.singleShot(0, desk, lambda: self._show_desk(desk))
+        # Making the panels, laying them out and showing them each take half of what a window may stand still.
+        QTimer.singleShot(0, desk, lambda: self._arrange_desk(desk))
+
+    def _arrange_desk(self, desk: Desk) -> None:
+        if desk is self.desk:
+            desk.workspace.arrange()
+            QTimer.singleShot(0, desk, lambda: self._show_desk(desk))
 
     def _show_desk(self, desk: Desk) -> None:
         if desk is self.desk:
@@ -151,6 +159,10 @@ class Window(QMainWindow):
         if self.desk is not None:
             self.desk.session_opened(snapshot)
 
+    def _take_truth(self, truth: Reference) -> None:
+        if self.desk is not None:
+            self.desk.offer(truth)
+
     def _take_picture(self, picture: Picture) -> None:
         if self.desk is not None:
             self.desk.take_picture(picture)
@@ -164,7 +176,7 @@ class Window(QMainWindow):
             self.desk.refresh_allowed()
 
     def _show_opening(self) -> None:
-        opening = self._controller.running is Running.OPENING
+        opening = self.controller.running is Running.OPENING
         nothing = "Nothing is open.\nCtrl+N begins a new session, Ctrl+O opens a recorded one."
         self.opening.setText("Opening \N{HORIZONTAL ELLIPSIS}" if opening else nothing)
 
@@ -224,7 +236,7 @@ class Window(QMainWindow):
         """Open something in place of what is open."""
         self._drop_desk()
         self.where.setText("")
-        self._controller.open(plan)
+        self.controller.open(plan)
 
     # Coming and going
 
@@ -243,9 +255,9 @@ class Window(QMainWindow):
         self._settings.setValue("window/geometry", self.saveGeometry())
         self.hide()
         self.messages.stop()
-        self._controller.stop()
+        self.controller.stop()
         if self.desk is not None:
             self.desk.save(self._settings)
             self.desk.close()
-        self._controller.close()
+        self.controller.close()
         super().closeEvent(event)

@@ -17,6 +17,7 @@ from app.frame import Frame
 from app.opening import Part
 from app.panels.arm import ArmPanel
 from app.panels.devices import DevicesPanel
+from app.panels.errors import ErrorsPanel
 from app.panels.inspect import InspectPanel
 from app.panels.now import NowPanel
 from app.panels.pokes import PokesPanel
@@ -32,6 +33,9 @@ from skincal.session.snapshot import Snapshot
 
 RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
+
+
+_TABS = ReadingsPanel | PokesPanel | InspectPanel | DevicesPanel | ErrorsPanel | ArmPanel
 
 
 class Panel(Protocol):
@@ -64,13 +68,15 @@ class Workspace(QWidget):
         self.pokes = PokesPanel(names)
         self.inspect = InspectPanel(self.methods, names)
         self.devices = DevicesPanel()
+        self.error_course = ErrorsPanel(self.methods, scene.skin.layout)
         self.arm = None if scene.arm is None else ArmPanel(scene.arm)
         self.tabs = QTabWidget()
+        self.right, self.across = QSplitter(Qt.Orientation.Vertical), QSplitter(Qt.Orientation.Horizontal)
         self._frame: Frame | None = None
-        self._arrange()
         self._connect()
 
-    def _arrange(self) -> None:
+    def arrange(self) -> None:
+        """Lay the panels out, once; apart from making them, since each takes half of what a window may stand still."""
         for title, panel in self._titled():
             self.tabs.addTab(panel, title)
         self.tabs.setDocumentMode(True)
@@ -79,13 +85,11 @@ class Workspace(QWidget):
         self.tabs.tabBar().setDrawBase(False)
         left = _column(self.view, self.now)
         left.setMinimumWidth(420)
-        self.right = QSplitter(Qt.Orientation.Vertical)
         self.right.addWidget(self._map_card())
         self.right.addWidget(_card(self.tabs))
         self.right.setStretchFactor(0, 1)
         self.right.setStretchFactor(1, 1)
         self.right.setMinimumWidth(360)
-        self.across = QSplitter(Qt.Orientation.Horizontal)
         self.across.addWidget(left)
         self.across.addWidget(self.right)
         self.across.setStretchFactor(0, 1)
@@ -96,6 +100,7 @@ class Workspace(QWidget):
         row = QHBoxLayout(self)
         row.setContentsMargins(GAP, GAP, GAP, GAP)
         row.addWidget(self.across)
+        self.tabs.currentChanged.connect(self._tab_changed)
 
     def _titled(self) -> list[tuple[str, QWidget]]:
         titled: list[tuple[str, QWidget]] = [
@@ -103,6 +108,7 @@ class Workspace(QWidget):
             ("Pokes", self.pokes),
             ("Taxel", self.inspect),
             ("Devices", self.devices),
+            ("Errors", self.error_course),
         ]
         return titled if self.arm is None else [*titled, ("Arm", self.arm)]
 
@@ -134,7 +140,6 @@ class Workspace(QWidget):
         self.map.taxel_clicked.connect(self.taxel_selected)
         self.pokes.taxel_wanted.connect(self.taxel_selected)
         self.inspect.taxel_wanted.connect(self.taxel_selected)
-        self.tabs.currentChanged.connect(self._tab_changed)
         self.method_box.activated.connect(lambda index: self.method_chosen.emit(self.method_box.itemData(index)))
 
     def begin(self) -> None:
@@ -164,19 +169,24 @@ class Workspace(QWidget):
 
     def _show_tab(self) -> None:
         panel = self.tabs.currentWidget()
-        if self._frame is not None and isinstance(panel, ReadingsPanel | PokesPanel | InspectPanel | DevicesPanel | ArmPanel):
+        if self._frame is not None and isinstance(panel, _TABS):
             panel.show_frame(self._frame)
 
     def _tab_changed(self, _index: int) -> None:
         self._show_tab()
 
+    def show_tab(self, title: str) -> None:
+        """Open the tab of that title, if there is one."""
+        if title in self.titles():
+            self.tabs.setCurrentIndex(self.titles().index(title))
+
     def titles(self) -> list[str]:
         """Return the titles of the tabs."""
-        return [self.tabs.tabText(index) for index in range(self.tabs.count())]
+        return [title for title, _ in self._titled()]
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
-        for panel in (self.now, self.map, self.readings, self.pokes, self.devices):
+        for panel in (self.now, self.map, self.readings, self.pokes, self.devices, self.error_course):
             panel.set_colours(colours)
         self.errors.set_colour(QColor(colours.muted))
         self.view.set_dark(colours.dark)

@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QGridLayout, QLabel, QListWidget, QListWidgetItem, QPushButton, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QGridLayout,
+    QHeaderView,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QPushButton,
+    QScrollArea,
+    QTreeWidget,
+    QTreeWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
-from app.display_units import DASH, ChannelNames, direction, millimetres, point_mm
+from app.display_units import DASH, ChannelNames, direction, millimetres, number, point_mm
+from app.evidence_words import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
 from app.frame import Frame
 from app.panels.texts import on_panel, put, quiet
 from app.policies import MARK_WORDS, mark_of, worst
@@ -15,6 +28,13 @@ from app.words import METHOD_NAMES, find_estimate
 from skincal.estimate.result import Estimate, Method, State
 
 ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
+POKE_HEADINGS = ("Poke", "Weight k", "Trust", "Axis off by")
+_POKE_HINTS = (
+    "Number of the poke; a double click shows it in the list of pokes",
+    "The taxel's answer in shares of the strongest in the poke: its weight in the solution",
+    "How far the method believes the poke for this taxel: 1 counts fully",
+    "Distance of the poke's axis from the estimate",
+)
 LEFT_OUT = (
     "The predicted error carries the noise of force, moment and touch. It leaves out wrong frames, a wrong arm chain, a "
     "wrong mesh and errors of the F/T matrix, which shift all taxels together."
@@ -48,6 +68,7 @@ class InspectPanel(QScrollArea):
     taxel_wanted = Signal(int)
     mark_dead_requested = Signal(int)
     revive_requested = Signal(int)
+    poke_wanted = Signal(int)
 
     def __init__(self, methods: tuple[Method, ...], names: ChannelNames, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -65,12 +86,16 @@ class InspectPanel(QScrollArea):
         self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
         self.use.setEnabled(False)
+        self.rival = QLabel()
+        self.rival.setWordWrap(True)
+        self.pokes = _poke_list()
         self.worst = QListWidget()
         self.worst.setAccessibleName("taxels that need pokes most")
         self._arrange()
         self.use.clicked.connect(self._use_clicked)
         self.worst.itemActivated.connect(self._worst_chosen)
         self.worst.itemClicked.connect(self._worst_chosen)
+        self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(item.data(0, Qt.ItemDataRole.UserRole)))
         self.setWhatsThis("The selected taxel by each method. " + LEFT_OUT)
 
     def _arrange(self) -> None:
@@ -91,8 +116,14 @@ class InspectPanel(QScrollArea):
         column_box.setContentsMargins(GAP, GAP, GAP, GAP)
         column_box.addWidget(self.title)
         column_box.addLayout(grid)
+        column_box.addWidget(self.rival)
         column_box.addWidget(self.reason)
         column_box.addWidget(self.use, 0, Qt.AlignmentFlag.AlignLeft)
+        self.pokes_title = quiet()
+        column_box.addWidget(self.pokes_title)
+        column_box.addWidget(self.pokes, 1)
+        for empty in (self.rival, self.pokes_title, self.pokes):
+            empty.hide()
         column_box.addWidget(quiet("Need pokes most"))
         column_box.addWidget(self.worst, 1)
         self.worst.setMinimumHeight(110)
@@ -122,8 +153,26 @@ class InspectPanel(QScrollArea):
         reason = frame.snapshot.dead.get(channel) or (shown.reason if shown is not None else "")
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
         put(self.reason, "  ".join(filter(None, (reason, distance_words(pair[0], pair[1])))))
+        put(self.rival, f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
+        self.rival.setVisible(shown is not None and bool(rival_words(shown)))
+        self._list_pokes(() if shown is None else taxel_pokes(frame.snapshot, shown), frame.method)
         put_button(self.use, "Use this taxel again" if self._dead else "Do not use this taxel")
         self.use.setEnabled(True)
+
+    def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
+        """List what each poke counts for the taxel; the one that the method doubts is told by a sign as well."""
+        put(self.pokes_title, f"Its pokes by the {METHOD_NAMES[method]} method, newest first")
+        for widget in (self.pokes_title, self.pokes):
+            widget.setVisible(bool(pokes))
+        while self.pokes.topLevelItemCount() > len(pokes):
+            self.pokes.takeTopLevelItem(self.pokes.topLevelItemCount() - 1)
+        for row, poke in enumerate(pokes):
+            item = self.pokes.topLevelItem(row)
+            if item is None:
+                item = QTreeWidgetItem(self.pokes)
+            item.setData(0, Qt.ItemDataRole.UserRole, poke.poke)
+            for column, text in enumerate(poke_cells(poke)):
+                item.setText(column, text)
 
     def _list_worst(self, frame: Frame) -> None:
         entries = [(e.channel, self._worst_words(e)) for e in worst(frame.estimates)]
@@ -149,6 +198,27 @@ class InspectPanel(QScrollArea):
     def _use_clicked(self) -> None:
         if self._selected is not None:
             (self.revive_requested if self._dead else self.mark_dead_requested).emit(self._selected)
+
+
+def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:
+    """Return the cells of `POKE_HEADINGS`."""
+    sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < DOUBT_MARKED else ""
+    trust = "1" if poke.trust >= FULL else number(poke.trust, 2)
+    return (str(poke.poke), number(poke.weight, 2), sign + trust, millimetres(poke.miss))
+
+
+def _poke_list() -> QTreeWidget:
+    pokes = QTreeWidget()
+    pokes.setHeaderLabels(POKE_HEADINGS)
+    pokes.setRootIsDecorated(False)
+    pokes.setUniformRowHeights(True)
+    pokes.setAccessibleName("pokes of the taxel")
+    pokes.setMinimumHeight(110)
+    pokes.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    pokes.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+    for column, hint in enumerate(_POKE_HINTS):
+        pokes.headerItem().setToolTip(column, hint)
+    return pokes
 
 
 def put_button(button: QPushButton, text: str) -> None:

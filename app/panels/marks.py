@@ -50,6 +50,20 @@ def _draw_cross(painter: QPainter, centre: QPointF, reach: float, colour: QColor
         painter.drawLine(start, QPointF(centre.x() + reach, centre.y() + sign * reach))
 
 
+def draw_wedge(painter: QPainter, centre: QPointF, reach: float, colour: QColor, around: QColor) -> None:
+    """Draw the small triangle that says that a taxel may lie elsewhere.
+
+    Parameters
+    ----------
+    reach : pixels from the middle to a corner
+    around : colour of its rim, which sets it off from the mark below
+    """
+    corners = [(0.0, -1.0), (0.87, 0.5), (-0.87, 0.5)]
+    painter.setPen(QPen(around, 1.2))
+    painter.setBrush(QBrush(colour))
+    painter.drawPolygon(QPolygonF([QPointF(centre.x() + reach * x, centre.y() + reach * y) for x, y in corners]))
+
+
 def draw_dots(
     painter: QPainter, places: Sequence[Sequence[float]], radius: float, marks: Sequence[int], hues: Sequence[str]
 ) -> None:

@@ -9,6 +9,7 @@ from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelInd
 from PySide6.QtGui import QColor
 
 from app.display_units import DASH, ChannelNames, degrees, in_millimetres, number
+from app.evidence_words import doubt_mark, doubt_words, doubting
 from app.theme import LIGHT, Colours
 from app.words import force_of, peak_channel, pitch_of, reason_short, reason_words, tilt_of
 from skincal.contacts.outcome import Contact, Rejection
@@ -35,11 +36,13 @@ class PokeTable(QAbstractTableModel):
         self._names = names
         self._records: tuple[PokeRecord, ...] = ()
         self._estimates: Mapping[int, Estimate] = {}
+        self._doubting: Mapping[int, Sequence[Estimate]] = {}
         self._colours = LIGHT
 
     def show(self, records: tuple[PokeRecord, ...], estimates: Mapping[int, Estimate]) -> None:
         """Show other records, telling the view no more than what changed."""
         self._estimates = estimates
+        self._doubting = doubting(estimates.values())
         old, added = self._records, len(records) - len(self._records)
         if added < 0 or any(a.outcome.poke != b.outcome.poke for a, b in zip(old[-1:], records[len(old) - 1 :], strict=False)):
             self.beginResetModel()
@@ -51,15 +54,16 @@ class PokeTable(QAbstractTableModel):
             self._records = records
             self.endInsertRows()
         self._records = records
-        self._tell_changed(old, records, added)
+        self._tell_changed(old, records)
 
-    def _tell_changed(self, old: Sequence[PokeRecord], new: Sequence[PokeRecord], added: int) -> None:
+    def _tell_changed(self, old: Sequence[PokeRecord], new: Sequence[PokeRecord]) -> None:
+        if new:
+            # What a poke counts for, and its tilt, follow the estimates, and these all pokes.
+            self.dataChanged.emit(self.index(0, 1), self.index(len(new) - 1, 4))
         changed = [i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a is not b and a != b]
         if changed:
             rows = [len(new) - 1 - i for i in changed]
             self.dataChanged.emit(self.index(min(rows), 0), self.index(max(rows), len(HEADINGS) - 1))
-        elif not added and new:
-            self.dataChanged.emit(self.index(0, 4), self.index(len(new) - 1, 4))
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
@@ -118,14 +122,16 @@ class PokeTable(QAbstractTableModel):
         answered = ", ".join(self._names.short(int(c)) for c in outcome.channels)
         pose = f"\narm pose {outcome.pose}" if outcome.pose else ""
         change = f"\ntare changed by {number(outcome.tare_change, 2)} N" if outcome.tare_change == outcome.tare_change else ""
-        return f"answered: {answered}{pose}{change}"
+        doubters = () if record.excluded else self._doubting.get(outcome.poke, ())
+        doubts = "".join(f"\n{doubt_words(outcome, estimate, self._names)}" for estimate in doubters)
+        return f"answered: {answered}{pose}{change}{doubts}"
 
     def _text(self, record: PokeRecord, column: int) -> str:
         outcome = record.outcome
         if column == 0:
             return str(outcome.poke)
         if column == 1:
-            return _outcome_text(record)
+            return _outcome_text(record, doubt_mark(outcome.poke, self._doubting.get(outcome.poke, ()), self._names))
         if column == 2:
             return self._taxel(record)
         return self._measured(outcome, column) if isinstance(outcome, Contact) else ""
@@ -145,10 +151,12 @@ class PokeTable(QAbstractTableModel):
         return number(in_millimetres(pitch_of(contact)), 1)
 
 
-def _outcome_text(record: PokeRecord) -> str:
+def _outcome_text(record: PokeRecord, doubt: str) -> str:
     if isinstance(record.outcome, Rejection):
         return f"\N{BALLOT X} {reason_short(record.outcome)}"
-    return "\N{CIRCLED MINUS} excluded" if record.excluded else "\N{CHECK MARK} accepted"
+    if record.excluded:
+        return "\N{CIRCLED MINUS} excluded"
+    return f"\N{CIRCLE WITH LEFT HALF BLACK} {doubt}" if doubt else "\N{CHECK MARK} accepted"
 
 
 def _alignment(column: int) -> Qt.AlignmentFlag:

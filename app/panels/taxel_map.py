@@ -29,7 +29,7 @@ from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip, QWidget
 from app.display_units import ChannelNames, number
 from app.frame import Frame
 from app.panels.map_layout import Fit, MapPlan, fit, plan_map
-from app.panels.marks import SMALL, Stamps, draw_dots, draw_mark
+from app.panels.marks import SMALL, Stamps, draw_dots, draw_mark, draw_wedge
 from app.policies import MARK_WORDS, Mark, answer_levels, marks
 from app.theme import HUES, LIGHT, Colours, mix
 from skincal.readings import FloatArray, IntArray
@@ -43,6 +43,8 @@ NUMBER_SHARE = 0.42
 """Height of a module's number in heights of the module."""
 NUMBER_LEAST = 9
 """Pixels. A smaller number cannot be read and is left out."""
+WEDGE_SHARE, WEDGE_LEAST = 0.85, 4.5
+"""Size of the wedge of a taxel that may lie elsewhere: in radii of a mark, and pixels at least."""
 REACH_PX = 14.0
 """A click this near to a taxel means it."""
 
@@ -76,6 +78,8 @@ class TaxelMap(QWidget):
         self._marks: IntArray = np.zeros(self._width, dtype=np.int64)
         self._levels: FloatArray = np.zeros(self._width)
         self._answers: FloatArray = np.zeros(self._width)
+        self._rivals: frozenset[int] = frozenset()
+        """Channels that may as well lie elsewhere."""
         self._selected: int | None = None
         self._generation: tuple[object, object] = (None, None)
         self._base = QPixmap()
@@ -103,6 +107,7 @@ class TaxelMap(QWidget):
         if generation != self._generation:
             self._generation = generation
             self._marks = marks(frame.estimates, self._width)
+            self._rivals = frozenset(e.channel for e in frame.estimates if e.rival is not None)
             self._states = QPixmap()
             changed = True
         if frame.selected != self._selected:
@@ -187,7 +192,9 @@ class TaxelMap(QWidget):
         """Return what is known of a channel, for its tooltip."""
         state = MARK_WORDS[Mark(int(self._marks[channel]))]
         answer = number(float(self._answers[channel]), 0)
-        return f"{self._names.short(channel)}  ({self._names.long(channel)})\n{state}\nanswers {answer} above its baseline"
+        rival = "\nanother place fits nearly as well" if channel in self._rivals else ""
+        name = f"{self._names.short(channel)}  ({self._names.long(channel)})"
+        return f"{name}\n{state}{rival}\nanswers {answer} above its baseline"
 
     def _room(self) -> QRectF:
         return QRectF(
@@ -280,7 +287,16 @@ class TaxelMap(QWidget):
             stamps = Stamps(self._radius(), self.devicePixelRatioF(), QColor(self._colours.muted))
             for value, hue, (x, y) in zip(values, hues, (self._places - stamps.reach).tolist(), strict=True):
                 painter.drawPixmap(QPointF(x, y), stamps.get(value, hue))
+        self._draw_rivals(painter)
         self._draw_legend(painter)
+
+    def _draw_rivals(self, painter: QPainter) -> None:
+        """Put a wedge at the upper right of each taxel that may as well lie elsewhere."""
+        reach = max(WEDGE_LEAST, WEDGE_SHARE * self._radius())
+        away = 0.9 * self._radius()
+        for row in np.flatnonzero(np.isin(self._plan.channels, list(self._rivals))):
+            x, y = self._places[row].tolist()
+            draw_wedge(painter, QPointF(x + away, y - away), reach, QColor(self._colours.text), QColor(self._colours.panel))
 
     def _draw_legend(self, painter: QPainter) -> None:
         painter.setFont(self.font())
@@ -296,6 +312,10 @@ class TaxelMap(QWidget):
             width = painter.fontMetrics().horizontalAdvance(text)
             painter.drawText(QRectF(x + 9, y - 9, width + 4, 18), Qt.AlignmentFlag.AlignVCenter, text)
             x += width + 26
+        if self._rivals:
+            draw_wedge(painter, QPointF(x, y), 5.0, QColor(self._colours.text), QColor(self._colours.panel))
+            painter.setPen(QColor(self._colours.muted))
+            painter.drawText(QRectF(x + 9, y - 9, 120, 18), Qt.AlignmentFlag.AlignVCenter, f"2 places {len(self._rivals)}")
 
     def _draw_selection(self, painter: QPainter) -> None:
         if self._selected is None or self._selected not in self._plan.channels:

@@ -28,6 +28,8 @@ MARK = 1.3e-3
 """m. Radius of an open circle or a cross."""
 FAR_SIDE = -0.25
 """Cosine. A planned taxel turned further from the camera is behind the part: its ball would show through the near wall."""
+BLIND_REACH = 0.05
+"""m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
 LIFT = 4e-4
 """m. Marks float this far above the part."""
 
@@ -44,6 +46,8 @@ class EstimatesLayer:
         self.balls = Balls(pixels=12.0)
         self.marks = Segments(pixels=2.0)
         self.differences = Segments(pixels=1.5) if ground.surface is not None else None
+        self.alternative: Segments | None = None
+        """Where else the selected taxel may lie; made when a taxel is selected that may."""
         self.shown: IntArray = np.empty(0, dtype=np.int64)
         """(k,) channels that have a ball, in the order of `places`."""
         self.places: FloatArray = np.empty((0, 3))
@@ -51,6 +55,7 @@ class EstimatesLayer:
         """(k,) whether each is drawn: not on the far side of the part."""
         self._hues: ColourArray = np.empty((0, 3), dtype=np.uint8)
         self._normals: FloatArray = np.empty((0, 3))
+        self._renderer = renderer
         self._ink: ColourArray = np.zeros(3, dtype=np.uint8)
         self._faint: ColourArray = np.zeros(3, dtype=np.uint8)
         self._key: object = None
@@ -96,7 +101,18 @@ class EstimatesLayer:
         self._show_marks(frame, estimates)
         if self.differences is not None:
             self._show_differences(frame, rows)
+        self._show_alternative(frame, estimates)
         return True
+
+    def _show_alternative(self, frame: Frame, estimates: tuple[Estimate, ...]) -> None:
+        """Draw a line from the selected taxel to its rival, or along which a blind one lies."""
+        row = self.ground.row.get(-1 if frame.selected is None else frame.selected, len(estimates))
+        ends = _alternative(estimates[row], self.ground.places[row]) if row < len(estimates) else np.empty((0, 2, 3))
+        if self.alternative is None and len(ends):
+            self.alternative = Segments(pixels=1.5)
+            self._renderer.AddActor(self.alternative.actor)
+        if self.alternative is not None:
+            self.alternative.join(ends, np.tile(self._ink, (len(ends), 1)))
 
     def _show_marks(self, frame: Frame, estimates: tuple[Estimate, ...]) -> None:
         row = self.ground.row
@@ -145,6 +161,24 @@ class EstimatesLayer:
         ends = np.stack([self.places[paired], there], axis=1)
         if self.differences is not None:
             self.differences.join(ends, np.tile(self._faint, (len(ends), 1)))
+
+
+def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
+    """Return the segments that show where else a taxel may lie, (n, 2, 3) float, metres; none where nowhere.
+
+    Parameters
+    ----------
+    planned : (3,) float, its place by the layout; NaN where unknown
+    """
+    if estimate.rival is not None and estimate.position is not None:
+        there = estimate.rival.position[None]
+        up = np.array([[0.0, 0.0, 1.0] if estimate.normal is None else estimate.normal])
+        return np.concatenate([np.stack([estimate.position[None], there], axis=1), rings(there, up, RING).reshape(-1, 2, 3)])
+    if estimate.foot is not None and estimate.weakest is not None:
+        along = (planned - estimate.foot) @ estimate.weakest if np.isfinite(planned).all() else 0.0
+        middle, half = estimate.foot + along * estimate.weakest, BLIND_REACH * estimate.weakest
+        return np.stack([middle - half, middle + half])[None]
+    return np.empty((0, 2, 3))
 
 
 def _positions(estimates: list[Estimate]) -> FloatArray:

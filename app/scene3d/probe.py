@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
+from functools import cache
 
 from PySide6.QtGui import QOffscreenSurface, QOpenGLContext
 
@@ -18,8 +19,9 @@ class Canvas(Enum):
     RASTER = "raster"
 
 
+@cache
 def best_canvas() -> Canvas:
-    """Return the canvas for this machine; takes about 40 ms, on the thread of the window."""
+    """Return the canvas for this machine; takes about 40 ms the first time, on the thread of the window."""
     context, surface = QOpenGLContext(), QOffscreenSurface()
     surface.create()
     if not context.create() or not surface.isValid() or not context.makeCurrent(surface):

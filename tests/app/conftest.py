@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
 from PySide6.QtWidgets import QApplication
+from whole_window import Bench
+
+from skincal.scene import resource
 
 WAIT_S = 5.0
 """s. A thread that was told to stop has so long on a busy machine."""
@@ -22,7 +25,9 @@ def _own_settings(tmp_path: Path) -> Iterator[None]:
     """Keep the operator's settings out of the tests, and the tests' out of the operator's."""
     before = QSettings.defaultFormat()
     QSettings.setDefaultFormat(QSettings.Format.IniFormat)
-    QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, str(tmp_path / "settings"))
+    # Settings of a named program are native ones whatever the default is; on Unix these are INI files, too.
+    for kind in (QSettings.Format.IniFormat, QSettings.Format.NativeFormat):
+        QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "settings"))
     yield
     QSettings.setDefaultFormat(before)
 
@@ -54,3 +59,27 @@ def _nothing_left() -> Iterator[None]:
         thread.join(WAIT_S)
     left = _left() + [f"thread {t.name}" for t in threads if t.is_alive()]
     assert not left, f"left behind: {left}"
+
+
+@pytest.fixture
+def bench(qtbot, qapp, tmp_path):
+    before, sheet = qapp.palette(), qapp.styleSheet()
+    made = Bench(qtbot, tmp_path)
+    yield made
+    made.window.close()
+    qapp.setPalette(before)
+    qapp.setStyleSheet(sheet)
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory):
+    """A short session on the forearm, recorded without a window."""
+    from skincal.scene import load_scene
+    from skincal.simulate.faults import RigErrors
+    from skincal.simulate.session import simulate_session
+    from skincal.surface.mesh import load_surface
+
+    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
+    folder = tmp_path_factory.mktemp("recorded") / "session"
+    simulate_session(scene, load_surface(scene.surface)[0], folder, 3, 3, RigErrors.none())
+    return folder

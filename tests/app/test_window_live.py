@@ -12,88 +12,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QObject, QSettings, Qt, QTimer
+from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QWidget
+from whole_window import OPEN_MS, Bench, Paints
 from window_support import changed, pixels
 
-from app.controller import Controller
 from app.link_server import LinkServer, parse_links
 from app.panels.message_bar import Message
 from app.plan import Plan, server_command
 from app.run import Faults
 from app.running import Running
-from app.theme import Choice, Theme
-from app.window import Window
-from skincal.contacts.outcome import Contact
+from app.scene3d.probe import best_canvas
+from app.theme import Choice
 from skincal.estimate.result import Method, State
 from skincal.scene import resource
 from skincal.session.replay import replay
-
-POKE_MS = 60_000
-"""A poke takes about three seconds; a busy machine gets twenty times as long."""
-OPEN_MS = 40_000
-
-
-class Bench:
-    """A window with what it needs, on the screen."""
-
-    def __init__(self, qtbot, folder: Path) -> None:
-        self.qtbot = qtbot
-        self.documents = folder / "documents"
-        self.controller = Controller(self.documents)
-        self.theme = Theme(Choice.DARK)
-        self.messages: list[Message] = []
-        self.controller.said.connect(self.messages.append)
-        self.window = Window(self.controller, self.theme, QSettings("skincal", "test"), self.documents)
-        self.window.resize(1280, 720)
-        qtbot.addWidget(self.window)
-        with qtbot.waitExposed(self.window):
-            self.window.show()
-
-    def open(self, plan: Plan) -> None:
-        with self.qtbot.waitSignal(self.controller.session_opened, timeout=OPEN_MS):
-            self.window.open(plan)
-        self.until(lambda: self.window.stack.currentWidget() is self.window.desk.workspace, 5000)
-        self.qtbot.wait(50)
-
-    def open_served(self, name: str = "icub-forearm", **changes) -> None:
-        scene = resource(f"scenes/{name}/scene.toml")
-        self.open(Plan(scene=scene, server=(*server_command(scene), "--careful", "--errors", "none"), **changes))
-
-    def until(self, what, timeout: int = POKE_MS) -> None:
-        self.qtbot.waitUntil(what, timeout=timeout)
-
-    @property
-    def snapshot(self):
-        return self.window.desk.frame.snapshot
-
-    def accepted(self) -> list[Contact]:
-        return [p.outcome for p in self.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
-
-    def until_all_is_there(self) -> None:
-        """Wait for the 3D view and the curves, and take the messages away, so that nothing moves any more."""
-        workspace = self.window.desk.workspace
-        self.until(lambda: workspace.view.list_layers() != () and workspace.readings.curves is not None, OPEN_MS)
-        while self.window.messages.isVisible():
-            self.window.messages.dismiss()
-        self.qtbot.wait(50)
-
-    def key(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
-        self.window.activateWindow()
-        self.until(self.window.isActiveWindow, 5000)
-        QTest.keyClick(self.window, key, modifier)
-        self.qtbot.wait(20)
-
-
-@pytest.fixture
-def bench(qtbot, qapp, tmp_path):
-    before, sheet = qapp.palette(), qapp.styleSheet()
-    made = Bench(qtbot, tmp_path)
-    yield made
-    made.window.close()
-    qapp.setPalette(before)
-    qapp.setStyleSheet(sheet)
 
 
 def known(snapshot) -> dict[tuple[Method, int], bytes]:
@@ -109,7 +42,7 @@ def known(snapshot) -> dict[tuple[Method, int], bytes]:
 def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.open_served()
     window, workspace = bench.window, bench.window.desk.workspace
-    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Devices", "Arm"]
+    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Devices", "Errors", "Arm"]
     bench.until_all_is_there()
     empty_map, empty_view = pixels(workspace.map), pixels(workspace.view)
 
@@ -212,34 +145,6 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
     assert not bench.window.messages.isVisible()
 
 
-class Paints(QObject):
-    """Counts paint events of a window and all its widgets."""
-
-    def __init__(self, window: QWidget) -> None:
-        super().__init__()
-        self.count = 0
-        for widget in (window, *window.findChildren(QWidget)):
-            widget.installEventFilter(self)
-
-    def eventFilter(self, _watched, event):
-        self.count += event.type() == QEvent.Type.Paint
-        return False
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """A short session on the forearm, recorded without a window."""
-    from skincal.scene import load_scene
-    from skincal.simulate.faults import RigErrors
-    from skincal.simulate.session import simulate_session
-    from skincal.surface.mesh import load_surface
-
-    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
-    folder = tmp_path_factory.mktemp("recorded") / "session"
-    simulate_session(scene, load_surface(scene.surface)[0], folder, 3, 3, RigErrors.none())
-    return folder
-
-
 def test_an_idle_window_draws_nothing_and_costs_next_to_nothing(bench, qtbot, recorded):
     bench.open(Plan(session=recorded))
     bench.until_all_is_there()
@@ -304,7 +209,7 @@ def test_light_and_dark_reach_every_panel(bench, qtbot, recorded):
 def test_an_arm_pose_is_chosen_by_hand_where_no_joints_stream(bench, recorded):
     bench.open(Plan(session=recorded))
     workspace = bench.window.desk.workspace
-    bench.key(Qt.Key.Key_5)
+    bench.key(Qt.Key.Key_6)
     arm = workspace.arm
     assert arm is not None
     arm.pose_requested.emit("3")
@@ -391,6 +296,8 @@ def test_no_step_of_opening_a_hundred_thousand_triangles_holds_the_window(bench,
     scene = resource("scenes/whole-body/scene.toml")
     with qtbot.waitSignal(bench.controller.session_opened, timeout=60_000):
         bench.window.open(Plan(scene=scene, server=server_command(scene)))
+        best_canvas()  # as the program does while the scene is read beside it
+        last[0] = time.thread_time()
         timer.start(0)
     bench.until(lambda: bench.window.desk.workspace.view.list_layers() != ())
     qtbot.wait(500)

@@ -258,6 +258,24 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     assert panel.model.index(0, 0).data() == "3"
 
 
+@pytest.mark.parametrize(
+    ("count", "excluded", "wholly"), [(3, [3], {0}), (4, [], set())], ids=["a poke is excluded", "a poke more"]
+)
+def test_what_follows_the_estimates_is_told_anew_for_every_poke(qtbot, count, excluded, wholly):
+    panel = shown(qtbot, PokesPanel(NAMES))
+    pokes = [touch(poke) for poke in (1, 2, 3, 4)]
+    panel.show_frame(frame(session(1, pokes=pokes[:3])))
+    told = set()
+    panel.model.dataChanged.connect(
+        lambda first, last: told.update(
+            (row, column) for row in range(first.row(), last.row() + 1) for column in range(first.column(), last.column() + 1)
+        )
+    )
+    panel.show_frame(frame(session(2, {3: estimate(3, (0, 0, 0))}, pokes[:count], excluded)))
+    assert told >= {(row, column) for row in range(count) for column in (1, 4)}
+    assert {row for row, column in told if column == 0} == wholly
+
+
 def test_another_session_replaces_the_list(qtbot):
     panel = shown(qtbot, PokesPanel(NAMES))
     panel.show_frame(frame(session(1, pokes=[touch(1), touch(2)])))

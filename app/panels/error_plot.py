@@ -1,0 +1,174 @@
+"""The plot of errors: for each method a solid line for the mean, a dashed one for p95 and a dotted one for the maximum.
+
+The vertical axis is logarithmic, since the first pokes leave ten times the error of the last. A method is told by its
+symbol as well as by its hue.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QVBoxLayout, QWidget
+
+from app.display_units import in_millimetres, in_minutes
+from app.error_words import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
+from app.theme import LIGHT, Colours
+from skincal.estimate.result import Method
+from skincal.readings import FloatArray, IntArray
+from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
+
+STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
+SYMBOLS = {Method.FREE: "o", Method.SURFACE: "d"}
+SYMBOLS_SHOWN = 12
+"""Symbols along a line: enough to tell it, few enough to see it."""
+SHIFT = {Method.FREE: -0.16, Method.SURFACE: 0.16}
+"""Methods stand side by side at a module; 1 is from module to module."""
+TICK = 0.1
+"""Half the width of the mark of p95 at a module."""
+NUMBERS_SHOWN = 12
+"""Modules whose numbers fit under the plot."""
+
+
+class ErrorPlot(QWidget):
+    """Curves and labelled lines; it keeps nothing but what it draws."""
+
+    def __init__(self, methods: Sequence[Method], modules: Sequence[str], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._modules = modules
+        self.view = pg.PlotWidget(enableMenu=False)
+        self._item: Any = self.view.getPlotItem()
+        self.curves: dict[tuple[Method, int], Any] = {(m, at): self.view.plot() for m in methods for at in STATISTICS}
+        self.symbols = {method: pg.ScatterPlotItem(symbol=SYMBOLS[method], size=8) for method in methods}
+        self.papers = {method: self._paper(method) for method in methods}
+        for item in (*self.symbols.values(), *self.papers.values()):
+            self._item.addItem(item)
+        self._prepare()
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.view)
+        self.set_colours(LIGHT)
+
+    def _paper(self, method: Method) -> pg.InfiniteLine:
+        # The two lie close together: one has its label above, the other below.
+        side = 1 if method is Method.FREE else 0
+        # At the left, where the newest values are not.
+        options = {"position": 0.01, "anchors": [(0, side), (0, side)], "movable": False}
+        place = math.log10(in_millimetres(PAPER[method]))
+        return pg.InfiniteLine(place, angle=0, label=paper_words(method), labelOpts=options)
+
+    def _prepare(self) -> None:
+        item = self._item
+        item.hideButtons()
+        item.setMouseEnabled(False, False)
+        item.disableAutoRange()
+        item.getAxis("left").setWidth(46)
+        item.getAxis("bottom").setHeight(34)
+        self.view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.view.setMinimumHeight(90)
+        self.view.setAccessibleName("course of the errors")
+        for curve in self.curves.values():
+            curve.setSkipFiniteCheck(True)
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self.view.setBackground(colours.panel)
+        for name in ("left", "bottom"):
+            axis = self._item.getAxis(name)
+            axis.setPen(pg.mkPen(colours.line))
+            axis.setTextPen(pg.mkPen(colours.muted))
+        for (method, statistic), curve in self.curves.items():
+            curve.setPen(pg.mkPen(_hue(colours, method), width=1, style=STYLES[statistic]))
+        for method, line in self.papers.items():
+            line.setPen(pg.mkPen(_hue(colours, method), width=1, style=Qt.PenStyle.DashDotLine))
+            line.label.setColor(colours.text)
+            line.label.fill = pg.mkBrush(_clear(colours.panel))
+            self.symbols[method].setPen(pg.mkPen(colours.panel))
+            self.symbols[method].setBrush(pg.mkBrush(_hue(colours, method)))
+
+    def draw(self, series: ErrorSeries, axis: Axis, row: int, quantity: str, *, paper: bool) -> None:
+        """Draw a course.
+
+        Parameters
+        ----------
+        row : 0 for all taxels, else 1 + index of the module; not used where the modules are the axis
+        quantity : title of the vertical axis
+        paper : the paper's figures are of the same kind
+        """
+        drawn: list[FloatArray] = []
+        for method in self.symbols:
+            course = series.spreads.get(method)
+            values = np.empty((0, 1 + len(self._modules), 4)) if course is None else in_millimetres(course)
+            if axis is Axis.MODULES:
+                drawn.append(self._draw_modules(method, values))
+            else:
+                at = series.counts.astype(float) if axis is Axis.POKES else in_minutes(series.times)
+                drawn.append(self._draw_course(method, at, values[:, row], _joined(series)))
+        self._fit(series, axis, drawn, paper=paper)
+        self._name("left", quantity)
+        self._name("bottom", axis_words(series, axis))
+
+    def _name(self, side: str, words: str) -> None:
+        axis = self._item.getAxis(side)
+        if axis.labelText != words:
+            axis.setLabel(words)
+            axis.resizeEvent()  # puts the words in the middle again
+
+    def _draw_course(self, method: Method, at: FloatArray, values: FloatArray, joined: IntArray) -> FloatArray:
+        known = np.isfinite(values[:, MEAN]) & (values[:, MEAN] > 0.0)
+        at, values, joined = at[known], values[known], joined[known]
+        for statistic in STATISTICS:
+            self.curves[method, statistic].setData(at, np.log10(values[:, statistic]), connect=joined)
+        some = np.unique(np.linspace(0, len(at) - 1, min(len(at), SYMBOLS_SHOWN)).astype(np.int64))
+        self.symbols[method].setData(at[some], np.log10(values[some, MEAN]))
+        return values[:, MEAN:]
+
+    def _draw_modules(self, method: Method, values: FloatArray) -> FloatArray:
+        newest = values[-1, 1:] if len(values) else np.empty((0, 4))
+        known = np.isfinite(newest[:, MEAN]) & (newest[:, MEAN] > 0.0)
+        at, newest = np.flatnonzero(known) + SHIFT[method], newest[known]
+        marks = np.log10(newest)
+        self.curves[method, MAX].setData(np.repeat(at, 2), marks[:, [MEAN, MAX]].ravel(), connect="pairs")
+        ends = (at[:, None] + [-TICK, TICK]).ravel()
+        self.curves[method, P95].setData(ends, np.repeat(marks[:, P95], 2), connect="pairs")
+        self.curves[method, MEAN].setData([], [])
+        self.symbols[method].setData(at, marks[:, MEAN])
+        return newest[:, MEAN:]
+
+    def _fit(self, series: ErrorSeries, axis: Axis, drawn: Sequence[FloatArray], *, paper: bool) -> None:
+        figures = [in_millimetres(PAPER[method]) for method in self.papers] if paper else []
+        low, high = shown_range(drawn, min([5.0, *figures]), max([10.0, *figures]))
+        self._item.setYRange(math.log10(low), math.log10(high), padding=0.02)
+        self._item.getAxis("left").setTicks([log_ticks(low, high)])
+        for line in self.papers.values():
+            line.setVisible(paper)
+        bottom = self._item.getAxis("bottom")
+        if axis is Axis.MODULES:
+            step = math.ceil(len(self._modules) / NUMBERS_SHOWN)
+            bottom.setTicks([[(at, name) for at, name in enumerate(self._modules) if at % step == 0]])
+            self._item.setXRange(-0.6, max(1, len(self._modules)) - 0.4, padding=0.0)
+            return
+        bottom.setTicks(None)
+        last = float(series.counts[-1] if axis is Axis.POKES else in_minutes(series.times)[-1]) if len(series.counts) else 0.0
+        self._item.setXRange(0.0, max(last, 10.0 if axis is Axis.POKES else 1.0), padding=0.01)
+
+
+def _joined(series: ErrorSeries) -> IntArray:
+    """Return 1 where a point is joined to the next, 0 where something between them is still worked out, (n,) int."""
+    return (np.diff(series.counts, append=0) <= series.stride).astype(np.int64)
+
+
+def _clear(colour: str) -> QColor:
+    """Return a colour through which a curve is still seen, and before which a word is."""
+    clear = QColor(colour)
+    clear.setAlpha(100)
+    return clear
+
+
+def _hue(colours: Colours, method: Method) -> str:
+    return colours.methods[0 if method is Method.FREE else 1]

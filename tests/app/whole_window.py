@@ -1,0 +1,86 @@
+"""The whole window on a real (virtual) display, with what a test does to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import QEvent, QObject, QSettings, Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QWidget
+
+from app.controller import Controller
+from app.panels.message_bar import Message
+from app.plan import Plan, server_command
+from app.theme import Choice, Theme
+from app.window import Window
+from skincal.contacts.outcome import Contact
+from skincal.scene import resource
+
+POKE_MS = 60_000
+"""A poke takes about three seconds; a busy machine gets twenty times as long."""
+OPEN_MS = 40_000
+
+
+class Bench:
+    """A window with what it needs, on the screen."""
+
+    def __init__(self, qtbot, folder: Path) -> None:
+        self.qtbot = qtbot
+        self.documents = folder / "documents"
+        self.controller = Controller(self.documents)
+        self.theme = Theme(Choice.DARK)
+        self.messages: list[Message] = []
+        self.controller.said.connect(self.messages.append)
+        self.window = Window(self.controller, self.theme, QSettings("skincal", "test"), self.documents)
+        self.window.resize(1280, 720)
+        qtbot.addWidget(self.window)
+        with qtbot.waitExposed(self.window):
+            self.window.show()
+
+    def open(self, plan: Plan) -> None:
+        with self.qtbot.waitSignal(self.controller.session_opened, timeout=OPEN_MS):
+            self.window.open(plan)
+        self.until(lambda: self.window.stack.currentWidget() is self.window.desk.workspace, 5000)
+        self.qtbot.wait(50)
+
+    def open_served(self, name: str = "icub-forearm", **changes) -> None:
+        scene = resource(f"scenes/{name}/scene.toml")
+        self.open(Plan(scene=scene, server=(*server_command(scene), "--careful", "--errors", "none"), **changes))
+
+    def until(self, what, timeout: int = POKE_MS) -> None:
+        self.qtbot.waitUntil(what, timeout=timeout)
+
+    @property
+    def snapshot(self):
+        return self.window.desk.frame.snapshot
+
+    def accepted(self) -> list[Contact]:
+        return [p.outcome for p in self.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
+
+    def until_all_is_there(self) -> None:
+        """Wait for the 3D view and the curves, and take the messages away, so that nothing moves any more."""
+        workspace = self.window.desk.workspace
+        self.until(lambda: workspace.view.list_layers() != () and workspace.readings.curves is not None, OPEN_MS)
+        while self.window.messages.isVisible():
+            self.window.messages.dismiss()
+        self.qtbot.wait(50)
+
+    def key(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
+        self.window.activateWindow()
+        self.until(self.window.isActiveWindow, 5000)
+        QTest.keyClick(self.window, key, modifier)
+        self.qtbot.wait(20)
+
+
+class Paints(QObject):
+    """Counts paint events of a window and all its widgets."""
+
+    def __init__(self, window: QWidget) -> None:
+        super().__init__()
+        self.count = 0
+        for widget in (window, *window.findChildren(QWidget)):
+            widget.installEventFilter(self)
+
+    def eventFilter(self, _watched, event):
+        self.count += event.type() == QEvent.Type.Paint
+        return False
