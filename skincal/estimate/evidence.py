@@ -10,8 +10,8 @@ So two rows do: with a = u x m/|f| the axis's point nearest to the origin and e_
 The minimum is that of (5). What is gained is digits: a heavy contact's pitch can no longer leak, through the rounding of
 a row that should be nought, into a direction that only light contacts determine.
 
-Answers of many taxels lie one after another in the same arrays, cut by `starts`. Beside k stands the trust of `robust`,
-0 to 1, a factor of the contact's share of the sum of squares.
+Answers of many taxels lie one after another in the same arrays, cut by `starts`. Beside k stands the trust, 0 to 1, a
+factor of the contact's share of the sum of squares (`skincal/solver/source/trust.h`).
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skincal.estimate.segments import dot, spread, total
 from skincal.readings import FloatArray, IntArray
-
-MISS_MAX = 0.050
-"""m. Axes that pass a taxel at more than this (weighted rms) are of another part, frame or unit: no error of a rig is as
-large."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +77,7 @@ class Evidence:
     @property
     def counts(self) -> IntArray:
         """(t,) contacts of each taxel."""
-        return np.diff(self.starts)
+        return self.starts[1:] - self.starts[:-1]
 
     @property
     def scales(self) -> FloatArray:
@@ -94,26 +89,13 @@ class Evidence:
         scaled = self.columns[11:17].reshape(2, 3, -1) * self.scales
         a = np.empty((3, len(self.weights), 2))
         a[:, :, 0], a[:, :, 1] = scaled[0], scaled[1]
-        nearest = self.columns[3:6]
-        b = np.stack([dot(scaled[0], nearest), dot(scaled[1], nearest)], axis=1)
+        b = (scaled * self.columns[3:6]).sum(axis=1).T
         return a.reshape(3, -1).T, b.ravel()
-
-    def pushes(self) -> FloatArray:
-        """Return (t, 3) the weighted means of the directions, shorter than 1 the more they differ."""
-        shares = self.weights * self.trust
-        return (total(shares * self.columns[0:3], self.starts) / total(shares, self.starts)).T
-
-    def misses(self, points: FloatArray) -> FloatArray:
-        """Return (t,) at what distance the axes pass `points` (t, 3), metres: the weighted root mean square."""
-        off = spread(points.T, self.taxels) - self.columns[3:6]
-        e1, e2 = self.columns[11:14], self.columns[14:17]
-        squares = self.scales**2
-        return np.sqrt(total(squares * (dot(e1, off) ** 2 + dot(e2, off) ** 2), self.starts) / total(squares, self.starts))
 
     def doubted(self) -> list[dict[int, float]]:
         """Return for each taxel the pokes whose trust is below 1: number to trust."""
-        doubted: list[dict[int, float]] = [{} for _ in self.channels]
-        for place in np.flatnonzero(self.trust < 1.0):
+        doubted: list[dict[int, float]] = [{} for _ in range(len(self.channels))]
+        for place in (self.trust < 1.0).nonzero()[0].tolist():
             doubted[int(self.taxels[place])][int(self.pokes[place])] = float(self.trust[place])
         return doubted
 
@@ -143,5 +125,7 @@ def across(u: FloatArray) -> FloatArray:
     sign = np.copysign(1.0, z)
     k = -1.0 / (sign + z)
     xy = x * y * k
-    first = np.stack([1.0 + sign * x * x * k, sign * xy, -sign * x], axis=1)
-    return np.stack([first, np.stack([xy, sign + y * y * k, -y], axis=1)], axis=1)
+    both = np.empty((len(u), 2, 3))
+    both[:, 0, 0], both[:, 0, 1], both[:, 0, 2] = 1.0 + sign * x * x * k, sign * xy, -sign * x
+    both[:, 1, 0], both[:, 1, 1], both[:, 1, 2] = xy, sign + y * y * k, -y
+    return both

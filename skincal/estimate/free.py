@@ -7,63 +7,46 @@ from __future__ import annotations
 
 import numpy as np
 
-from skincal.estimate.evidence import MISS_MAX, Evidence
-from skincal.estimate.qr import Factors
-from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.uncertainty import SD_MAX, Freedom, propagate
+from skincal.estimate.evidence import Evidence
+from skincal.estimate.result import MISS_MAX, SD_MAX, Estimate, Method, State
+from skincal.estimate.solution import Solution, Uncertain
 from skincal.readings import FloatArray
-from skincal.scene import NoiseSettings
-
-OPPOSED = 0.05
-"""Length of the mean of unit pushes below which they cancel and no side is outward: a mean of 0.05 is chance for 400 pokes."""
 
 
-def estimate_free(evidence: Evidence, factors: Factors, space: Freedom, noise: NoiseSettings) -> list[Estimate]:
-    """Estimate each taxel of `evidence`; blind where its axes do not fix a point or pass it far off.
+def estimate_free(solution: Solution, uncertain: Uncertain) -> list[Estimate]:
+    """Say of each taxel what the free method knows; blind where its axes do not fix a point or pass it far off.
 
     Parameters
     ----------
-    space : `in_space(factors)`
+    uncertain : `solution.free`
     """
-    points = factors.solutions
-    uncertain = propagate(evidence, space, points, noise)
-    misses = evidence.misses(points)
-    normals, opposed = outward(evidence)
-    rms = np.sqrt(np.trace(uncertain.covariances, axis1=1, axis2=2))
-    counts, doubted = evidence.counts.tolist(), evidence.doubted()
+    evidence, points, ranks = solution.evidence, solution.factors.solutions, solution.factors.ranks
+    normals, doubted = solution.outward, solution.doubted
+    # Lists, since numbers of arrays one by one take ten times as long.
+    numbers = (evidence.channels, evidence.counts, solution.opposed, ranks, uncertain.sds, uncertain.rms, uncertain.misses)
     estimates: list[Estimate] = []
-    for i, channel in enumerate(evidence.channels.tolist()):
-        normal = None if opposed[i] else normals[i]
-        sd = float(uncertain.sds[i])
+    rows = enumerate(zip(*map(np.ndarray.tolist, numbers), strict=True))
+    for i, (channel, contacts, opposed, rank, sd, rms, miss) in rows:
+        normal = None if opposed else normals[i]
         if not sd <= SD_MAX:
-            foot = points[i] if factors.ranks[i] == 2 else None
             one = Estimate(
-                channel, Method.FREE, State.BLIND, counts[i], normal=normal, weakest=uncertain.weakest[i],
+                channel, Method.FREE, State.BLIND, contacts, normal=normal, weakest=uncertain.weakest[i],
                 sd=sd if np.isfinite(sd) else None, reason=_why_blind(evidence.part(i, i + 1), uncertain.weakest[i], sd),
-                foot=foot, doubted=doubted[i],
+                foot=points[i] if rank == 2 else None, doubted=doubted[i],
             )  # fmt: skip
-        elif misses[i] > MISS_MAX:
+        elif miss > MISS_MAX:
             reason = (
-                f"The axes pass each other at {misses[i] * 1e3:.0f} mm from their middle (limit {MISS_MAX * 1e3:.0f} mm): "
+                f"The axes pass each other at {miss * 1e3:.0f} mm from their middle (limit {MISS_MAX * 1e3:.0f} mm): "
                 "check the arm poses, or exclude the wrong pokes."
             )
-            one = Estimate(channel, Method.FREE, State.BLIND, counts[i], normal=normal, reason=reason, doubted=doubted[i])
+            one = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted[i])
         else:
             one = Estimate(
-                channel, Method.FREE, State.ESTIMATED, counts[i], position=points[i], normal=normal,
-                covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=float(rms[i]),
-                doubted=doubted[i],
+                channel, Method.FREE, State.ESTIMATED, contacts, position=points[i], normal=normal,
+                covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=rms, doubted=doubted[i],
             )  # fmt: skip
         estimates.append(one)
     return estimates
-
-
-def outward(evidence: Evidence) -> tuple[FloatArray, FloatArray]:
-    """Return the unit normals against the mean pushes, (t, 3), and where the pushes cancel so that there is none, (t,) bool."""
-    pushes = evidence.pushes()
-    lengths = np.sqrt(np.sum(pushes * pushes, axis=1))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return -pushes / lengths[:, None], lengths < OPPOSED
 
 
 def _why_blind(evidence: Evidence, axis: FloatArray, sd: float) -> str:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.evidence import Evidence, across
+from skincal.estimate.evidence import Evidence
 from skincal.readings import FloatArray, IntArray
-from skincal.wrench import move_wrench
+from skincal.solver.machine import shared
 
 _COLUMNS = 17
 """u (3), nearest point of the axis (3), |f|, pitch, sensor's origin (3), e_1 (3), e_2 (3)."""
@@ -91,46 +91,49 @@ class Ledger:
         """Return the evidence of those of `channels` that answered in a contact."""
         if self._dropped > _ROOM and 2 * self._dropped > self._contacts:
             self._compact()
-        known = [channel for channel in sorted(channels) if channel in self._of_channel]
+        known = sorted(channel for channel in channels if channel in self._of_channel)
         lists = [np.frombuffer(self._of_channel[channel], dtype=np.int64) for channel in known]
+        counts = np.array([len(one) for one in lists], dtype=np.int64)
         answers = np.concatenate(lists) if lists else np.empty(0, dtype=np.int64)
-        channel = np.repeat(np.array(known, dtype=np.int64), [len(one) for one in lists])
-        live = self._live[self._owner[answers]]
-        answers, channel = answers[live], channel[live]
-        owner, weights = self._owner[answers], self._weight[answers]
-        order = self._order(channel, weights, owner)
-        channel, weights, owner = channel[order], weights[order], owner[order]
-        starts = _starts(channel)
+        taxels, owner = np.arange(len(known)).repeat(counts), self._owner.take(answers)
+        if self._dropped:
+            live = self._live.take(owner)
+            answers, taxels, owner = answers[live], taxels[live], owner[live]
+            counts = np.bincount(taxels, minlength=len(known))
+            if not counts.all():
+                known = [channel for channel, count in zip(known, counts.tolist(), strict=True) if count]
+                counts = counts[counts > 0]
+                taxels = np.arange(len(known)).repeat(counts)
+        weights = self._weight.take(answers)
+        order = self._order(taxels, weights, owner)
+        owner = owner.take(order)
         return Evidence(
-            channels=channel[starts[:-1]],
-            starts=starts,
-            taxels=np.repeat(np.arange(len(starts) - 1), np.diff(starts)),
-            pokes=self._pokes[owner],
-            poses=self._poses[owner],
-            columns=np.take(self._table, owner, axis=1),
-            weights=weights,
+            channels=np.array(known, dtype=np.int64),
+            starts=np.concatenate([[0], counts.cumsum()]),
+            taxels=taxels,
+            pokes=self._pokes.take(owner),
+            poses=self._poses.take(owner),
+            columns=self._table.take(owner, axis=1),
+            weights=weights.take(order),
             trust=np.ones(len(weights)),
         )
 
-    def _order(self, channel: IntArray, weights: FloatArray, owner: IntArray) -> IntArray:
-        """Return the order of answers: by channel, heaviest first, then by content: when they came leaves no trace."""
+    def _order(self, taxels: IntArray, weights: FloatArray, owner: IntArray) -> IntArray:
+        """Return the order of answers: by taxel, heaviest first, then by content: when they came leaves no trace."""
         # One key is quicker than two, since k <= 1. Where its last digits are lost, answers count as equal until below.
-        key = np.cumsum(channel != np.concatenate([channel[:1], channel[:-1]])) - weights
-        order = np.argsort(key, kind="stable")
-        known = (key,)
+        key = taxels - weights
+        order = key.argsort(kind="stable")
         # Every poke has a taxel with k = 1, so many are as heavy; the force tells these apart, very seldom all of it must,
         # and the poke's number where one contact was given twice.
-        for columns in (self._table[6:7], self._table):
-            same = np.logical_and.reduce([key[order][1:] == key[order][:-1] for key in known])
-            tied = np.zeros(len(order), dtype=bool)
-            tied[1:] = same
-            tied[:-1] |= same
-            if not tied.any():
-                break
+        tied = _repeated(key[order])
+        if tied.any():
             some = order[tied]
-            force = columns[:, owner[some]]
-            order[tied] = some[np.lexsort((self._pokes[owner[some]], *force, -weights[some], channel[some]))]
-            known = (channel, weights, self._table[6][owner])
+            order[tied] = some[np.lexsort((self._table[6].take(owner[some]), -weights[some], taxels[some]))]
+            tied &= _repeated(taxels, weights[order], self._table[6].take(owner[order]))
+        if tied.any():
+            some = order[tied]
+            force = self._table[:, owner[some]]
+            order[tied] = some[np.lexsort((self._pokes[owner[some]], *force, -weights[some], taxels[some]))]
         return order
 
     def _make_room(self) -> None:
@@ -168,6 +171,17 @@ def _starts(ordered: IntArray) -> IntArray:
     return np.concatenate([[0], cuts, [len(ordered)]]) if len(ordered) else np.zeros(1, dtype=np.int64)
 
 
+def _repeated(*ordered: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which places have the same numbers as a neighbour, in each of some arrays."""
+    same = ordered[0][1:] == ordered[0][:-1]
+    for numbers in ordered[1:]:
+        same &= numbers[1:] == numbers[:-1]
+    repeated = np.zeros(len(ordered[0]), dtype=bool)
+    repeated[1:] = same
+    repeated[:-1] |= same
+    return repeated
+
+
 def _grown(columns: NDArray[Any], room: int) -> NDArray[Any]:
     grown = np.zeros((*columns.shape[:-1], room), dtype=columns.dtype)
     grown[..., : columns.shape[-1]] = columns
@@ -203,22 +217,18 @@ def _answers(contacts: Sequence[Contact]) -> tuple[IntArray, IntArray, FloatArra
 
 
 def _carried(contacts: Sequence[Contact]) -> FloatArray:
-    """Return (17, n): the columns of contacts, link frame."""
-    poses = np.array([contact.link_from_sensor for contact in contacts], dtype=float)
-    force, moment = move_wrench(
-        poses,
-        np.array([contact.force for contact in contacts], dtype=float),
-        np.array([contact.moment for contact in contacts], dtype=float),
-    )
-    size = np.sqrt(force[:, 0] * force[:, 0] + force[:, 1] * force[:, 1] + force[:, 2] * force[:, 2])
-    good = np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(moment).all(axis=1) & np.isfinite(size) & (size > 0)
+    """Return (17, n): the columns of contacts, link frame (eq. 6)."""
+    count = len(contacts)
+    with shared().call() as call:
+        forces = call.give(np.array([contact.force for contact in contacts]))
+        moments = call.give(np.array([contact.moment for contact in contacts]))
+        poses = call.give(np.array([contact.link_from_sensor for contact in contacts]))
+        place = call.room((_COLUMNS, count))
+        call.run("carry", [count, forces, moments, poses, place])
+        columns = call.taken(place)
+    # A force of nought has no direction.
+    good = np.isfinite(columns).all(axis=0)
     if not good.all():
         poke = contacts[int((~good).argmax())].poke
         raise ValueError(f"poke {poke}: its wrench or pose is not finite, or it has no force")
-    u, m = force / size[:, None], moment / size[:, None]
-    columns = np.empty((_COLUMNS, len(contacts)))
-    columns[0:3], columns[3:6], columns[6] = u.T, np.cross(u, m).T, size
-    columns[7] = u[:, 0] * m[:, 0] + u[:, 1] * m[:, 1] + u[:, 2] * m[:, 2]
-    columns[8:11] = poses[:, :3, 3].T
-    columns[11:17] = across(u).reshape(-1, 6).T
     return columns

@@ -8,6 +8,12 @@ from enum import Enum
 
 from skincal.readings import FloatArray
 
+SD_MAX = 0.030
+"""m. A position whose standard deviation in its worst direction exceeds this is none: it is the side of a whole module."""
+MISS_MAX = 0.050
+"""m. Axes that pass a taxel at more than this (weighted rms) are of another part, frame or unit: no error of a rig is as
+large."""
+
 
 class Method(Enum):
     """A way to estimate a taxel's position; the value is its name in files."""

@@ -12,11 +12,9 @@ from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.free import estimate_free
 from skincal.estimate.ledger import Ledger
-from skincal.estimate.qr import factor
 from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.robust import trust
-from skincal.estimate.uncertainty import in_space, unsigned
-from skincal.readings import IntArray
+from skincal.estimate.solution import Solution, solve
+from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 
 if TYPE_CHECKING:
@@ -38,6 +36,7 @@ def estimate_taxels(
     noise: NoiseSettings,
     surface: Surface | None,
     dead: Mapping[int, str] = _NONE_DEAD,
+    doubting: bool = True,
 ) -> Estimates:
     """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
 
@@ -47,13 +46,14 @@ def estimate_taxels(
     ----------
     contacts : accepted and not excluded; those without one of `channels` do not matter
     dead : channels that are not used, with the reason
+    doubting : whether contacts far off what a taxel's others say count less for it
 
     Raises
     ------
     ValueError
         A contact has a number that is not finite, or the surface method has no surface.
     """
-    return estimate_from(Ledger(contacts), channels, methods, noise, surface, dead)
+    return estimate_from(Ledger(contacts), channels, methods, noise, surface, dead, doubting=doubting)
 
 
 def estimate_from(
@@ -64,6 +64,7 @@ def estimate_from(
     surface: Surface | None,
     dead: Mapping[int, str] = _NONE_DEAD,
     last: Mapping[int, Estimate] = _NONE_BEFORE,
+    doubting: bool = True,
 ) -> Estimates:
     """Estimate each of `channels` from the contacts of a ledger; else as `estimate_taxels`.
 
@@ -75,10 +76,11 @@ def estimate_from(
         raise ValueError("the surface method needs a surface")
     channels = [int(channel) for channel in channels]
     evidence = ledger.evidence([channel for channel in channels if channel not in dead])
-    evidence = evidence.trusted(trust(evidence, noise)) if len(evidence.channels) else evidence
     solved: Estimates = {method: {} for method in methods}
     for first, after in _blocks(evidence):
-        for method, estimates in _solve(evidence.part(first, after), methods, noise, surface, last).items():
+        part = evidence.part(first, after)
+        solution = solve(part, methods, noise, surface, _triangles(part, last), doubting)
+        for method, estimates in _estimates(solution, surface).items():
             solved[method].update((one.channel, one) for one in estimates)
     return {
         method: {channel: found.get(channel) or _without(channel, method, dead) for channel in channels}
@@ -94,21 +96,16 @@ def _blocks(evidence: Evidence) -> list[tuple[int, int]]:
     return [(a, b) for a, b in pairwise(cuts) if b > a]
 
 
-def _solve(
-    evidence: Evidence, methods: Sequence[Method], noise: NoiseSettings, surface: Surface | None, last: Mapping[int, Estimate]
-) -> dict[Method, list[Estimate]]:
-    factors = factor(*evidence.rows(), 2 * evidence.starts)
-    space = in_space(factors)
-    solved: dict[Method, list[Estimate]] = {}
-    for method in methods:
-        if method is Method.FREE or surface is None:
-            solved[method] = estimate_free(evidence, factors, space, noise)
-            continue
+def _estimates(solution: Solution, surface: Surface | None) -> dict[Method, list[Estimate]]:
+    estimates: dict[Method, list[Estimate]] = {}
+    if solution.free is not None:
+        estimates[Method.FREE] = estimate_free(solution, solution.free)
+    if solution.surface is not None and surface is not None:
         # Only now: a scene without a mesh loads nothing of it.
         from skincal.estimate.surface import estimate_surface
 
-        solved[method] = estimate_surface(evidence, factors, space, noise, surface, _triangles(evidence, last))
-    return solved
+        estimates[Method.SURFACE] = estimate_surface(solution, solution.surface, surface)
+    return estimates
 
 
 def _triangles(evidence: Evidence, last: Mapping[int, Estimate]) -> IntArray:
@@ -177,7 +174,12 @@ def _average(of_poses: list[Estimate]) -> Estimate:
     blind = len(seen) - len(good)
     return Estimate(
         channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
-        covariance=covariance, weakest=unsigned(axes[:, -1][None])[0], sd=float(np.sqrt(values[-1])),
+        covariance=covariance, weakest=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
         rms=float(np.sqrt(np.trace(covariance))),
         reason=f"Mean of {len(good)} poses" + (f"; {blind} are blind and left out." if blind else "."),
     )  # fmt: skip
+
+
+def _unsigned(line: FloatArray) -> FloatArray:
+    """Return the unit vector along `line` (3,) whose largest component is positive: a line has no sign."""
+    return line * np.sign(line[np.abs(line).argmax()])

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.estimate.ledger import Ledger
-from skincal.estimate.qr import factor
-from skincal.estimate.robust import trust
+from skincal.estimate.solution import solve
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
-from skincal.surface.closest import closest_in_columns, closest_in_triangles
+from skincal.studies.closed_form import closest_in_columns, closest_in_triangles
 from skincal.surface.mesh import Surface
 from skincal.surface.nearest import GRAZING
 from skincal.wrench import move_wrench
@@ -51,10 +50,8 @@ class Systems:
 
 def systems(contacts: Sequence[Contact], channels: Iterable[int], noise: NoiseSettings) -> Systems:
     """Return the systems of those of `channels` that answered: what every alternative for the surface begins with."""
-    evidence = Ledger(contacts).evidence(list(channels))
-    evidence = evidence.trusted(trust(evidence, noise))
-    factors = factor(*evidence.rows(), 2 * evidence.starts)
-    return Systems(evidence.channels.tolist(), factors.roots, factors.offsets, evidence.pushes())
+    found = solve(Ledger(contacts).evidence(list(channels)), [], noise, None)
+    return Systems(found.evidence.channels.tolist(), found.factors.roots, found.factors.offsets, found.pushes)
 
 
 def facing(surface: Surface, push: FloatArray) -> IntArray:

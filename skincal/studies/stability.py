@@ -20,7 +20,10 @@ from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import across
 from skincal.estimate.ledger import gather
 from skincal.estimate.qr import factor
+from skincal.estimate.result import Method
+from skincal.estimate.solution import solve
 from skincal.readings import FloatArray, IntArray
+from skincal.scene import NoiseSettings
 from skincal.studies import exact
 from skincal.studies.cases import FULL, QUICK, Case, Mesh, Readings, all_cases
 from skincal.studies.exact import NO_NUMBER, Truth, Vector
@@ -59,11 +62,12 @@ Solver: TypeAlias = Callable[[Sequence[Contact], Surface | None], Found]
 
 def shipped(contacts: Sequence[Contact], surface: Surface | None) -> Found:
     """Solve taxel 0 as the program does: free without a surface, else on it."""
-    evidence = gather(contacts, [0])
-    factors = factor(*evidence.rows(), 2 * evidence.starts)
-    if surface is None:
-        return Found(factors.solutions[0], int(factors.ranks[0]), factors.blind[0])
-    return Found(nearest_to_rows(surface, factors.roots, factors.offsets, evidence.pushes()).points[0])
+    # Each reading counts as it is: what is doubted is not a question of digits.
+    method = Method.FREE if surface is None else Method.SURFACE
+    found = solve(gather(contacts, [0]), [method], NoiseSettings(), surface, doubting=False)
+    if found.surface is not None:
+        return Found(found.surface.points[0])
+    return Found(found.factors.solutions[0], int(found.factors.ranks[0]), found.factors.blind[0])
 
 
 def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:

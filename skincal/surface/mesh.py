@@ -21,6 +21,7 @@ from skincal.scene import UNITS, SurfaceSpec
 from skincal.surface.clean import MERGE_DISTANCE, SLIVER_RATIO, ZERO_HEIGHT, duplicate_triangles, heights, merge_vertices
 from skincal.surface.edges import find_edges, triangle_normals
 from skincal.surface.files import read_mesh
+from skincal.surface.resident import resident
 from skincal.surface.tree import Fans, Tree, build_tree, find_fans
 from skincal.surface.winding import Winding, wind_outward
 
@@ -69,7 +70,7 @@ class Surface:
 
     def prepare(self) -> None:
         """Build now what the search needs, so that the first poke does not wait for it."""
-        _ = self.tree, self.fans, self.slim
+        resident(self)
 
     @cached_property
     def slim(self) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""A wide tree over the triangles of a surface, from which `search` takes its bounds.
+"""A wide tree over the triangles of a surface, from which the search takes its bounds (`skincal/solver/source/search.h`).
 
 The triangles are ordered by halving along the longest side of their box; each eight that follow one another are a node,
 eight such nodes a node of the next level, and so on. Of a node are kept: a point of the surface, the centre; the radius
@@ -21,7 +21,7 @@ WIDTH = 1 << _HALVINGS
 """Children of a node: fewer cost more steps, more cost more numbers."""
 ROUND = 1e-6
 """Share by which radii are widened: ten times the rounding of single precision."""
-_TOP = 512
+_TOP = WIDTH
 """Nodes of the first level, at most: all of them are tried with every metric."""
 _CONE_SLACK = 1e-6
 """Sine of an angle by which a cone of normals is widened: ten times the rounding of its numbers."""
@@ -29,24 +29,11 @@ _NOWHERE = -1e15
 """m. The radius of a node without triangles: its lower bound exceeds every distance."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Level:
-    """The nodes of one level, n of them in groups of eight that have one parent; the last group is filled up."""
+Level = Singles
+"""The nodes of one level in groups of eight that have one parent, (groups, 64): the first components of their centres (8), the
+second, the third, their radii, the middles of their normals (24), their sines. The last group is filled up.
 
-    groups: Singles
-    """(n / 8, 64): for each group the first components of its nodes' centres (8), the second, the third, their radii,
-    the middles of their normals (24), their sines.
-
-    A node's triangles face a push surely where push . middle < -sine, and surely not where push . middle > sine.
-    """
-    centres: Singles
-    """(4, n) the centres again, and -1."""
-    radii: Singles
-    """(n,)"""
-    middles: Singles
-    """(3, n)"""
-    sines: Singles
-    """(n,)"""
+A node's triangles face a push surely where push . middle < -sine, and surely not where push . middle > sine."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,9 +48,8 @@ class Tree:
     """(nt,) the triangle that is node i of level 0."""
     places: IntArray
     """(nt,) the node that each triangle is."""
-    triangles: FloatArray
-    """(nt, 12) float, in the order of the nodes: the three corners' first components, their second and third ones,
-    metres, from the origin; the unit normal."""
+    corners: FloatArray
+    """(nt, 3, 3) float, metres, from the origin: of the triangles in the order of the nodes."""
     levels: tuple[Level, ...]
 
 
@@ -82,7 +68,7 @@ def build_tree(corners: FloatArray, normals: FloatArray) -> Tree:
     places = np.empty_like(order)
     places[order] = np.arange(len(order))
     extent = float(np.linalg.norm(high - low) / 2)
-    return Tree(origin, extent, order, places, np.concatenate([columns.reshape(9, -1), facing]).T.copy(), tuple(levels))
+    return Tree(origin, extent, order, places, np.ascontiguousarray(columns.transpose(2, 1, 0)), tuple(levels))
 
 
 @dataclass(slots=True)
@@ -143,9 +129,7 @@ def _packed(nodes: _Nodes) -> Level:
     table[3], table[7] = nodes.radii.take(filled) * (1 + ROUND), nodes.sines.take(filled) + _CONE_SLACK
     table[3, count:] = _NOWHERE
     single = table.astype(np.float32)
-    centres = np.concatenate([single[:3], np.full((1, groups * WIDTH), -1, dtype=np.float32)])
-    packed = np.ascontiguousarray(single.reshape(8, groups, WIDTH).transpose(1, 0, 2)).reshape(groups, 8 * WIDTH)
-    return Level(packed, centres, single[3], single[4:7], single[7])
+    return np.ascontiguousarray(single.reshape(8, groups, WIDTH).transpose(1, 0, 2)).reshape(groups, 8 * WIDTH)
 
 
 def _halved(centres: FloatArray) -> IntArray:

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from skincal.surface import nearest
-from skincal.surface.closest import closest_in_triangles
+from skincal.studies.closed_form import closest_in_triangles
 from skincal.surface.mesh import Surface, make_surface
-from skincal.surface.search import Pairs
+from skincal.surface.nearest import NearestMany
 
 
 def grid(points) -> Surface:
@@ -91,20 +90,6 @@ def poked(rng, surface, count, pokes, scatter=0.002):
     return roots, offsets, pushes
 
 
-def by_every_triangle(monkeypatch, ask):
-    """Return what `ask` returns when nothing is left out by the tree."""
-
-    def all_pairs(tree, metrics, *_):
-        count = len(tree.order)
-        for i in range(len(metrics.scales)):
-            yield Pairs(np.full(count, i), np.arange(count))
-
-    with monkeypatch.context() as patched:
-        patched.setattr(nearest, "survivors", all_pairs)
-        patched.setattr(nearest, "nearer_than", all_pairs)
-        return ask()
-
-
 def same(one, two) -> bool:
     """Whether two answers are equal to the last bit."""
     return (
@@ -112,6 +97,11 @@ def same(one, two) -> bool:
         and np.array_equal(one.points, two.points, equal_nan=True)
         and np.array_equal(one.values, two.values)
     )
+
+
+def part_of(found, which):
+    """Some of the answers."""
+    return NearestMany(found.points[which], found.triangles[which], found.values[which], found.tried[which])
 
 
 def facing_minima(surface, root, offset, push):

@@ -5,7 +5,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.estimate.result import Method, State
-from skincal.estimate.surface import RIVAL_ODDS
+from skincal.estimate.solution import RIVAL_ODDS
 from skincal.scene import NoiseSettings
 from skincal.surface.mesh import make_surface
 from tests.skincal.estimate_support import solve

@@ -13,10 +13,9 @@ import pytest
 
 from skincal.contacts.gates import widest_gap
 from skincal.contacts.outcome import Contact
-from skincal.estimate import solve as solving
 from skincal.estimate.ledger import Ledger
 from skincal.estimate.result import Method
-from skincal.estimate.robust import FEWEST, trust
+from skincal.estimate.solution import solve
 from skincal.estimate.solve import estimate_taxels
 from skincal.scene import NoiseSettings
 from skincal.simulate.contacts import recipe, simulate_contacts, unguided
@@ -31,6 +30,12 @@ CHANCE = 0.0 if LONG else 0.03
 """How far the mean error over a few seeds strays from that over many."""
 TWICE = replace(Habits.careful(), double_rate=0.08)
 NOISE = NoiseSettings()
+FEWEST = 4
+"""Contacts below which all count fully (`trust.h`)."""
+
+
+def trust(evidence, noise):
+    return solve(evidence, [], noise, None).evidence.trust
 
 
 def all_pass(rig, contact):
@@ -57,11 +62,11 @@ def session(own, guided, seed, twice, preset="noise"):
     return rig, simulate_contacts(rig, pokes, rng, habits=TWICE if twice else None)
 
 
-def errors(own, guided, seed, twice, gate=all_pass, preset="noise"):
+def errors(own, guided, seed, twice, gate=all_pass, preset="noise", doubting=True):
     """Errors of the taxels in mm, by method."""
     rig, contacts = session(own, guided, seed, twice, preset)
     kept = [contact for contact in contacts if gate(rig, contact)]
-    found = estimate_taxels(kept, rig.channels, list(Method), rig.scene.noise, rig.surface)
+    found = estimate_taxels(kept, rig.channels, list(Method), rig.scene.noise, rig.surface, doubting=doubting)
     return {
         method: 1e3 * np.array(
             [np.linalg.norm(one.position - place) for one, place in zip(found[method].values(), rig.places, strict=True)
@@ -71,18 +76,13 @@ def errors(own, guided, seed, twice, gate=all_pass, preset="noise"):
     }  # fmt: skip
 
 
-def mean_and_worst(own, guided, twice, gate=all_pass, seeds=SEEDS, preset="noise"):
+def mean_and_worst(own, guided, twice, gate=all_pass, seeds=SEEDS, preset="noise", doubting=True):
     """By method: the mean error over taxels and seeds, and the mean over seeds of the worst taxel's error, mm."""
-    each = [errors(own, guided, seed, twice, gate, preset) for seed in range(1, seeds + 1)]
+    each = [errors(own, guided, seed, twice, gate, preset, doubting) for seed in range(1, seeds + 1)]
     return {
         method: (np.mean([one[method].mean() for one in each]), np.mean([one[method].max() for one in each]))
         for method in Method
     }
-
-
-def untrusting(evidence, noise):
-    del noise
-    return np.ones(len(evidence.weights))
 
 
 CASES = [(10, False), (10, True), (30, False), (30, True)] if LONG else [(10, False), (10, True)]
@@ -106,20 +106,18 @@ def test_without_any_gate_they_cost_little_more(own, guided):
         assert doubled[method][1] < 1.3 * clean[method][1] * (1 + 3 * CHANCE)
 
 
-def test_without_trust_they_cost_more(monkeypatch):
-    monkeypatch.setattr(solving, "trust", untrusting)
+def test_without_trust_they_cost_more():
     for guided in (False, True):
-        clean, doubled = (mean_and_worst(10, guided, twice, seeds=4) for twice in (False, True))
+        clean, doubled = (mean_and_worst(10, guided, twice, seeds=4, doubting=False) for twice in (False, True))
         assert all(doubled[method][0] > 1.13 * clean[method][0] for method in Method)
 
 
 @pytest.mark.parametrize("guided", [False, True])
-def test_clean_pokes_count_fully_and_lose_no_accuracy(guided, monkeypatch):
+def test_clean_pokes_count_fully_and_lose_no_accuracy(guided):
     trusted = mean_and_worst(10, guided, False)
     values = np.concatenate([trust_of(10, guided, seed) for seed in range(1, 5)])
     assert np.mean(values == 1.0) > 0.97
-    monkeypatch.setattr(solving, "trust", untrusting)
-    plain = mean_and_worst(10, guided, False)
+    plain = mean_and_worst(10, guided, False, doubting=False)
     assert all(trusted[method][0] < 1.025 * plain[method][0] for method in Method)
 
 
@@ -259,9 +257,7 @@ if __name__ == "__main__":
     for own in (10, 30, 3):
         for guided in (False, True):
             clean = mean_and_worst(own, guided, False, seeds=count)
-            solving.trust = untrusting
-            plain, harmed = (mean_and_worst(own, guided, twice, seeds=count) for twice in (False, True))
-            solving.trust = trust
+            plain, harmed = (mean_and_worst(own, guided, twice, seeds=count, doubting=False) for twice in (False, True))
             lines = {"no gate, no trust": harmed}
             for name, gate in (("no gate", all_pass), ("pitch gate", pitch_gate), ("all gates", all_gates)):
                 lines[name] = mean_and_worst(own, guided, True, gate, seeds=count)

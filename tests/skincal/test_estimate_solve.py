@@ -8,6 +8,7 @@ from skincal.contacts.outcome import Contact
 from skincal.estimate.ledger import gather
 from skincal.estimate.qr import factor
 from skincal.estimate.result import Method, State
+from skincal.estimate.solution import solve as solve_evidence
 from skincal.estimate.solve import average_over_poses
 from skincal.scene import NoiseSettings
 from skincal.surface.mesh import Surface, make_surface
@@ -144,9 +145,7 @@ def test_surface_equals_the_best_of_all_triangles_of_the_stacked_system():
     grid = np.array([[i, j, 25 - i - j] for i in range(26) for j in range(26 - i)]) / 25
     for channel in range(4):
         f, m, k = stacked_system(contacts, channel, found[channel].doubted)
-        trust = np.array([found[channel].doubted.get(c.poke, 1.0) for c in contacts])
-        evidence = gather(contacts, [channel])
-        push = evidence.trusted(trust[evidence.pokes - 1]).pushes()[0]
+        push = solve_evidence(gather(contacts, [channel]), [], NOISE, None).pushes[0]
         dense = np.einsum("gi,tij->tgj", grid, surface.corners[surface.normals @ push < 0])
         cost = ((dense @ (k @ f).T - k @ m) ** 2).sum(axis=-1)
         own = float(((k @ f @ found[channel].position - k @ m) ** 2).sum())

@@ -7,8 +7,8 @@ from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import across
 from skincal.estimate.ledger import gather
 from skincal.estimate.qr import factor
-from skincal.estimate.result import Method, State
-from skincal.estimate.uncertainty import EVEN, SD_MAX, in_planes, in_space, offsets, propagate, row_noise
+from skincal.estimate.result import SD_MAX, Method, State
+from skincal.estimate.solution import solve as solve_evidence
 from skincal.scene import NoiseSettings
 from skincal.surface.mesh import make_surface
 from skincal.wrench import cross_matrix
@@ -16,6 +16,8 @@ from tests.skincal.estimate_support import solve
 
 NOISE = NoiseSettings()
 FLAT = replace(NOISE, radius=1e9)
+EVEN = 0.4
+"""Mean of sqrt(ln(1/k)) from which on all neighbours' offsets are one (`uncertainty.h`)."""
 TRIALS = 200
 LIMIT = {3: 7.8147, 2: 5.9915}
 """95 % of a chi-square of as many degrees of freedom lie below."""
@@ -86,21 +88,6 @@ def test_the_lever_runs_from_the_sensor_and_not_from_the_links_origin():
         assert one.rms < 1e-5 if exact else one.rms > 1e-3
 
 
-def test_the_rows_covariance_is_that_of_simulated_rows():
-    rng = np.random.default_rng(22)
-    pose, taxel = sensor_pose(), np.array([0.03, 0.02, 0.01])
-    force = np.array([1.0, -4.0, -7.0])
-    # Pushed along the normal, so that the offset is across the push and the bound of `row_noise` is reached.
-    normal = -force / np.linalg.norm(force)
-    exact = gather([measured(rng, 1, taxel, force, normal, pose, NoiseSettings(1e-15, 1e-15, 1e-15, 1e-15), 0.4)], [0])
-    evidence = gather([measured(rng, i, taxel, force, normal, pose, NOISE, 0.4) for i in range(4000)], [0])
-    off = taxel - evidence.nearest
-    rows = np.einsum("ij,nj->ni", exact.across[0], off)
-    even, less = row_noise(exact, taxel[None], NOISE)
-    expected = even[0] * np.eye(2) - np.outer(less[:, 0], less[:, 0])
-    np.testing.assert_allclose(np.cov(rows.T), expected, atol=0.06 * np.abs(expected).max())
-
-
 def written_out(evidence, taxel, normal, pose, noise):
     """The covariance with each symbol of the model over the system (5), 3n rows; the code carries 2n."""
     directions, k, sizes = evidence.directions, evidence.weights, evidence.forces
@@ -130,14 +117,15 @@ def test_the_covariance_equals_the_sandwich_of_the_papers_three_rows():
     rng = np.random.default_rng(23)
     taxel, pose, normal = np.array([0.03, 0.02, 0.01]), sensor_pose(), np.array([0.0, 0.6, 0.8])
     evidence = gather(pokes(rng, 8, taxel, normal, pose, NOISE, weights=(1.0, 0.9, 0.3)), [0])
-    push = evidence.pushes()[0]
-    factors = factor(*evidence.rows(), 2 * evidence.starts)
-    own = propagate(evidence, in_space(factors), taxel[None], NOISE)
-    expected = written_out(evidence, taxel, push / np.linalg.norm(push), pose, NOISE)
-    np.testing.assert_allclose(own.covariances[0], expected, rtol=1e-9)
+    own = solve_evidence(evidence, [Method.FREE], NOISE, None, doubting=False)
+    push, point = own.pushes[0], own.factors.solutions[0]
+    assert np.linalg.norm(point - taxel) < 0.005
+    expected = written_out(evidence, point, push / np.linalg.norm(push), pose, NOISE)
+    np.testing.assert_allclose(own.free.covariances[0], expected, rtol=1e-9)
     values, axes = np.linalg.eigh(expected)
-    assert own.sds[0] == pytest.approx(np.sqrt(values[-1]))
-    assert abs(own.weakest[0] @ axes[:, -1]) == pytest.approx(1)
+    assert own.free.sds[0] == pytest.approx(np.sqrt(values[-1]))
+    assert own.free.rms[0] == pytest.approx(np.sqrt(np.trace(expected)))
+    assert abs(own.free.weakest[0] @ axes[:, -1]) == pytest.approx(1)
 
 
 def test_on_a_plane_it_equals_the_sandwich_confined_to_the_plane():
@@ -145,13 +133,20 @@ def test_on_a_plane_it_equals_the_sandwich_confined_to_the_plane():
     rng = np.random.default_rng(27)
     taxel, pose, normal = np.array([0.03, 0.02, 0.01]), sensor_pose(), np.array([0.0, 0.6, 0.8])
     evidence = gather(pokes(rng, 5, taxel, normal, pose, NOISE, weights=(1.0, 0.8, 0.4)), [0])
-    own = propagate(evidence, in_planes(factor(*evidence.rows(), 2 * evidence.starts), normal[None]), taxel[None], NOISE)
-    basis, beside = tangent_basis(normal), offsets(evidence, NOISE)
+    plane = taxel + 0.2 * (tangent_basis(normal) @ np.array([[-1.0, -1], [1, -1], [0, 2]]).T).T
+    surface = make_surface(plane, np.array([[0, 1, 2]]))
+    surface = surface if surface.normals[0] @ normal > 0 else make_surface(plane, np.array([[0, 2, 1]]))
+    found = solve_evidence(evidence, [Method.SURFACE], NOISE, surface, doubting=False).surface
+    own, taxel = found.uncertain, found.points[0]
+    basis = tangent_basis(normal)
     squares, ends = [], 20_000
     k, sizes = evidence.weights, evidence.forces
+    low = np.sqrt(-np.log(k))
+    common = NOISE.reach * low * min(1.0, (k**2 @ low) / (k**2).sum() / EVEN)
+    spread = NOISE.contact**2 + (NOISE.reach * low) ** 2
     df, dm = rng.normal(0, NOISE.force, (ends, 5, 3)), rng.normal(0, NOISE.moment, (ends, 5, 3))
-    alone = np.sqrt(beside.squares - beside.common**2)[:, None] * rng.normal(size=(ends, 5, 2))
-    shared = beside.common[:, None] * rng.normal(size=(ends, 1, 2))
+    alone = np.sqrt(spread - common**2)[:, None] * rng.normal(size=(ends, 5, 2))
+    shared = common[:, None] * rng.normal(size=(ends, 1, 2))
     off = (alone + shared) @ basis.T
     # The residual (f x p + m)/|f| at the taxel; its part across u is the row's.
     moved = (np.cross(df, pose[:3, 3] - taxel) * -1.0 + dm) / sizes[:, None] + np.cross(off, evidence.directions)

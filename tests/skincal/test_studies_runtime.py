@@ -16,10 +16,10 @@ from skincal.estimate.solve import estimate_from, estimate_taxels
 from skincal.studies import alternatives, live, runtime
 from skincal.studies.benches import SHAPES, Bench
 from skincal.studies.clock import Spread, at_rest, sampled, timed
+from skincal.studies.closed_form import closest_in_triangles
 from skincal.studies.figure import write_figure
 from skincal.studies.measures import positions_of
 from skincal.studies.runtime_results import bars_of, main_rows, summary, time_words
-from skincal.surface.closest import closest_in_triangles
 from skincal.surface.nearest import nearest_points, nearest_to_rows
 from tests.skincal.studies_support import FOREARM, TINY, tiny
 

@@ -3,9 +3,9 @@ from collections import defaultdict
 import numpy as np
 import pytest
 from surface_support import (
-    by_every_triangle,
     facing_minima,
     folded,
+    part_of,
     poked,
     random_metrics,
     same,
@@ -15,7 +15,7 @@ from surface_support import (
 )  # fmt: skip
 
 from skincal.surface.mesh import make_surface
-from skincal.surface.nearest import NearestMany, nearest_to_rows, second_to_rows
+from skincal.surface.nearest import nearest_to_rows, second_to_rows
 
 TIE = 1e-12
 
@@ -58,7 +58,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("kind", ["full rank", "near-parallel", "one axis"])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_second_minimum_is_that_of_walks_over_every_triangle(shape, kind, monkeypatch):
+def test_the_second_minimum_is_that_of_walks_over_every_triangle(shape, kind):
     rng = np.random.default_rng(5)
     surface = SHAPES[shape]()
     asked = random_metrics(rng, surface, 40, kind)
@@ -78,11 +78,8 @@ def test_the_second_minimum_is_that_of_walks_over_every_triangle(shape, kind, mo
             assert np.linalg.norm(second.points[i] - best.points[i]) > radius[i]
     if shape == "folded":
         assert (second.triangles >= 0).sum() > 10, "the case has what it is there for"
-
-    def ask():
-        return second_to_rows(surface, *asked, best, radius, limit)
-
-    assert same(second, by_every_triangle(monkeypatch, ask)), "the tree leaves nothing out"
+    every = second_to_rows(surface, *asked, best, radius, limit, every=True)
+    assert same(second, every), "the tree leaves nothing out"
 
 
 def down(count):
@@ -153,6 +150,6 @@ def test_a_second_place_does_not_depend_on_the_other_taxels():
     assert (many.triangles >= 0).sum() > 20
     for i in range(60):
         part = slice(i, i + 1)
-        own = NearestMany(best.points[part], best.triangles[part], best.values[part])
+        own = part_of(best, part)
         one = second_to_rows(surface, *[array[part] for array in asked], own, radius[part], limit[part])
-        assert same(one, NearestMany(many.points[part], many.triangles[part], many.values[part]))
+        assert same(one, part_of(many, part))

@@ -4,11 +4,16 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from surface_support import KINDS, by_every_triangle, folded, poked, random_metrics, same, soup, together, tube
+from surface_support import KINDS, folded, part_of, poked, random_metrics, same, soup, together, tube
 
-from skincal.surface import nearest, search, tree
+from skincal.surface import tree
 from skincal.surface.mesh import make_surface
 from skincal.surface.nearest import nearest_to_rows
+
+
+def nodes_of(level):
+    """Eight numbers a node: centre, radius, middle of the normals, sine."""
+    return level.astype(float).reshape(-1, 8, tree.WIDTH).transpose(0, 2, 1).reshape(-1, 8)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 63, 64, 65, 513, 700, 4097])
@@ -21,15 +26,13 @@ def test_every_triangle_is_in_the_ball_and_the_cone_of_each_node_above_it(count)
     corners, normals = surface.corners[built.order] - built.origin, surface.normals[built.order]
     for height, level in enumerate(built.levels):
         node = np.arange(count) // tree.WIDTH**height
-        away = np.linalg.norm(corners - level.centres[:3].T.astype(float)[node][:, None], axis=2).max(axis=1)
-        assert (away <= level.radii.astype(float)[node] + 1e-7 * built.extent).all()
-        sine = level.sines.astype(float)[node]
-        turned = np.linalg.norm(np.cross(normals, level.middles.T.astype(float)[node]), axis=1)
-        ahead = np.einsum("ij,ij->i", normals, level.middles.T.astype(float)[node])
+        numbers = nodes_of(level)[node]
+        centre, radius, middle, sine = numbers[:, :3], numbers[:, 3], numbers[:, 4:7], numbers[:, 7]
+        away = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        assert (away <= radius + 1e-7 * built.extent).all()
+        turned = np.linalg.norm(np.cross(normals, middle), axis=1)
+        ahead = np.einsum("ij,ij->i", normals, middle)
         assert ((sine > 1) | ((turned <= sine) & (ahead > 0))).all()
-        np.testing.assert_array_equal(
-            level.groups.reshape(-1, 8, tree.WIDTH)[node // tree.WIDTH, 3, node % tree.WIDTH], level.radii[node]
-        )
 
 
 def test_a_node_is_not_much_larger_than_its_share_of_the_surface():
@@ -38,12 +41,12 @@ def test_a_node_is_not_much_larger_than_its_share_of_the_surface():
     side = np.sqrt(2 * np.pi * 1.2 * 0.04 * 0.15 / len(surface.triangles))
     for height, level in enumerate(surface.tree.levels):
         count = len(surface.triangles) // 8**height
-        assert np.median(level.radii[:count]) < 1.6 * side * 8 ** (height / 2)
+        assert np.median(nodes_of(level)[:count, 3]) < 1.6 * side * 8 ** (height / 2)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("shape", ["tube", "folded", "layers", "soup", "copies", "five", "far", "apart"])
-def test_the_tree_leaves_nothing_out_to_the_last_bit(kind, shape, monkeypatch):
+def test_the_tree_leaves_nothing_out_to_the_last_bit(kind, shape):
     rng = np.random.default_rng(17)
     # Large enough for three levels of nodes.
     part = tube(80, 60, bump=0.003)
@@ -69,15 +72,11 @@ def test_the_tree_leaves_nothing_out_to_the_last_bit(kind, shape, monkeypatch):
         offsets = np.einsum("tij,tj->ti", roots, targets)
     for own in (pushes, None):
         found = nearest_to_rows(surface, roots, offsets, own)
-
-        def ask(own=own):
-            return nearest_to_rows(surface, roots, offsets, own)
-
-        assert same(found, by_every_triangle(monkeypatch, ask))
+        assert same(found, nearest_to_rows(surface, roots, offsets, own, every=True))
     assert (found.triangles >= 0).all()
 
 
-def test_targets_on_corners_are_found_to_the_last_bit(monkeypatch):
+def test_targets_on_corners_are_found_to_the_last_bit():
     """There the bound of a ball through the corner is as large as the optimum, and a start from another triangle with that
     corner leaves no room: only the slack for rounding keeps the one that faces most."""
     surface = tube(80, 60)
@@ -86,16 +85,12 @@ def test_targets_on_corners_are_found_to_the_last_bit(monkeypatch):
     targets = surface.corners[start, rng.integers(3, size=300)]
     for root in (np.eye(3), np.diag([1.0, 1.0, 0.3]), np.diag([0.0, 1.0, 0.0])):
         asked = np.tile(root, (len(targets), 1, 1)), targets @ root, -targets * [1, 1, 0]
-
-        def ask(asked=asked):
-            return nearest_to_rows(surface, *asked)
-
-        every = by_every_triangle(monkeypatch, ask)
-        assert same(ask(), every)
+        every = nearest_to_rows(surface, *asked, every=True)
+        assert same(nearest_to_rows(surface, *asked), every)
         assert same(nearest_to_rows(surface, *asked, start), every)
 
 
-def test_targets_far_from_the_part_are_found_to_the_last_bit_too(monkeypatch):
+def test_targets_far_from_the_part_are_found_to_the_last_bit_too():
     """Bounds in single precision tell less there; they may not tell anything wrong."""
     rng = np.random.default_rng(23)
     surface = tube(20, 20)
@@ -103,11 +98,7 @@ def test_targets_far_from_the_part_are_found_to_the_last_bit_too(monkeypatch):
         roots, _, pushes = random_metrics(rng, surface, 20, "full rank")
         offsets = np.einsum("tij,tj->ti", roots, rng.normal(0, away, (20, 3)))
         asked = roots, offsets, pushes
-
-        def ask(asked=asked):
-            return nearest_to_rows(surface, *asked)
-
-        assert same(ask(), by_every_triangle(monkeypatch, ask))
+        assert same(nearest_to_rows(surface, *asked), nearest_to_rows(surface, *asked, every=True))
 
 
 @pytest.mark.parametrize("scale", [1e-140, 1e-12, 1e12, 1e140])
@@ -134,10 +125,10 @@ def test_an_answer_does_not_depend_on_the_others_nor_on_where_the_search_starts(
     for start in (None, many.triangles, np.full(len(order), -1), rng.integers(-1, len(surface.triangles), len(order))):
         mixed = nearest_to_rows(surface, *[part[order] for part in asked], None if start is None else start[order])
         back = np.argsort(order)
-        assert same(many, nearest.NearestMany(mixed.points[back], mixed.triangles[back], mixed.values[back]))
+        assert same(many, part_of(mixed, back))
     for i in order[:60]:
         one = nearest_to_rows(surface, *[part[i : i + 1] for part in asked])
-        assert same(one, nearest.NearestMany(many.points[i : i + 1], many.triangles[i : i + 1], many.values[i : i + 1]))
+        assert same(one, part_of(many, slice(i, i + 1)))
 
 
 def test_the_arrays_given_are_left_as_they_are():
@@ -152,8 +143,7 @@ def test_the_arrays_given_are_left_as_they_are():
 
 
 def kept(surface, asked):
-    metrics = nearest._metrics(surface.tree, *asked)
-    return sum(len(pairs.nodes) for pairs in search.survivors(surface.tree, metrics)) / len(asked[0])
+    return np.mean(nearest_to_rows(surface, *asked).tried)
 
 
 def test_few_triangles_are_left_however_many_there_are():
@@ -164,7 +154,7 @@ def test_few_triangles_are_left_however_many_there_are():
         assert many[0] < 2 * few[0], "100 times the triangles"
 
 
-def test_a_search_is_hundreds_of_times_quicker_than_every_triangle(monkeypatch):
+def test_a_search_is_hundreds_of_times_quicker_than_every_triangle():
     rng = np.random.default_rng(43)
     surface = tube(250, 200)
     surface.prepare()
@@ -179,7 +169,7 @@ def test_a_search_is_hundreds_of_times_quicker_than_every_triangle(monkeypatch):
             times.append(time.process_time() - begin)
         return min(times)
 
-    every = took(lambda: by_every_triangle(monkeypatch, lambda: nearest_to_rows(surface, *few))) / 5
+    every = took(lambda: nearest_to_rows(surface, *few, every=True)) / 5
     # Measured 900 times. The bar is loose for a busy machine.
     assert took(lambda: nearest_to_rows(surface, *asked)) / 400 < every / 100
 

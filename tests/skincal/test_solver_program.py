@@ -1,0 +1,153 @@
+"""The compiled solver is its source's, and what it has instead of a C library is right."""
+
+import math
+import re
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+import wasmtime
+from surface_support import random_metrics, same, tube
+
+from skincal.solver.machine import PROGRAM, Machine
+from skincal.surface.nearest import GRAZING, nearest_to_rows
+from tools import solver
+
+PROBE = """
+#include "base.h"
+static double numbers[4096];
+static int places[4096];
+__attribute__((visibility("default"))) double *at(void) { return numbers; }
+__attribute__((visibility("default"))) int *sorted(int count)
+{
+    static unsigned char memory[65536];
+    top = memory;
+    sort_by(numbers, count, places);
+    return places;
+}
+__attribute__((visibility("default"))) double log_of(double x) { return ln(x); }
+__attribute__((visibility("default"))) double exp_of(double x) { return power_of_e(x); }
+__attribute__((visibility("default"))) double part_of(double x) { int e; return fraction(x, &e); }
+__attribute__((visibility("default"))) int exponent_of(double x) { int e; fraction(x, &e); return e; }
+__attribute__((visibility("default"))) double two_to(int e) { return power_of_two(e); }
+__attribute__((visibility("default"))) double sum_of(int count)
+{
+    Sum s = {0, 0};
+    for (int i = 0; i < count; i++) add(&s, numbers[i]);
+    return total_of(s);
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def probe(tmp_path_factory):
+    """The functions of `base.h` themselves, compiled with the solver's own flags."""
+    folder = tmp_path_factory.mktemp("probe")
+    (folder / "probe.c").write_text(PROBE, encoding="utf-8")
+    # What the probe does not call is no fault.
+    flags = [flag for flag in solver.FLAGS if flag != "-Werror"]
+    command = [sys.executable, "-m", "ziglang", "cc", *flags, f"-I{solver.SOURCE.parent}", "-o", "probe.wasm", "probe.c"]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    engine = wasmtime.Engine()
+    store = wasmtime.Store(engine)
+    exports = wasmtime.Instance(store, wasmtime.Module(engine, (folder / "probe.wasm").read_bytes()), []).exports(store)
+
+    class Probe:
+        def __getattr__(self, name):
+            return lambda *arguments: exports[name](store, *arguments)
+
+        def fill(self, values):
+            exports["memory"].write(store, np.asarray(values, dtype=float).tobytes(), self.at())
+
+        def order(self, count):
+            place = self.sorted(count)
+            return np.frombuffer(bytes(exports["memory"].read(store, place, place + 4 * count)), dtype=np.int32)
+
+    return Probe()
+
+
+def test_the_program_is_what_its_source_compiles_to():
+    assert solver.build() == PROGRAM.read_bytes(), "run `python -m tools.solver`"
+
+
+def test_a_number_that_stands_in_both_languages_is_the_same():
+    text = (solver.SOURCE.parent / "search.h").read_text(encoding="utf-8")
+    assert float(re.search(r"GRAZING = ([0-9.e-]+);", text)[1]) == GRAZING
+
+
+def test_the_logarithm_is_right_to_two_roundings(probe):
+    rng = np.random.default_rng(1)
+    values = [*np.exp(rng.uniform(-700, 700, 2000)), *(1 + rng.uniform(-1e-3, 1e-3, 500)), *rng.uniform(0.5, 2, 500)]
+    for x in [*values, 1.0, 5e-324, 2.0**-1022, 1.7976931348623157e308]:
+        exact = math.log(x)
+        assert abs(probe.log_of(float(x)) - exact) <= 2 * math.ulp(exact) + 1e-19, x
+    assert probe.log_of(0.0) == -math.inf
+    assert probe.log_of(math.inf) == math.inf
+    assert math.isnan(probe.log_of(-1.0))
+
+
+def test_the_exponential_is_right_to_four_roundings(probe):
+    rng = np.random.default_rng(2)
+    for x in [*rng.uniform(-700, 700, 2000), *rng.uniform(-1, 1, 1000), 0.0]:
+        exact = math.exp(x)
+        assert abs(probe.exp_of(float(x)) - exact) <= 4 * math.ulp(exact), x
+    assert probe.exp_of(-math.inf) == 0.0
+    assert probe.exp_of(-740.0) == pytest.approx(math.exp(-740.0), rel=1e-2)
+    assert probe.exp_of(800.0) == math.inf
+    assert math.isnan(probe.exp_of(math.nan))
+
+
+def test_fractions_and_powers_of_two_are_exact(probe):
+    rng = np.random.default_rng(3)
+    for x in [*rng.normal(size=200) * 2.0 ** rng.integers(-1000, 1000, 200), 5e-324, -3e-310, 0.0, 1.0]:
+        assert (probe.part_of(float(x)), probe.exponent_of(float(x))) == math.frexp(x)
+    for e in (-1075, -1074, -1050, -1022, -1, 0, 1, 1023):
+        assert probe.two_to(e) == math.ldexp(1.0, e)
+    assert probe.two_to(1024) == math.inf
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 7, 64, 100, 1000])
+def test_sorting_is_stable(probe, count):
+    rng = np.random.default_rng(count)
+    keys = rng.integers(0, max(count // 3, 1), count).astype(float)
+    probe.fill(keys)
+    np.testing.assert_array_equal(probe.order(count), np.argsort(keys, kind="stable"))
+
+
+def test_a_sum_loses_nothing(probe):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        values = rng.normal(size=4000) * 10.0 ** rng.uniform(-12, 0, 4000)
+        probe.fill(values)
+        assert probe.sum_of(4000) == pytest.approx(math.fsum(values), rel=1e-15, abs=1e-18)
+
+
+def test_threads_take_turns():
+    surface = tube(40, 40)
+    asked = random_metrics(np.random.default_rng(5), surface, 200, "full rank")
+    alone, found = nearest_to_rows(surface, *asked), []
+    threads = [threading.Thread(target=lambda: found.append(nearest_to_rows(surface, *asked))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 4
+    assert all(same(alone, one) for one in found)
+
+
+def test_what_is_kept_stays_while_the_memory_grows():
+    machine = Machine()
+    rng = np.random.default_rng(6)
+    kept = {}
+    for size in (0, 1, 1000, 300_000, 0, 5):
+        array = rng.normal(size=size)
+        place = machine.keep(array)
+        assert place not in kept
+        kept[place] = array
+    with machine.call() as call:
+        given = call.give(rng.normal(size=500_000))
+        assert given > max(kept)
+    for place, array in kept.items():
+        np.testing.assert_array_equal(machine.read(place, array.nbytes).view(float), array)

@@ -1,0 +1,39 @@
+"""Build the compiled solver from its source: `python -m tools.solver`.
+
+The compiler comes from the package index like any other tool, and the result has the same bytes on every machine;
+`tests/skincal/test_solver_program.py` builds it anew and compares.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from skincal.solver.machine import PROGRAM
+
+SOURCE = PROGRAM.with_name("source") / "solver.c"
+FLAGS = [
+    "-target", "wasm32-freestanding", "-nostdlib", "-std=c11", "-O3", "-msimd128", "-mbulk-memory", "-ffp-contract=off",
+    "-fvisibility=hidden", "-Wall", "-Wextra", "-Werror", "-Wl,--no-entry", "-Wl,--export-dynamic", "-Wl,-s",
+]  # fmt: skip
+
+
+def build() -> bytes:
+    """Compile the solver and return the program.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        The source does not compile; the compiler has said why.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / PROGRAM.name
+        # From its own folder: no path of the machine gets into the program.
+        command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, "-o", str(out), SOURCE.name]
+        subprocess.run(command, cwd=SOURCE.parent, check=True)
+        return out.read_bytes()
+
+
+if __name__ == "__main__":
+    PROGRAM.write_bytes(build())
+    print(f"{PROGRAM}: {PROGRAM.stat().st_size} bytes")
