@@ -1,11 +1,11 @@
-"""Other honest ways to the same two answers, in numpy, vectorised and in blocks that fit the cache.
+"""Other honest ways to the same two answers, most in numpy, vectorised and in blocks that fit the cache.
 
 For the free method: the paper's stacked system (5) as it stands, three rows a contact, by `numpy.linalg.lstsq` for each
 taxel; and its normal equations, all taxels at once. For the surface method (II-B), where the answer is the best over all
 triangles that face the pokes: every triangle by the program's own closed form (brute force); only those that face the
-pokes; only those of them that a bound on their balls does not rule out; and the paper's way, each triangle a constrained
-least squares, by quadprog and by scipy's SLSQP, only on the side that is pushed. All get the taxel's 3 x 3 factor, not its
-hundreds of rows, and none computes an uncertainty. Both favour the alternative.
+pokes, in numpy and compiled; only those of them that a bound on their balls does not rule out; and the paper's way, each
+triangle a constrained least squares, by quadprog and by scipy's SLSQP, only on the side that is pushed. All get the taxel's
+3 x 3 factor, not its hundreds of rows, and none computes an uncertainty. Both favour the alternative.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 from skincal.studies.closed_form import closest_in_columns, closest_in_triangles
 from skincal.surface.mesh import Surface
-from skincal.surface.nearest import GRAZING
+from skincal.surface.nearest import GRAZING, nearest_to_rows
 from skincal.wrench import move_wrench
 
 BLOCK = 2048
@@ -69,6 +69,11 @@ def facing_triangles(surface: Surface, root: FloatArray, offset: FloatArray, pus
     """Return the same; a triangle that does not face the push is not solved."""
     which = facing(surface, push)
     return _best(surface, root, offset, which, np.ones(len(which), dtype=bool))
+
+
+def compiled_triangles(surface: Surface, root: FloatArray, offset: FloatArray, push: FloatArray) -> FloatArray:
+    """Return the same, by the program's own compiled solver with nothing left out by bounds."""
+    return nearest_to_rows(surface, root[None], offset[None], push[None], every=True).points[0]
 
 
 def bounded_triangles(surface: Surface, root: FloatArray, offset: FloatArray, push: FloatArray) -> FloatArray:

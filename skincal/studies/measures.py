@@ -38,6 +38,7 @@ LABELS = {
     "free": "free, as shipped",
     "brute": "surface: every triangle, closed form",
     "facing": "surface: every triangle that is pushed, closed form",
+    "compiled": "surface: every triangle that is pushed, compiled",
     "bounded": "surface: every triangle's bound, then closed form",
     "quadprog": "surface: each triangle by quadprog",
     "slsqp": "surface: each triangle by SLSQP",

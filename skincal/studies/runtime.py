@@ -191,6 +191,7 @@ def _surface(cell: Cell, all_ways: bool) -> Iterator[Row]:
     row = ours.row()
     yield row
     found.append(searches.over_triangles("facing", alternatives.facing_triangles))
+    found.append(searches.over_triangles("compiled", alternatives.compiled_triangles))
     found.append(searches.over_triangles("bounded", alternatives.bounded_triangles))
     if all_ways:
         found.append(searches.each_triangle("slsqp", alternatives.by_slsqp))

@@ -14,6 +14,7 @@ MARKS: dict[str, tuple[str, str, str]] = {
     "free": ("*", VERMILION, "free,\nas shipped"),
     "brute": ("s", SKY, "every triangle,\nclosed form"),
     "facing": ("p", SKY, "those that\nare pushed"),
+    "compiled": ("X", SKY, "pushed ones,\ncompiled"),
     "bounded": ("D", SKY, "every triangle's\nbound first"),
     "quadprog": ("o", GREEN, "the paper's way:\nquadprog"),
     "slsqp": ("o", BLACK, "the paper's way:\nSLSQP"),
@@ -108,7 +109,7 @@ def _limits(axes: Axes, rows: Sequence[Row]) -> None:
     times = [row["time_ms"][key] for row in rows for key in ("q1", "q3")]
     errors = [row["error_mm"][key] for row in rows for key in ("q1", "q3")]
     axes.set_xlim(min(times) / 5.0, max(times) * 8.0)
-    axes.set_ylim(min(errors) / 6.0, max(errors) * 5.0)
+    axes.set_ylim(min(errors) / 18.0, max(errors) * 5.0)
 
 
 Box = tuple[float, float, float, float]

@@ -43,7 +43,9 @@ def ratios_of(rows: Sequence[Row], part: str, per_taxel: int) -> dict[str, float
     ours, free, coarse = ms("surface"), ms("free"), ms("surface", 1_000)
     # A re-solve begins from what a session keeps of its contacts.
     again = ms("surface", key="from_session_ms")
-    pairs = {f"{name}_over_surface": (ms(name), again) for name in ("brute", "facing", "bounded", "slsqp", "quadprog")}
+    pairs = {
+        f"{name}_over_surface": (ms(name), again) for name in ("brute", "facing", "compiled", "bounded", "slsqp", "quadprog")
+    }
     pairs |= {f"{name}_over_free": (ms(name), free) for name in ("lstsq", "normal")}
     pairs["brute_over_surface_from_contacts"] = (ms("brute"), ours)
     pairs["per_taxel_100k_over_1k"] = (ours, coarse)

@@ -40,7 +40,15 @@ def shipped(method):
     return estimate_taxels(poked(), forearm.channels, [method], forearm.scene.noise, forearm.surface)[method]
 
 
-@pytest.mark.parametrize("way", [alternatives.every_triangle, alternatives.facing_triangles, alternatives.bounded_triangles])
+@pytest.mark.parametrize(
+    "way",
+    [
+        alternatives.every_triangle,
+        alternatives.facing_triangles,
+        alternatives.compiled_triangles,
+        alternatives.bounded_triangles,
+    ],
+)
 def test_trying_every_triangle_gives_the_shipped_answer(way):
     systems = alternatives.systems(poked(), bench().channels, bench().scene.noise)
     ours = positions_of(shipped(Method.SURFACE))
@@ -113,7 +121,7 @@ def test_the_table_has_every_method_on_both_parts_and_says_what_was_extrapolated
     result, _ = tiny()
     rows = main_rows(result)
     methods = {row["method"] for row in rows}
-    others = {"brute", "facing", "bounded", "slsqp", "quadprog", "lstsq", "normal", "surface-per-pose"}
+    others = {"brute", "facing", "compiled", "bounded", "slsqp", "quadprog", "lstsq", "normal", "surface-per-pose"}
     assert methods >= {"free", "surface"} | others
     for row in result["table"]:
         assert row["time_ms"]["q1"] <= row["time_ms"]["median"] <= row["time_ms"]["q3"]
