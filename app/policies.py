@@ -266,8 +266,8 @@ def marks(estimates: Sequence[Estimate], width: int) -> IntArray:
 
 
 def worst(estimates: Sequence[Estimate], shown: int = WORST_SHOWN) -> tuple[Estimate, ...]:
-    """Return the taxels that need pokes most: blind ones, then the unseen, then by falling predicted error."""
-    order = {State.BLIND: 0, State.UNSEEN: 1, State.ESTIMATED: 2}
+    """Return the taxels that need pokes most: the unseen, then blind ones, then by falling predicted error."""
+    order = {State.UNSEEN: 0, State.BLIND: 1, State.ESTIMATED: 2}
     living = [e for e in estimates if e.state is not State.DEAD]
     return tuple(sorted(living, key=lambda e: (order[e.state], -(e.rms or 0.0), e.channel))[:shown])
 

@@ -152,16 +152,16 @@ def error_words(estimates: Sequence[Estimate]) -> str:
     known = [e.rms for e in estimates if e.rms is not None]
     if not known:
         return ""
-    return f"predicted error {millimetres(float(np.median(known)))} median, {millimetres(max(known))} worst"
+    return f"predicted: median {millimetres(float(np.median(known)))}, worst {millimetres(max(known))}"
 
 
-def pokes_words(snapshot: Snapshot) -> str:
-    """Return how many pokes there are and how many do not count."""
+def pokes_words(snapshot: Snapshot, why: str = "") -> str:
+    """Return how many pokes there are and how many do not count; `why` is said of those rejected."""
     rejected = sum(isinstance(p.outcome, Rejection) for p in snapshot.pokes)
     excluded = sum(p.excluded for p in snapshot.pokes)
     parts = [count(len(snapshot.pokes), "poke")]
     if rejected:
-        parts.append(f"{rejected} rejected")
+        parts.append(f"{rejected} rejected{why}")
     if excluded:
         parts.append(f"{excluded} excluded")
     return ", ".join(parts)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from app.display_units import in_millimetres, in_minutes
@@ -87,7 +86,6 @@ class ErrorPlot(QWidget):
         for method, line in self.papers.items():
             line.setPen(pg.mkPen(_hue(colours, method), width=1, style=Qt.PenStyle.DashDotLine))
             line.label.setColor(colours.text)
-            line.label.fill = pg.mkBrush(_clear(colours.panel))
             self.symbols[method].setPen(pg.mkPen(colours.panel))
             self.symbols[method].setBrush(pg.mkBrush(_hue(colours, method)))
 
@@ -161,13 +159,6 @@ class ErrorPlot(QWidget):
 def _joined(series: ErrorSeries) -> IntArray:
     """Return 1 where a point is joined to the next, 0 where something between them is still worked out, (n,) int."""
     return (np.diff(series.counts, append=0) <= series.stride).astype(np.int64)
-
-
-def _clear(colour: str) -> QColor:
-    """Return a colour through which a curve is still seen, and before which a word is."""
-    clear = QColor(colour)
-    clear.setAlpha(100)
-    return clear
 
 
 def _hue(colours: Colours, method: Method) -> str:

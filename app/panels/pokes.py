@@ -112,5 +112,5 @@ class PokesPanel(QWidget):
 def tally_words(snapshot: Snapshot) -> str:
     """Return how many pokes there are and why some do not count."""
     reasons = Counter(p.outcome.reason.value for p in snapshot.pokes if isinstance(p.outcome, Rejection))
-    told = ", ".join(f"{n} {reason}" for reason, n in reasons.most_common(4))
-    return pokes_words(snapshot) + (f": {told}" if told else "")
+    told = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
+    return pokes_words(snapshot, f" ({told})" if told else "")

@@ -70,7 +70,7 @@ class Evidence:
         return self.columns[8:11].T
 
     @property
-    def across(self) -> FloatArray:
+    def pairs(self) -> FloatArray:
         """(n, 2, 3) float: e_1 and e_2 of each contact, with e_1 x e_2 = u."""
         return self.columns[11:17].reshape(2, 3, -1).transpose(2, 0, 1)
 
@@ -78,19 +78,6 @@ class Evidence:
     def counts(self) -> IntArray:
         """(t,) contacts of each taxel."""
         return self.starts[1:] - self.starts[:-1]
-
-    @property
-    def scales(self) -> FloatArray:
-        """(n,) float: k times the root of the trust, by which the rows are multiplied."""
-        return self.weights * np.sqrt(self.trust)
-
-    def rows(self) -> tuple[FloatArray, FloatArray]:
-        """Return the weighted system of each taxel, its rows from 2 starts[i]: A (2n, 3) and b (2n,), those of (5)."""
-        scaled = self.columns[11:17].reshape(2, 3, -1) * self.scales
-        a = np.empty((3, len(self.weights), 2))
-        a[:, :, 0], a[:, :, 1] = scaled[0], scaled[1]
-        b = (scaled * self.columns[3:6]).sum(axis=1).T
-        return a.reshape(3, -1).T, b.ravel()
 
     def doubted(self) -> list[dict[int, float]]:
         """Return for each taxel the pokes whose trust is below 1: number to trust."""

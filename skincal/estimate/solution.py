@@ -111,7 +111,7 @@ def solve(
         asked = _asked(call, evidence, noise)
         trust = call.changed(evidence.trust)
         starting = call.give(np.full(count, -1) if last is None else last, INTEGER)
-        said = call.room((count,), _ANSWER)
+        said = call.room((count,), ANSWER)
         call.run("solve", [count, answers, *asked, trust, int(not doubting), int(free), place, starting, said])
         answer, evidence = call.taken(said), evidence.trusted(call.taken(trust))
     return Solution(
@@ -127,7 +127,7 @@ def solve(
 
 
 _KNOWN = np.dtype([("covariance", "f8", (3, 3)), ("weakest", "f8", 3), ("sd", "f8"), ("rms", "f8"), ("miss", "f8")])
-_ANSWER = np.dtype(
+ANSWER = np.dtype(
     [
         ("root", "f8", (3, 3)), ("offset", "f8", 3), ("solution", "f8", 3), ("blind", "f8", 3), ("rank", "f8"),
         ("push", "f8", 3), ("outward", "f8", 3), ("opposed", "f8"), ("free", _KNOWN),

@@ -53,10 +53,6 @@ class Closest:
     u: FloatArray
     v: FloatArray
 
-    def some(self, which: IntArray) -> Closest:
-        """Return the same of some of the triangles."""
-        return Closest(*(getattr(self, field.name)[which] for field in fields(Closest)))
-
     def shares(self) -> FloatArray:
         """Return (3, n) the barycentric coordinates of the points."""
         inside = self.within <= self.squared

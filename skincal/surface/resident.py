@@ -14,17 +14,18 @@ from skincal.solver.machine import Machine
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
 
-_LEVELS = 16
+LEVELS = 16
+"""Levels of a tree for which there is room: eight children a node make 16 enough for any mesh."""
 
 
-class _Layout(ctypes.Structure):
+class Layout(ctypes.Structure):
     """`Surface` of `skincal/solver/source/search.h`."""
 
     _fields_ = (
         ("triangle_count", ctypes.c_uint32),
         ("level_count", ctypes.c_uint32),
-        ("levels", ctypes.c_uint32 * _LEVELS),
-        ("node_counts", ctypes.c_uint32 * _LEVELS),
+        ("levels", ctypes.c_uint32 * LEVELS),
+        ("node_counts", ctypes.c_uint32 * LEVELS),
         ("order", ctypes.c_uint32),
         ("places", ctypes.c_uint32),
         ("corners", ctypes.c_uint32),
@@ -58,7 +59,7 @@ def resident(surface: Surface) -> tuple[Machine, int]:
 
 def _moved_in(surface: Surface) -> tuple[Machine, int]:
     machine, tree, fans = Machine(), surface.tree, surface.fans
-    layout = _Layout(
+    layout = Layout(
         triangle_count=len(surface.triangles),
         level_count=len(tree.levels),
         stamp=0,

@@ -148,7 +148,8 @@ def _halved(centres: FloatArray) -> IntArray:
         span = np.where(high > low, high - low, 1.0) * 1.001
         # The segment before the point, the place within it behind it: one sort for all segments.
         key = segment + (ranked[side[segment], np.arange(count)] - low[segment]) / span[segment]
-        order = order[key.argsort()]
+        # Stable: which of equals comes first must not depend on the processor.
+        order = order[key.argsort(kind="stable")]
         cut = np.where(sizes > WIDTH, starts + _first_half(sizes), count)
         starts = np.union1d(starts, cut[cut < count])
 

@@ -248,7 +248,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0\N{DEGREE SIGN}", "2.0"]
     assert panel.model.index(0, 1).data() == "\N{BALLOT X} slid 2.1 mm"
     assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == "slid 2.1 mm, at most 1.5 mm"
-    assert panel.tally.text() == "2 pokes, 1 rejected: 1 slid"
+    assert panel.tally.text() == "2 pokes, 1 rejected (slid: 1)"
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
         panel.select(1)
     assert wanted.args == [3]

@@ -19,6 +19,7 @@ from skincal.studies import alternatives, live
 from skincal.studies.benches import SHAPES, Bench
 from skincal.surface.mesh import make_surface
 from skincal.surface.nearest import nearest_to_rows
+from tests.skincal.test_session_scale import write_pokes
 
 PER_TAXEL = 12
 BOTH = list(Method)
@@ -110,3 +111,13 @@ def test_a_search_tree_is_built(benchmark, triangles):
 def test_the_sample_session_is_loaded(benchmark):
     road = benchmark.pedantic(load, (resource("sessions/sample"),), rounds=3, warmup_rounds=1)
     assert road.session.contacts
+
+
+def test_a_session_of_ten_thousand_pokes_is_opened(benchmark, forearm, tmp_path):
+    """From its journal, to the estimates of both methods."""
+    contacts = forearm.contacts(-(-10_000 // len(forearm.channels)), seed=1)[:10_000]
+    spaced = [replace(one, poke=i, start_s=2.5 * i, end_s=2.5 * i + 0.3) for i, one in enumerate(contacts, start=1)]
+    write_pokes(tmp_path / "session", resource("scenes/icub-forearm/scene.toml"), spaced)
+    road = benchmark.pedantic(load, (tmp_path / "session",), rounds=3)
+    assert len(road.session.contacts) == len(spaced)
+    assert road.snapshot().estimates[Method.SURFACE]

@@ -170,3 +170,13 @@ def test_every_command_shows_an_example(capsys):
     for command in (["solve"], ["simulate"], ["record"], ["export"], ["import", "yarp"], ["import", "csv"]):
         assert main([*command, "--help"]) == 0
         assert "Example" in capsys.readouterr().out
+
+
+def test_the_readme_shows_what_the_sample_session_really_gives(capsys):
+    """Word for word."""
+    checkout = Path(__file__).resolve().parents[2]
+    block = (checkout / "README.md").read_text(encoding="utf-8").split("```console\n")[1].split("```")[0]
+    command, *shown = block.strip().splitlines()
+    words = command.removeprefix("$ skincal ").split()
+    assert main([word if "/" not in word else str(checkout / word) for word in words]) == 0
+    assert capsys.readouterr().out.splitlines()[: len(shown)] == shown

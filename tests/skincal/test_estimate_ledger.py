@@ -44,7 +44,7 @@ def test_columns_are_the_wrench_in_the_link_frame():
             np.testing.assert_allclose(mine.pitches[i], pitch(force, moment), atol=1e-12)
             np.testing.assert_allclose(mine.forces[i], size)
             assert np.array_equal(mine.sensors[i], one.link_from_sensor[:3, 3])
-            e1, e2 = mine.across[i]
+            e1, e2 = mine.pairs[i]
             np.testing.assert_allclose(np.cross(e1, e2), mine.directions[i], atol=1e-14)
             k = one.responses[list(one.channels).index(channel)] / one.responses.max()
             assert mine.weights[i] == k

@@ -184,6 +184,21 @@ def test_of_few_contacts_none_is_doubted(count, rng):
     assert (trust(Ledger(contacts).evidence([0]), NOISE) == 1.0).all()
 
 
+@pytest.mark.parametrize("count", [8, 12, 30])
+def test_a_miss_of_nought_does_not_take_the_rigs_own_spread_away(count, rng):
+    """Pitches of 10 mm by the rig's own fault, and one of exactly nought: the others must not be doubted for it."""
+    doubted = []
+    for _ in range(40):
+        _, contacts = bundle(rng, count)
+        bad = [replace(one, moment=one.moment + rng.normal(0, 0.010) * one.force) for one in contacts]
+        straight = np.array([0.0, 0.0, -8.0])
+        exact = replace(bad[0], force=straight, moment=np.cross([0.03, 0.02, 0.1], straight))
+        assert float(pitch(exact.force, exact.moment)) == 0.0
+        doubted.append(np.sum(trust(Ledger([exact, *bad[1:]]).evidence([0]), NOISE) < 1.0))
+    # Measured 0.3 to 0.6; 4 to 20 where a mean of logarithms takes the nought as it is.
+    assert np.mean(doubted) < 1.5
+
+
 def test_trust_is_the_taxels_own_whatever_else_is_asked_and_in_whatever_order(rng):
     rig, contacts = session(10, False, 1, True)
     everything = Ledger(contacts).evidence(rig.channels.tolist())
@@ -275,15 +290,23 @@ if __name__ == "__main__":
             session.cache_clear()
 
 
-def test_where_no_contact_fits_another_none_is_doubted():
-    """Else a taxel would have no contact left, and be told that its axes are parallel or that no triangle faces them."""
+@pytest.mark.parametrize("seed", [202, 1011, 1382, 4828, 6779, 7226])
+def test_where_hardly_a_contact_would_be_left_all_count(seed):
+    """Else a taxel would be told that its axes are parallel, or that no triangle faces them.
+
+    Four contacts of very different misses; of 7,226 such draws ten would leave less than two. Whoever takes the rule away sees
+    trusts of 0 and 1 here.
+    """
+    rng = np.random.default_rng(seed)
     contacts = []
-    # Two pass the same place, but with a torque; two have none, but pass it at 20 mm on either side.
-    for number, (aside, torque) in enumerate([(0.0, 0.25), (0.0, -0.25), (0.02, 0.0), (-0.02, 0.0)], start=1):
-        force = 8.0 * np.array([0.0, 0.3 * (-1) ** number, -1.0])
-        moment = np.cross([aside, 0.0, 0.0], force) + torque * force / np.linalg.norm(force)
+    for number in range(1, 5):
+        push = np.array([*(0.4 * rng.uniform(-1, 1, 2)), -1.0])
+        force = 8.0 * push / np.linalg.norm(push)
+        off = np.array([*rng.normal(0, rng.choice([0, 1e-5, 1e-3, 0.03]), 2), 0.0])
+        torque = rng.choice([0, 1e-4, 1e-2, 0.3]) * rng.normal()
+        moment = np.cross(np.array([0.03, 0.02, 0.1]) + off, force) + torque * force / 8.0
         contacts.append(Contact(number, 0, 1, force, moment, np.array([0]), np.array([50.0]), np.eye(4), "", 0.0, True))
     assert (trust(Ledger(contacts).evidence([0]), NOISE) == 1.0).all()
     one = estimate_taxels(contacts, [0], [Method.FREE], NOISE, None)[Method.FREE][0]
-    np.testing.assert_allclose(one.position, 0.0, atol=1e-9)
+    assert one.doubted == {}
     assert np.isfinite(one.normal).all()

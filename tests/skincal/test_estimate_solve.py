@@ -6,7 +6,6 @@ import pytest
 from skincal.arm import inverse_pose
 from skincal.contacts.outcome import Contact
 from skincal.estimate.ledger import gather
-from skincal.estimate.qr import factor
 from skincal.estimate.result import Method, State
 from skincal.estimate.solution import solve as solve_evidence
 from skincal.estimate.solve import average_over_poses
@@ -219,9 +218,8 @@ def test_units_of_force_do_not_move_the_free_estimate():
             )
             for c in contacts
         ]
-        evidence = gather(scaled, [0])
-        solved = factor(*evidence.rows(), 2 * evidence.starts)
-        np.testing.assert_allclose(solved.solutions[0], points[0], atol=1e-12)
+        solved = solve_evidence(gather(scaled, [0]), [], NOISE, None)
+        np.testing.assert_allclose(solved.factors.solutions[0], points[0], atol=1e-12)
 
 
 def test_one_axis():

@@ -1,5 +1,6 @@
 """The compiled solver is its source's, and what it has instead of a C library is right."""
 
+import ctypes
 import math
 import re
 import subprocess
@@ -11,7 +12,9 @@ import pytest
 import wasmtime
 from surface_support import random_metrics, same, tube
 
+from skincal.estimate import solution
 from skincal.solver.machine import PROGRAM, Machine
+from skincal.surface import resident, tree
 from skincal.surface.nearest import GRAZING, nearest_to_rows
 from tools import solver
 
@@ -72,9 +75,22 @@ def test_the_program_is_what_its_source_compiles_to():
     assert solver.build() == PROGRAM.read_bytes(), "run `python -m tools.solver`"
 
 
-def test_a_number_that_stands_in_both_languages_is_the_same():
+def number(name):
     text = (solver.SOURCE.parent / "search.h").read_text(encoding="utf-8")
-    assert float(re.search(r"GRAZING = ([0-9.e-]+);", text)[1]) == GRAZING
+    return float(re.search(rf"\b{name}(?: =)? ([0-9.e-]+)", text)[1])
+
+
+@pytest.mark.parametrize(
+    ("name", "here"), [("GRAZING", GRAZING), ("ROUND", tree.ROUND), ("WIDTH", tree.WIDTH), ("LEVELS", resident.LEVELS)]
+)
+def test_a_number_that_stands_in_both_languages_is_the_same(name, here):
+    assert number(name) == here
+
+
+def test_both_languages_mean_the_same_tables():
+    machine = Machine()
+    assert machine.told("answer_size") == solution.ANSWER.itemsize
+    assert machine.told("surface_size") == ctypes.sizeof(resident.Layout)
 
 
 def test_the_logarithm_is_right_to_two_roundings(probe):

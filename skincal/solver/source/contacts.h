@@ -88,7 +88,8 @@ static double miss_of(const Contacts *c, Vec p)
 /* What the noise makes of a contact's two rows, before weighting: covariance `even` I - less less', metres^2. */
 typedef struct { double even, less[2]; } RowNoise;
 
-/* From the sensor, for a taxel at p: S(q) S(q)' = |q|^2 I - q q' with the lever q, and T turns q into (-e_2.q, e_1.q). */
+/* From the sensor, for a taxel at p: S(q) S(q)' = |q|^2 I - q q' with the lever q, and T turns q into (e_2.q, -e_1.q); its sign
+ * does not matter. */
 INLINE RowNoise sensor_noise(const Contacts *c, int i, Vec p, const Noise *noise)
 {
     Vec q = minus(p, column(c->sensor, i));

@@ -76,7 +76,7 @@ static int is_end(Surface *s, Metric *m, const Beside *beside, const Candidate *
 static Best second_to(Surface *s, Metric *m, Vec best, double radius, double limit)
 {
     unsigned char *mark = top;
-    double squared = limit * m->scale * m->scale, far = smaller(root_of(squared), 1e12);
+    double squared = limit * m->scale * m->scale, far = smaller(root_of(squared), FARTHEST / 2);
     Vec middle = minus(best, vec_at(s->origin));
     double hollow = radius * (1 - ROUND) - SLACK * s->extent;
     Hole hole = {{(float)middle.x, (float)middle.y, (float)middle.z}, (float)hollow};

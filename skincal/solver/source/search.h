@@ -41,10 +41,15 @@ static const double LEAST_STRETCH = 1e-2;
 /* Sum of the squared stretches over the largest of them: a metric below this has a second stretch below half the first. */
 static const double FLAT = 1.25;
 
+/* Metres. Beyond, single precision tells nothing, and every triangle is tried. */
+static const double FAR = 1e15;
+/* Metres, farther than any distance where bounds are taken. */
+static const float FARTHEST = 1e18f;
+
 #define WIDTH 8
 #define LEVELS 16
 
-/* The tree and the mesh, as `skincal/solver/surface.py` writes them. */
+/* The tree and the mesh, as `skincal/surface/resident.py` writes them. */
 typedef struct {
     Word triangle_count, level_count;
     const float *levels[LEVELS]; /* eight nodes a row of 64: centres' x (8), y, z, radii, normals' middles x, y, z, sines */
@@ -121,6 +126,7 @@ static void set_bounds(Metric *m, double extent)
     m->stretch = (float)stretch;
     m->slack = (float)(3 * TIE + SLACK * reach);
     m->flat = squares < FLAT * stretch * stretch;
+    m->all = !(reach < FAR);
 }
 
 /* `push` may be null: every triangle counts. */
@@ -142,7 +148,7 @@ static Metric metric_of(const Surface *s, const Matrix *root, Vec offset, const 
     m.any = !push;
     for (int i = 0; i < 3; i++) rows[i] = dot(m.root.row[i], m.root.row[i]);
     m.stiff = smaller(rows[0], smaller(rows[1], rows[2])) < STIFF * STIFF * larger(rows[0], larger(rows[1], rows[2]));
-    m.all = m.tried = 0;
+    m.tried = 0;
     set_bounds(&m, s->extent);
     return m;
 }
@@ -239,7 +245,7 @@ static void put_ahead(Ahead *ahead, int level, int row, const float lower[WIDTH]
 {
     int first = ahead->count;
     for (int k = 0; k < WIDTH; k++) {
-        if (!(lower[k] <= bound)) continue;
+        if (!(lower[k] <= bound && lower[k] < FARTHEST)) continue;
         int at = ahead->count++;
         for (; at > first && ahead->all[at - 1].lower < lower[k]; at--) ahead->all[at] = ahead->all[at - 1];
         ahead->all[at] = (Step){level, row * WIDTH + k, lower[k]};
@@ -298,13 +304,19 @@ static int keep_least(Candidate *all, Vec *points, double *values, double *measu
     return kept;
 }
 
+/* Which of two comes first where nothing else tells them apart: by their place in the mesh, not in the tree. */
+INLINE int lesser(const Surface *s, const Candidate *a, const Candidate *b)
+{
+    return s->order[a->node] < s->order[b->node];
+}
+
 /* Solves the triangles once more about the best of them; returns how many are as near as the best then. */
 static int polish_all(const Surface *s, const Metric *m, Candidate *all, int count, Vec *points, double *values)
 {
     int near = 0, best = 0, kept = 0;
     Polished *again = ROOM(Polished, count);
     for (int i = 1; i < count; i++)
-        if (all[i].distance < all[near].distance || (all[i].distance == all[near].distance && all[i].node < all[near].node))
+        if (all[i].distance < all[near].distance || (all[i].distance == all[near].distance && lesser(s, &all[i], &all[near])))
             near = i;
     Vec anchor = candidate_point(s, &all[near]);
     /* From the link's origin again: the tree's may be far off. */
@@ -315,7 +327,7 @@ static int polish_all(const Surface *s, const Metric *m, Candidate *all, int cou
         for (int j = 0; j < 3; j++) from[j] = minus(corners[j], anchor);
         again[i] = polish(&m->root, rest, from, vec_at(s->normals + 3 * s->order[all[i].node]));
         points[i] = again[i].corner >= 0 ? corners[again[i].corner] : plus(anchor, again[i].away);
-        if (again[i].rise < again[best].rise || (again[i].rise == again[best].rise && all[i].node < all[best].node)) best = i;
+        if (again[i].rise < again[best].rise || (again[i].rise == again[best].rise && lesser(s, &all[i], &all[best]))) best = i;
     }
     Polished first = again[best];
     Vec there = points[best];
@@ -369,7 +381,7 @@ static Best nearest_to(const Surface *s, Metric *m, int start)
     static const Hole NO_HOLE = {{0, 0, 0}, 0};
     unsigned char *mark = top;
     Candidate first;
-    float limit = 1e12f; /* metres: farther than any distance */
+    float limit = FARTHEST;
     if (start >= 0 && start < (int)s->triangle_count && solve_node(s, m, s->places[start], &first))
         if (first.distance < limit) limit = (float)(first.distance * (1 + ROUND));
     Best best = best_of(s, m, candidates_of(s, m, limit, 0, &NO_HOLE));

@@ -187,6 +187,10 @@ static void begin(void)
     reach();
 }
 
+/* So that Python can see that it means the same tables. */
+EXPORT unsigned long answer_size(void) { return sizeof(Answer); }
+EXPORT unsigned long surface_size(void) { return sizeof(Surface); }
+
 EXPORT void *asked_at(void) { return &asked; }
 EXPORT void *heap(void) { return &__heap_base; }
 
@@ -276,7 +280,7 @@ static Metric metric_at(const Search *q, Word i)
     Matrix root = matrix_at(q->roots + 9 * i);
     Vec push = q->pushes ? vec_at(q->pushes + 3 * i) : vec(0, 0, 0);
     Metric m = metric_of(q->surface, &root, vec_at(q->offsets + 3 * i), q->pushes ? &push : 0);
-    m.all = (int)q->all;
+    m.all |= (int)q->all;
     return m;
 }
 

@@ -8,7 +8,8 @@
  *
  * with r the two rows' residuals and D their covariance (`uncertainty.h`). A rig whose matrix or poses are wrong misses by
  * more than its noise, and must not lose its pokes for that: the spreads are the geometric means of the taxel's own misses
- * over those of noise alone, and at least 1. (A geometric mean needs no sorting, and a few far misses hardly move it.)
+ * over those of noise alone, and at least 1. (A geometric mean needs no sorting, and a few far misses hardly move it; nor do
+ * very small ones, which are raised to a share of the usual one first.)
  *
  * Up to FULL a contact counts fully, so that without outliers the estimate is that of (5); from NONE on not at all; in
  * between by a smooth step. The point from which r counts is found by least squares, then by STEPS steps with weights
@@ -38,8 +39,10 @@ static const int STEPS = 1;
 /* Share of the weights that holds a step back where nearly parallel axes do not determine one: those of 0.6 degrees
  * spread. */
 static const double DAMPING = 1e-4;
-/* Means of the logarithm of chi-square of two degrees of freedom, ln 2 - gamma, and of one, -ln 2 - gamma. */
-static const double USUAL_MISS = 0.1159, USUAL_PITCH = -1.2704;
+/* Share of a spread's square below which a squared miss counts as that: one miss of nought may not decide. */
+static const double RAISED = 0.1;
+/* Means of ln max(x, RAISED) for x of chi-square, of two degrees of freedom and of one: by numerical integration. */
+static const double USUAL_MISS = 0.1653, USUAL_PITCH = -0.7685;
 
 /* A symmetric system of weighted least squares, summed up. */
 typedef struct { double xx, xy, xz, yy, yz, zz; Vec pull; } Pulls;
@@ -71,23 +74,29 @@ static Vec step_of(const Pulls *s)
 /* Both rows of each contact and the square of its pitch, in standard deviations of the noise. */
 typedef struct { Vec *first, *second; double *pitch; } Whitened;
 
-/* Squared misses over their geometric mean, where that is more than usual; a miss of nought makes it less. */
-static void make_relative(double *squares, int count, double usual)
+/* The geometric mean of max(x, least): of a product whose power of two is kept apart, so that it takes one logarithm. */
+static double geometric_mean(const double *squares, int count, double least)
 {
-    /* One logarithm for all: of their product, whose power of two is kept apart. */
     double product = 1.0;
     int exponent = 0, more;
     for (int i = 0; i < count; i++) {
-        product *= fraction(squares[i], &more);
+        product *= fraction(larger(squares[i], least), &more);
         exponent += more;
         if (product < 0x1p-500) {
             product = fraction(product, &more);
             exponent += more;
         }
     }
-    double sum = ln(product) + exponent * 0.69314718055994531;
+    return power_of_e((ln(product) + exponent * 0.69314718055994531) / count);
+}
+
+/* Squared misses over what is usual for the taxel, where that is more than the noise. */
+static void make_relative(double *squares, int count, double usual)
+{
+    /* Raised first to a share of what the noise makes, then to one of what is found. */
+    double wide = larger(geometric_mean(squares, count, RAISED) * power_of_e(-usual), 1.0);
     int freedom = 2 * count - 3 > 1 ? 2 * count - 3 : 1;
-    double wide = power_of_e(sum / count - usual) * (1.0 + SMALL / freedom);
+    wide = geometric_mean(squares, count, RAISED * wide) * power_of_e(-usual) * (1.0 + SMALL / freedom);
     if (wide < 1.0) wide = 1.0;
     for (int i = 0; i < count; i++) squares[i] /= wide;
 }

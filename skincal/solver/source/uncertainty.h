@@ -22,7 +22,7 @@
  * depth is off by what these offsets make of it, beta; it is taken as a standard deviation, not taken off, since it says
  * nothing of hollows.
  *
- * The two rows e_i.(p - a) of a contact are T (f x p + m)/|f| with T = [-e_2; e_1], since e_i.(u x v) = (e_i x u).v, so
+ * The two rows e_i.(p - a) of a contact are T (f x p + m)/|f| with T = [e_2; -e_1], since e_i.(u x v) = (e_i x u).v, so
  * their covariance is D = T C T'/|f|^2. The estimate is linear in the rows, p = G b with G = (A'A)^-1 A', so its covariance
  * is Sigma = G (K D K) G' + what is common: the estimator's own weights k, the rig's own noise. Confined to directions B
  * (3 x d), as on a triangle, A becomes A B and Sigma becomes B (...) B'.
