@@ -7,7 +7,7 @@ numbers, and nothing else, so that taking a poke out and in again gives the same
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -26,6 +26,7 @@ from skincal.session.history import History, PokeStep, Step
 from skincal.session.snapshot import PokeRecord, Snapshot
 
 if TYPE_CHECKING:
+    from skincal.estimate.evidence import Evidence
     from skincal.files.calibration import Calibration
     from skincal.surface.mesh import Surface
 
@@ -180,6 +181,10 @@ class Session:
             can_undo="" if last is None else last.words,
         )
         return self._snapshot
+
+    def evidence(self, channels: Collection[int]) -> Evidence:
+        """Return what the contacts of the last snapshot say of those of `channels` that answered; all of them count fully."""
+        return self._ledger.evidence(channels)
 
     def calibration(self) -> Calibration:
         """Return what the calibration files are written from."""

@@ -1,0 +1,1 @@
+"""Where to poke next, from which side, and when it is enough."""

@@ -1,0 +1,171 @@
+"""Which poke tells most for the time it takes.
+
+A poke at a believed place from some side is expected to be answered by the taxels around it, the weaker the farther. For each
+of them the predicted covariance S shrinks by S J'(D + J S J')^-1 J S, with J the poke's two rows and D their noise
+(A-optimal); what counts is by how much the predicted rms error goes down, until it is as small as wanted.
+
+Two phases: a sweep, in which pokes between taxels are welcome since they tell of several; then own pokes, since pure greed
+keeps poking between taxels, and pulls their estimates together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.estimate.evidence import across
+from skincal.guide.knowledge import offset_square, row_precision
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import NoiseSettings
+
+AZIMUTHS = 8
+"""Directions around the normal that are tried."""
+TILTS = (0.6, 1.0)
+"""Shares of the usable tilt that are tried, beside no tilt at all."""
+TRIES = 1 + AZIMUTHS * len(TILTS)
+"""Pushes tried at each taxel."""
+REACHED = 1.35
+"""Neighbours within this many times the usual spacing may answer: measured on the simulated forearm, nine in ten of those
+that do are nearer."""
+_HARDLY = 1e-3
+"""Least weight of a neighbour: it hardly counts."""
+FORCE = 9.0
+"""N, the middle of what a hand presses (6 to 12)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """Which of n taxels are expected to answer a poke at each: k a taxel, itself first, filled up with itself and weight 0."""
+
+    rows: IntArray
+    """(n, k) int."""
+    weights: FloatArray
+    """(n, k) float, 0 to 1: expected share of the strongest answer."""
+
+
+def find_neighbours(places: FloatArray, spacing: float, noise: NoiseSettings, most: int = 6) -> Neighbours:
+    """Find the taxels around each of `places` (n, 3), metres.
+
+    Parameters
+    ----------
+    spacing : m, usual distance of neighbours
+    """
+    count = len(places)
+    rows, weights = np.tile(np.arange(count)[:, None], (1, most + 1)), np.zeros((count, most + 1))
+    weights[:, 0] = 1.0
+    known = np.nan_to_num(places, nan=1e6)
+    # By slabs along one axis: all pairs of 4,200 taxels would take 400 MB.
+    axis = int(np.ptp(known[np.isfinite(places[:, 0])], axis=0).argmax()) if np.isfinite(places).any() else 0
+    order = known[:, axis].argsort(kind="stable")
+    reach = REACHED * spacing
+    along: FloatArray = known[order, axis]
+    ends: IntArray = np.searchsorted(along, along + reach, side="right")
+    begins: IntArray = np.searchsorted(along, along - reach, side="left")
+    for place, row in enumerate(order.tolist()):
+        near = order[begins[place] : ends[place]]
+        apart = np.sqrt(np.sum((known[near] - known[row]) ** 2, axis=1))
+        keep = np.flatnonzero((apart <= reach) & (near != row))
+        keep = keep[apart[keep].argsort(kind="stable")][:most]
+        rows[row, 1 : 1 + len(keep)] = near[keep]
+        weights[row, 1 : 1 + len(keep)] = np.exp(-((apart[keep] / (2.0 * noise.reach)) ** 2))
+    return Neighbours(rows, weights)
+
+
+def directions(normals: FloatArray, usable: float) -> FloatArray:
+    """Return (n, 1 + 16, 3) unit pushes to try at skin with outward `normals` (n, 3): along the normal, then tilted."""
+    one, two = across(normals).transpose(1, 0, 2)
+    tries = [-normals]
+    for share in TILTS:
+        tilt = share * usable
+        for step in range(AZIMUTHS):
+            turn = 2.0 * np.pi * step / AZIMUTHS
+            aside = np.cos(turn) * one + np.sin(turn) * two
+            tries.append(np.sin(tilt) * aside - np.cos(tilt) * normals)
+    return np.stack(tries, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """What the choice looks at, of n taxels."""
+
+    places: FloatArray
+    """(n, 3) float, metres, believed."""
+    pushes: FloatArray
+    """(n, d, 3) float, unit: what is tried at each."""
+    neighbours: Neighbours
+    information: FloatArray
+    """(n, 3, 3) float, 1/m^2."""
+    normals: FloatArray
+    """(n, 3) float, unit."""
+    sensor: FloatArray
+    """(3,) float, metres: the sensor's origin, link frame."""
+    wanted: float
+    """m, the rms below which a taxel needs nothing more."""
+    in_plane: bool
+    """Whether only the place along the skin counts (surface method)."""
+    open: FloatArray
+    """(n,) float: 1 where the taxel still needs something, else 0."""
+
+
+def rms_of(state: State, rows: IntArray) -> FloatArray:
+    """Return (m,) the predicted rms errors of the taxels `rows`, metres."""
+    return np.sqrt(np.trace(_covariances(state, rows), axis1=1, axis2=2))
+
+
+def _covariances(state: State, rows: IntArray) -> FloatArray:
+    """Return (m, 3, 3), m^2; along the skin alone where that is what counts."""
+    if not state.in_plane:
+        return _inverse(state.information[rows])
+    basis = across(state.normals[rows])
+    flat = _inverse(basis @ state.information[rows] @ basis.transpose(0, 2, 1))
+    return np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
+
+
+def _inverse(matrices: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+
+
+def foretold(state: State, row: int, push: int, noise: NoiseSettings) -> tuple[float, float]:
+    """Return the predicted rms error of a taxel now and after a push at it, metres."""
+    one = np.array([row])
+    before = _covariances(state, one)
+    _, less = _lowered(state, one, before[:, None], state.neighbours.rows[one][:, :1], np.ones((1, 1)), noise)
+    total = float(np.trace(before[0]))
+    return float(np.sqrt(total)), float(np.sqrt(max(total - float(less[0, push, 0]), 0.0)))
+
+
+def gains(state: State, rows: IntArray, noise: NoiseSettings, others: float) -> FloatArray:
+    """Return (m, d) by how much each push at the taxels `rows` (m,) lowers the sum of the predicted rms errors, metres.
+
+    Parameters
+    ----------
+    others : 0 to 1, how far the neighbours count beside the taxel itself
+    """
+    touched, weights = state.neighbours.rows[rows], state.neighbours.weights[rows]
+    before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
+    total, less = _lowered(state, rows, before, touched, weights, noise)
+    after = np.sqrt(np.maximum(total - less, 0.0))
+    floor = state.wanted / 2.0
+    lower = np.maximum(np.sqrt(total), floor) - np.maximum(after, floor)
+    lower *= (weights > 0)[:, None] * state.open[touched][:, None]
+    return lower[:, :, 0] + others * lower[:, :, 1:].sum(axis=2)
+
+
+def _lowered(
+    state: State, rows: IntArray, before: FloatArray, touched: IntArray, weights: FloatArray, noise: NoiseSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return (m, 1, k) the traces of the covariances `before` (m, k, 3, 3), and (m, d, k) by how much each push lowers them."""
+    (m, k), d = touched.shape, state.pushes.shape[1]
+    heard = np.maximum(weights, _HARDLY)
+    pairs = across(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
+    lever = np.broadcast_to((state.places[touched] - state.sensor)[:, None], (m, d, k, 3))
+    offsets = np.broadcast_to(offset_square(heard, noise)[:, None], (m, d, k))
+    every = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
+    precision = row_precision(every, lever.reshape(-1, 3), np.full(m * d * k, FORCE), offsets.ravel(), noise)
+    # The chance that it answers at all is about its share of the strongest answer.
+    beside = _inverse(precision).reshape(m, d, k, 2, 2) / heard[:, None, :, None, None]
+    moved: FloatArray = pairs @ before[:, None]
+    spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
+    less = np.sum(moved * (_inverse(spread) @ moved), axis=(-1, -2))
+    return np.trace(before, axis1=-2, axis2=-1)[:, None], less

@@ -1,0 +1,278 @@
+"""The guide: follows what was measured, and says what to poke next, why, and when it is enough.
+
+It knows no truth of its own: all of it follows from the contacts, the estimates and what the operator skipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.evidence import Evidence
+from skincal.estimate.result import Estimate, Method
+from skincal.guide import choose
+from skincal.guide.done import Facts, Need, needs
+from skincal.guide.knowledge import Knowledge
+from skincal.guide.places import Plan, believed
+from skincal.guide.settings import GuideSettings
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import NoiseSettings
+
+OTHERS = 0.3
+"""Share of what a poke tells of the neighbours that counts in the phase of own pokes: none of it takes 6 % more pokes to 3 mm,
+all of it pulls neighbours together in the long run."""
+AIM_MAX = 0.002
+"""m: no poke is asked for farther beside its taxel, or a neighbour would answer most."""
+
+
+class Phase(Enum):
+    """What the guide is after; the value is its name."""
+
+    SWEEP = "sweep"
+    OWN = "own pokes"
+    ENOUGH = "enough"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """The poke that is asked for, link frame."""
+
+    channel: int
+    place: FloatArray
+    """(3,) float, metres."""
+    normal: FloatArray
+    """(3,) float, unit, outward."""
+    push: FloatArray
+    """(3,) float, unit: which way the tool pushes."""
+    tilt: float
+    """rad, of the push from the normal."""
+    before: float
+    """m, the taxel's predicted rms error now."""
+    after: float
+    """m, and after the poke."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guidance:
+    """What the guide says at one moment, of n taxels."""
+
+    method: Method
+    """The solver it follows."""
+    phase: Phase
+    target: Target | None
+    channels: IntArray
+    """(n,) ascending."""
+    places: FloatArray
+    """(n, 3) float, metres, believed; NaN where nothing is known."""
+    rms: FloatArray
+    """(n,) float, metres: predicted error; infinite while there is none."""
+    diversity: FloatArray
+    """(n,) float, rad."""
+    own: IntArray
+    """(n,) pokes of their own."""
+    needs: tuple[tuple[Need, ...], ...]
+    """For each taxel what is not met yet; none where it is done."""
+
+    @property
+    def done(self) -> int:
+        """How many taxels are done."""
+        return sum(not each for each in self.needs)
+
+
+class Guide:
+    """Follows a session by one method.
+
+    Parameters
+    ----------
+    plan : where the layout puts the taxels
+    noise : the rig's
+    method : the solver whose needs count
+    spacing : m, usual distance of neighbours
+    """
+
+    def __init__(
+        self, plan: Plan, noise: NoiseSettings, method: Method, spacing: float, settings: GuideSettings | None = None
+    ) -> None:
+        self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
+        self.tilt = self.settings.usable_tilt
+        """rad, how far the tool may lean; lowered by pokes that slide or miss."""
+        self._noise = noise
+        self._in_plane = method is Method.SURFACE
+        self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
+        self._contacts: dict[int, Contact] = {}
+        self._centres: dict[int, FloatArray] = {}
+        self._places = plan.places.copy()
+        self._neighbours = choose.find_neighbours(self._places, spacing, noise)
+        self._gains = np.full((len(plan.channels), choose.TRIES), -np.inf)
+        self._pushes = choose.directions(plan.normals, self.tilt)
+        self._gains_of: Phase | None = None
+        self._stale = np.ones(len(plan.channels), dtype=bool)
+        self._asked: IntArray = np.zeros(len(plan.channels), dtype=np.int64)
+        """How often each taxel was the target of a poke."""
+        self._last: Target | None = None
+        self._estimates: list[Estimate | None] = [None] * len(plan.channels)
+        self._needs: list[tuple[Need, ...]] = [()] * len(plan.channels)
+        self._hand: FloatArray | None = None
+        self._sensor = np.zeros(3)
+
+    def update(
+        self,
+        contacts: Mapping[int, Contact],
+        estimates: Mapping[Method, Sequence[Estimate]],
+        evidence: Callable[[Collection[int]], Evidence],
+    ) -> Guidance:
+        """Take what a session holds now, and say what is to be done.
+
+        Parameters
+        ----------
+        contacts : those that count, by the number of their poke
+        estimates : of each method, one a taxel in the plan's order
+        evidence : gives what is known of some channels
+        """
+        dirty = self._take(contacts, estimates)
+        if dirty:
+            doubted = {one.channel: one.doubted for one in estimates[self.method] if one.channel in dirty}
+            told = evidence(dirty)
+            pairs = zip(told.channels[told.taxels].tolist(), told.pokes.tolist(), strict=True)
+            trust = [doubted[channel].get(poke, 1.0) for channel, poke in pairs]
+            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, self.plan.normals, self._centres)
+            rows = np.array([self._knowledge.row(channel) for channel in dirty])
+            self._stale |= np.isin(self._neighbours.rows, rows).any(axis=1)
+        self._renew_needs(estimates[self.method], dirty)
+        return self._guidance(estimates[self.method])
+
+    def _take(self, contacts: Mapping[int, Contact], estimates: Mapping[Method, Sequence[Estimate]]) -> set[int]:
+        """Take the contacts that are new or changed, leave out those that are gone; return whose taxels they touch."""
+        gone = [poke for poke in self._contacts if poke not in contacts]
+        new = [poke for poke, contact in contacts.items() if self._contacts.get(poke) is not contact]
+        touched = [self._contacts[poke] for poke in (*gone, *new) if poke in self._contacts]
+        for poke in gone:
+            del self._contacts[poke], self._centres[poke]
+        if not touched and not new:
+            return set()
+        best = estimates.get(Method.SURFACE) or estimates[Method.FREE]
+        self._places = believed(self.plan, best)
+        for poke in new:
+            contact = self._contacts[poke] = contacts[poke]
+            touched.append(contact)
+            self._centres[poke] = self._centre(contact)
+        if new:
+            self._count_asked(contacts, new)
+            newest = contacts[max(new)]
+            self._hand, self._sensor = self._centres[newest.poke], newest.link_from_sensor[:3, 3]
+        return {channel for contact in touched for channel in contact.channels.tolist() if self._knowledge.has(channel)}
+
+    def _count_asked(self, contacts: Mapping[int, Contact], new: Sequence[int]) -> None:
+        """Count whom the new pokes were meant for: the target, if one was asked for, else who answered most."""
+        if self._last is not None and len(new) == 1:
+            self._asked[self._knowledge.row(self._last.channel)] += 1
+            return
+        for poke in new:
+            peak = int(contacts[poke].channels[contacts[poke].responses.argmax()])
+            if self._knowledge.has(peak):
+                self._asked[self._knowledge.row(peak)] += 1
+
+    def _centre(self, contact: Contact) -> FloatArray:
+        """Return (3,) the middle of the taxels that answered, weighted by their answers."""
+        pairs = [
+            (self._places[self._knowledge.row(channel)], response)
+            for channel, response in zip(contact.channels.tolist(), contact.responses.tolist(), strict=True)
+            if self._knowledge.has(channel)
+        ]
+        places, weights = np.array([place for place, _ in pairs]), np.array([weight for _, weight in pairs])
+        return np.sum(places * weights[:, None], axis=0) / weights.sum() if pairs else np.full(3, np.nan)
+
+    def _renew_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
+        """Say anew what those taxels need whose contacts or estimates changed."""
+        know = self._knowledge
+        for row, one in enumerate(estimates):
+            if one is not self._estimates[row] or one.channel in dirty:
+                beside = float(np.sqrt(know.beside[row] @ know.beside[row]))
+                facts = Facts(int(know.own[row]), float(know.diversity[row]), beside, float(know.moved[row]))
+                self._estimates[row], self._needs[row] = one, needs(one, facts, self.method, self.settings)
+
+    def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
+        know, missing = self._knowledge, tuple(self._needs)
+        rms = np.array([np.inf if one.rms is None else one.rms for one in estimates])
+        state = choose.State(
+            self._places, self._pushes, self._neighbours, know.information,
+            self.plan.normals, self._sensor, self.settings.wanted, self._in_plane,
+            np.array([1.0 if each else 0.0 for each in missing]),
+        )  # fmt: skip
+        phase = self._phase(missing)
+        self._last = None if phase is Phase.ENOUGH else self._target(state, phase, missing)
+        return Guidance(
+            self.method, phase, self._last, self.plan.channels, self._places, rms, know.diversity, know.own, missing
+        )
+
+    def _phase(self, missing: Sequence[tuple[Need, ...]]) -> Phase:
+        if not any(missing):
+            return Phase.ENOUGH
+        if self._in_plane or len(self._contacts) >= self.settings.sweep * len(self.plan.channels):
+            return Phase.OWN
+        return Phase.SWEEP
+
+    def _target(self, state: choose.State, phase: Phase, missing: Sequence[tuple[Need, ...]]) -> Target | None:
+        rows = np.flatnonzero((state.open > 0) & np.isfinite(state.places).all(axis=1))
+        if not rows.size:
+            return None
+        seconds = self.settings.poke_s + self._away(state.places[rows]) / self.settings.hand_speed
+        if self._in_plane:
+            row, push = self._evenly(rows, seconds), 0
+        else:
+            gains = self._fresh_gains(state, rows, phase) / seconds[:, None]
+            best = int(gains.argmax())
+            row, push = int(rows[best // gains.shape[1]]), best % gains.shape[1]
+        return self._told(state, row, push, missing)
+
+    def _evenly(self, rows: IntArray, seconds: FloatArray) -> int:
+        """Return the taxel whose turn it is, round by round; of several the one that is reached soonest.
+
+        One that was asked for and missed is asked for once more in a round, and no more often: who cannot be reached must
+        not keep the others waiting.
+        """
+        asked, own = self._asked[rows], self._knowledge.own[rows]
+        turn = np.maximum(np.minimum(asked, own + 1), asked - 1)
+        first = np.flatnonzero(turn == turn.min())
+        return int(rows[first[seconds[first].argmin()]])
+
+    def _fresh_gains(self, state: choose.State, rows: IntArray, phase: Phase) -> FloatArray:
+        """Return (m, d) the gains at `rows`, worked out anew only where something around them changed."""
+        if phase is not self._gains_of:
+            self._gains_of, self._stale[:] = phase, True
+        anew = rows[self._stale[rows]]
+        if anew.size:
+            self._gains[anew] = choose.gains(state, anew, self._noise, 1.0 if phase is Phase.SWEEP else OTHERS)
+            self._stale[anew] = False
+        return self._gains[rows]
+
+    def _away(self, places: FloatArray) -> FloatArray:
+        """Return (m,) how far the hand has to go, metres."""
+        if self._hand is None or not np.isfinite(self._hand).all():
+            return np.zeros(len(places))
+        return np.sqrt(np.sum((places - self._hand) ** 2, axis=1))
+
+    def _aim(self, row: int, missing: Sequence[Need]) -> FloatArray:
+        """Return (3,) where to press: where nothing but balance is missing, on the side that the taxel's pokes have missed."""
+        know = self._knowledge
+        off = -know.own[row] * know.beside[row] if tuple(missing) == (Need.BALANCE,) else np.zeros(3)
+        size = float(np.sqrt(off @ off))
+        return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
+
+    def _told(self, state: choose.State, row: int, push: int, missing: Sequence[tuple[Need, ...]]) -> Target:
+        direction = state.pushes[row, push]
+        before, after = choose.foretold(state, row, push, self._noise)
+        cosine = -float(direction @ state.normals[row])
+        return Target(
+            channel=int(self.plan.channels[row]),
+            place=self._aim(row, missing[row]),
+            normal=state.normals[row],
+            push=direction,
+            tilt=float(np.arccos(np.clip(cosine, -1.0, 1.0))),
+            before=before,
+            after=after,
+        )

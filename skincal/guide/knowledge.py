@@ -1,0 +1,179 @@
+"""What the contacts of each taxel add up to, for the guide: information, diversity of the axes, own pokes, balance."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from skincal.estimate.evidence import Evidence, across
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import NoiseSettings
+
+
+class Knowledge:
+    """Numbers of n taxels, renewed for those whose contacts changed.
+
+    Parameters
+    ----------
+    channels : (n,) ascending
+    noise : the rig's
+    unknown : m, sd of a place of which nothing is known
+    in_plane : whether only the place along the skin counts (surface method)
+    """
+
+    def __init__(self, channels: IntArray, noise: NoiseSettings, unknown: float, in_plane: bool) -> None:
+        count = len(channels)
+        self.channels = channels
+        self.noise, self.in_plane = noise, in_plane
+        self._row = {int(channel): row for row, channel in enumerate(channels)}
+        self._nothing = np.eye(3) / unknown**2
+        self.information: FloatArray = np.tile(self._nothing, (count, 1, 1))
+        """(n, 3, 3) float, 1/m^2: the sum over contacts, with that of a place of which nothing is known."""
+        self.diversity: FloatArray = np.zeros(count)
+        """(n,) float, rad: how far the axes spread; 0 for one axis."""
+        self.own: IntArray = np.zeros(count, dtype=np.int64)
+        """(n,) pokes in which the taxel answered most."""
+        self.contacts: IntArray = np.zeros(count, dtype=np.int64)
+        """(n,) pokes in which it answered."""
+        self.beside: FloatArray = np.zeros((count, 3))
+        """(n, 3) float, metres: where the middle of its contacts lies beside it, along the skin."""
+        self.moved: FloatArray = np.full(count, np.inf)
+        """(n,) float, metres: how far the last poke of its own moved it; infinite without one, or where it is alone."""
+
+    def has(self, channel: int) -> bool:
+        """Whether a channel is one of the taxels."""
+        return channel in self._row
+
+    def row(self, channel: int) -> int:
+        """Return the index of a channel."""
+        return self._row[channel]
+
+    def renew(
+        self,
+        channels: Collection[int],
+        evidence: Evidence,
+        places: FloatArray,
+        normals: FloatArray,
+        centres: Mapping[int, FloatArray],
+    ) -> None:
+        """Work out anew what the contacts of `channels` say.
+
+        Parameters
+        ----------
+        evidence : of those of `channels` that answered
+        places, normals : (n, 3) float, metres and unit, believed
+        centres : (3,) float, metres, of each poke: the middle of the taxels that answered
+        """
+        emptied = np.array([self._row[channel] for channel in channels], dtype=np.int64)
+        self.information[emptied], self.moved[emptied] = self._nothing, np.inf
+        for numbers in (self.diversity, self.own, self.contacts, self.beside):
+            numbers[emptied] = 0
+        if not len(evidence.channels):
+            return
+        rows = np.array([self._row[channel] for channel in evidence.channels.tolist()])
+        starts, of = evidence.starts[:-1], evidence.taxels
+        lever = np.nan_to_num(places[rows])[of] - evidence.sensors
+        square = offset_square(evidence.weights, self.noise)
+        every = information(evidence.pairs, lever, evidence.forces, square, self.noise) * evidence.trust[:, None, None]
+        self.information[rows] += np.add.reduceat(every, starts, axis=0)
+        self.diversity[rows] = diversity(evidence)
+        self.own[rows] = np.add.reduceat((evidence.weights == 1.0).astype(np.int64), starts)
+        self.contacts[rows] = evidence.counts
+        shares = (evidence.weights**2 * evidence.trust)[:, None]
+        off = np.array([centres[poke] for poke in evidence.pokes.tolist()]) - places[rows][of]
+        off = np.add.reduceat(shares * off, starts, axis=0) / np.add.reduceat(shares, starts, axis=0)
+        off -= np.sum(off * normals[rows], axis=1, keepdims=True) * normals[rows]
+        self.beside[rows] = off
+        self.moved[rows] = _moved(evidence, normals[rows], self.in_plane)
+
+
+def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArray:
+    """Return (t,) how far the last own poke of each taxel moved its least squares; infinite without one, or alone.
+
+    With M the sum of all contacts' rows and m, r the last one's, p - p_without = (M - m)^-1 r, exactly.
+    """
+    pairs = evidence.pairs
+    sides = np.sum(pairs * evidence.nearest[:, None], axis=2)
+    if in_plane:
+        # Along the skin: what the rows say of the depth is as if it were known.
+        skin = across(normals)[evidence.taxels]
+        pairs = pairs @ skin.transpose(0, 2, 1)
+    shares = (evidence.weights**2 * evidence.trust)[:, None, None]
+    squares = shares * (pairs.transpose(0, 2, 1) @ pairs)
+    pulls = shares[:, :, 0] * (pairs.transpose(0, 2, 1) @ sides[:, :, None])[:, :, 0]
+    size = squares.shape[1]
+    whole, pull = (np.add.reduceat(each, evidence.starts[:-1], axis=0) for each in (squares, pulls))
+    last = _last_own(evidence)
+    there = last >= 0
+    held = 1e-9 * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(size)
+    without = whole - np.where(there[:, None, None], squares[last], 0.0)
+    rest = pull - np.where(there[:, None], pulls[last], 0.0)
+    off = solved(whole + held, pull) - solved(without + held, rest)
+    moved = np.sqrt(np.sum(off * off, axis=1))
+    return np.where(there & (evidence.counts > 1), moved, np.inf)
+
+
+def solved(matrices: FloatArray, sides: FloatArray) -> FloatArray:
+    """Return the solutions (n, d) of n systems (n, d, d) with right sides (n, d)."""
+    return np.asarray(np.linalg.solve(matrices, sides[:, :, None])[:, :, 0], dtype=np.float64)
+
+
+def _last_own(evidence: Evidence) -> IntArray:
+    """Return (t,) the answer of each taxel's last poke of its own, -1 without one."""
+    numbers = np.where(evidence.weights == 1.0, evidence.pokes, -1)
+    latest = np.maximum.reduceat(numbers, evidence.starts[:-1])
+    at = np.flatnonzero((numbers == latest[evidence.taxels]) & (numbers >= 0))
+    last = np.full(len(evidence.channels), -1, dtype=np.int64)
+    last[evidence.taxels[at]] = at
+    return last
+
+
+def offset_square(weights: FloatArray, noise: NoiseSettings) -> FloatArray:
+    """Return (n,) how far contacts of weight k are beside their taxel in each direction, m^2 (`contacts.h`)."""
+    return noise.contact**2 - noise.reach**2 * np.log(weights)
+
+
+def information(
+    pairs: FloatArray, lever: FloatArray, forces: FloatArray, offsets: FloatArray, noise: NoiseSettings
+) -> FloatArray:
+    """Return (n, 3, 3) what each contact tells of its taxel's place, E' D^-1 E, 1/m^2.
+
+    D is a contact's noise in its two rows (`sensor_noise` of `contacts.h`), its offset taken in both.
+
+    Parameters
+    ----------
+    pairs : (n, 2, 3) float: e_1 and e_2 across the push
+    lever : (n, 3) float, metres, from the sensor's origin to the taxel
+    forces : (n,) float, N
+    offsets : (n,) float, m^2: `offset_square`
+    """
+    inverse = row_precision(pairs, lever, forces, offsets, noise)
+    return pairs.transpose(0, 2, 1) @ inverse @ pairs
+
+
+def row_precision(
+    pairs: FloatArray, lever: FloatArray, forces: FloatArray, offsets: FloatArray, noise: NoiseSettings
+) -> FloatArray:
+    """Return (n, 2, 2) D^-1, 1/m^2; else as `information`."""
+    relative = noise.force / forces
+    even = (noise.moment / forces) ** 2 + relative**2 * np.sum(lever * lever, axis=1) + offsets
+    along = (pairs @ lever[:, :, None])[:, :, 0]
+    less = relative[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    # (even I - l l')^-1 = (I + l l'/(even - l'l)) / even.
+    rest = even - np.sum(less * less, axis=1)
+    return (np.eye(2) + less[:, :, None] * less[:, None] / rest[:, None, None]) / even[:, None, None]
+
+
+def diversity(evidence: Evidence) -> FloatArray:
+    """Return (t,) how far the axes of each taxel spread, rad.
+
+    The square of its sine is the smallest eigenvalue of the weighted mean of I - u u': 0 for parallel axes; for axes in a
+    cone about their middle the angle between its side and that middle, times the root of a half.
+    """
+    starts = evidence.starts[:-1]
+    u, shares = evidence.directions, (evidence.weights**2 * evidence.trust)[:, None, None]
+    spread = np.add.reduceat(shares * (np.eye(3) - u[:, :, None] * u[:, None]), starts, axis=0)
+    spread /= np.add.reduceat(shares, starts, axis=0)
+    least = np.linalg.eigvalsh(spread)[:, 0]
+    return np.arcsin(np.sqrt(np.clip(least, 0.0, 1.0)))

@@ -1,0 +1,180 @@
+"""How the error of a session falls with its pokes: one course for each way to poke, method, conditions and seed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.result import Estimate, Method
+from skincal.guide.choose import directions
+from skincal.guide.guide import Guidance, Guide
+from skincal.guide.settings import GuideSettings
+from skincal.readings import FloatArray, IntArray
+from skincal.session.session import Session
+from skincal.simulate.rig import Rig
+from skincal.studies.poking import UNKNOWN, WAYS, Conditions, Part, Wish, poked
+
+FOLLOWED = ("diversity", "optimal", "guided")
+"""Ways that follow what is measured: the taxel whose axes spread least; A-optimal without an end; ours."""
+LOOKED_AT = 1.03
+"""A course is looked at after so many times as many pokes as before, and after every second one up to `DENSE`."""
+DENSE = 260
+FALSE = 5.0 / 3.0
+"""A taxel is falsely done where its true error exceeds the wanted one this many times."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """One session's errors."""
+
+    pokes: IntArray
+    """(n,) ascending."""
+    mean: FloatArray
+    """(n,) float, metres, over all taxels; one without an estimate counts `UNKNOWN`."""
+    p95: FloatArray
+    """(n,) float, metres."""
+    seconds: FloatArray
+    """(n,) float, modelled: pokes, and the hand's way between them."""
+    done: int
+    """Taxels that the guide calls done at the end."""
+    falsely: int
+    """Of these, how many are not."""
+
+    def pokes_to(self, error: float, of_p95: bool = False) -> float:
+        """Return how many pokes it takes until the error is and stays at most `error`, metres; infinite if it never does."""
+        above = np.flatnonzero((self.p95 if of_p95 else self.mean) > error)
+        if not len(above):
+            return float(self.pokes[0])
+        return float(self.pokes[above[-1] + 1]) if above[-1] + 1 < len(self.pokes) else float("inf")
+
+
+def looks(limit: int) -> IntArray:
+    """Return after which pokes a course of `limit` pokes is looked at."""
+    first = list(range(10, min(limit, DENSE) + 1, 2))
+    while first[-1] < limit:
+        first.append(min(limit, round(first[-1] * LOOKED_AT)))
+    return np.array(first)
+
+
+def run_course(part: Part, way: str, method: Method, conditions: Conditions, seed: int, limit: int) -> Course:
+    """Poke `limit` times, and look at the errors now and then."""
+    rig = part.rig(conditions, seed)
+    rng = np.random.default_rng([seed, 11])
+    steps = _followed if way in FOLLOWED else _unheard
+    at = set(looks(limit).tolist())
+    rows: list[tuple[int, float, float, float]] = []
+    last: tuple[Session, Guidance | None] | None = None
+    for count, seconds, session, guidance in steps(part, rig, way, method, conditions, rng, limit):
+        last = session, guidance
+        if count in at:
+            errors = errors_of(session.snapshot().estimates[method], rig)
+            rows.append((count, float(errors.mean()), float(np.percentile(errors, 95)), seconds))
+    if last is None:
+        raise ValueError("a course needs a poke")
+    session, guidance = last
+    if guidance is None:
+        guidance = _guide(part, method).update(_numbered(session), session.snapshot().estimates, session.evidence)
+    done, falsely = _judged(guidance, session.snapshot().estimates[method], rig)
+    pokes, mean, p95, spent = (np.array(column) for column in zip(*rows, strict=True))
+    return Course(pokes.astype(np.int64), mean, p95, spent, done, falsely)
+
+
+def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
+    """Return (n,) the taxels' errors, metres."""
+    truth = [rig.places[rig.row_of(one.channel)] for one in estimates]
+    pairs = zip(estimates, truth, strict=True)
+    return np.array([UNKNOWN if one.position is None else np.linalg.norm(one.position - place) for one, place in pairs])
+
+
+Step = tuple[int, float, Session, Guidance | None]
+
+
+def _unheard(
+    part: Part, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+) -> Iterator[Step]:
+    """Poke as planned before the first poke."""
+    del method
+    wish = WAYS[way](part, conditions, limit, rng)
+    contacts, pokes = poked(part, rig, wish, conditions, rng, 1)
+    session, told = Session(part.scene, part.surface), 0
+    times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
+    for count in looks(limit).tolist():
+        while told < len(contacts) and contacts[told].poke <= count:
+            session.add(contacts[told])
+            told += 1
+        yield count, float(times[count - 1]), session, None
+
+
+def _followed(
+    part: Part, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+) -> Iterator[Step]:
+    """Poke as a guide says, one after another."""
+    session, seconds, hand = Session(part.scene, part.surface), 0.0, None
+    guide = _guide(part, method, forever=way == "optimal")
+    contacts: dict[int, Contact] = {}
+    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+    for count in range(1, limit + 1):
+        wish = _least_spread(part, session, guidance, conditions) if way == "diversity" else _asked(guidance)
+        if wish is None:
+            # Enough, says the guide: who goes on all the same pokes what is known worst.
+            wish = _worst(part, guidance)
+        made, pokes = poked(part, rig, wish, conditions, rng, count)
+        seconds += float(_seconds(np.array([0.0 if hand is None else np.linalg.norm(pokes.points[0] - hand)]))[0])
+        hand = pokes.points[0]
+        for contact in made:
+            session.add(contact)
+            contacts[contact.poke] = contact
+        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+        yield count, seconds, session, guidance
+
+
+def _guide(part: Part, method: Method, forever: bool = False) -> Guide:
+    settings = GuideSettings()
+    settings = replace(settings, sweep=float("inf")) if forever else settings
+    return Guide(part.plan, part.scene.noise, method, part.spacing, settings)
+
+
+def _numbered(session: Session) -> dict[int, Contact]:
+    return {contact.poke: contact for contact in session.contacts}
+
+
+def _asked(guidance: Guidance) -> Wish | None:
+    target = guidance.target
+    return None if target is None else Wish(target.place[None], target.push[None])
+
+
+def _worst(part: Part, guidance: Guidance) -> Wish:
+    row = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
+    return Wish(guidance.places[row][None], -part.plan.normals[row][None])
+
+
+def _least_spread(part: Part, session: Session, guidance: Guidance, conditions: Conditions) -> Wish:
+    """Poke the taxel whose axes spread least, from the side that the most distant of its pokes came from least."""
+    row = int(np.lexsort((guidance.own, guidance.diversity))[0])
+    normal, place = part.plan.normals[row], part.plan.places[row]
+    tries = _tries(normal, conditions.usable)
+    known = session.evidence([int(part.plan.channels[row])])
+    if not len(known.channels):
+        return Wish(place[None], tries[:1])
+    apart = np.abs(tries @ known.directions.T).max(axis=1)
+    return Wish(place[None], tries[[int(apart.argmin())]])
+
+
+def _tries(normal: FloatArray, usable: float) -> FloatArray:
+    return directions(normal[None], min(usable, GuideSettings().usable_tilt))[0]
+
+
+def _seconds(ways: FloatArray) -> FloatArray:
+    settings = GuideSettings()
+    return settings.poke_s + ways / settings.hand_speed
+
+
+def _judged(guidance: Guidance, estimates: tuple[Estimate, ...], rig: Rig) -> tuple[int, int]:
+    """Return how many taxels are called done, and how many of them wrongly."""
+    wanted = GuideSettings().wanted
+    errors = errors_of(estimates, rig)
+    done = np.array([not missing for missing in guidance.needs])
+    return int(done.sum()), int((done & (errors > FALSE * wanted)).sum())

@@ -1,0 +1,247 @@
+"""How many pokes each way to poke takes: people who are told nothing, a printed recipe, and the guide.
+
+Ways, hand, rig and what counts as knowing are in `poking` and `courses`. All of it is seeded. Courses run side by side, as
+many as the machine has cores; their numbers do not depend on it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from skincal.estimate.result import Method
+from skincal.readings import FloatArray
+from skincal.studies.courses import FOLLOWED, Course, run_course
+from skincal.studies.poking import WAYS, Conditions, Part
+
+if TYPE_CHECKING:
+    from skincal.studies.figure import Figure
+
+STANDARD = "standard"
+TO_5_MAX, TO_3_MAX = 90.0, 200.0
+"""Pokes of the guide until the free method's mean error is 5 and 3 mm."""
+TIMES_RANDOM, TIMES_RECIPE = 4.0, 1.3
+"""How many times fewer than unguided pokes, and than the recipe's, to 5 mm."""
+SURFACE_MAX = 1.1
+"""Error of the surface method over round-robin's, at any count of pokes from one a taxel on."""
+DRIFT_MAX = 1.15
+"""Error with 0.25 N of drift over that without."""
+FALSE_MAX = 0.02
+"""Share of the taxels that are called done and are not."""
+_TAXELS = 84
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One course."""
+
+    way: str
+    method: Method
+    case: str
+    conditions: Conditions
+    seed: int
+    limit: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """What is run."""
+
+    seeds: int = 20
+    """Of the standard case."""
+    other_seeds: int = 20
+    """Of the ways that the guide is compared with."""
+    case_seeds: int = 10
+    """Of the other cases."""
+    free_limit: int = 252
+    """Pokes of a way that follows, free method; unguided ones go on to `long`."""
+    surface_limit: int = 1008
+    long: int = 4032
+    cases: Mapping[str, Conditions] = field(default_factory=dict[str, Conditions])
+
+
+def _cases() -> dict[str, Conditions]:
+    standard = Conditions()
+    cases = {f"drift {drift:g} N": replace(standard, drift=drift) for drift in (0.1, 0.25, 0.5)}
+    cases["8 % double contacts"] = replace(standard, doubled=0.08)
+    cases |= {f"aim {1e3 * aim:g} mm": replace(standard, aim=aim) for aim in (0.001, 0.004)}
+    cases |= {f"tilt {tilt} degrees": replace(standard, usable=float(np.radians(tilt))) for tilt in (10, 20, 45)}
+    return cases
+
+
+FULL = Sizes(cases=_cases())
+QUICK = Sizes(
+    seeds=6, other_seeds=2, case_seeds=2, free_limit=220, surface_limit=252, long=2016,
+    cases={"drift 0.25 N": replace(Conditions(), drift=0.25)},
+)  # fmt: skip
+
+
+def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None) -> dict[str, Any]:
+    """Measure; quick with fewer seeds, cases and pokes.
+
+    Returns
+    -------
+    JSON: `table` with a row for each way, method and case; `pokes_to_5mm` and `pokes_to_3mm` of the standard case, free
+    method, null where it takes more than `limits` pokes; `bars`
+    """
+    sizes = sizes or (QUICK if quick else FULL)
+    tasks = list(_tasks(sizes))
+    rows: list[dict[str, Any]] = []
+    kept: dict[tuple[str, str, str], list[Course]] = {}
+    # Longest first would be quicker; in order a person sees what is done.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count() or 1, mp_context=context) as pool:
+        found = zip(tasks, pool.map(_run, tasks), strict=True)
+        for (case, method, way), group in groupby(found, key=lambda pair: _key(pair[0])):
+            own = list(group)
+            courses = kept[case, method, way] = [course for _, course in own]
+            rows.append(_row(own[0][0], courses))
+            progress(_told(rows[-1]))
+    free = {row["way"]: row for row in rows if (row["case"], row["method"]) == (STANDARD, "free")}
+    return {
+        "study": "guidance",
+        "quick": quick,
+        "table": rows,
+        "pokes_to_5mm": {way: row["pokes_to_5mm"]["median"] for way, row in free.items()},
+        "pokes_to_3mm": {way: row["pokes_to_3mm"]["median"] for way, row in free.items()},
+        "limits": {way: row["limit"] for way, row in free.items()},
+        "bars": _bars(free, rows, kept),
+    }
+
+
+def _tasks(sizes: Sizes) -> Iterator[Task]:
+    standard = Conditions()
+    for way in ("guided", *WAYS, "diversity", "optimal"):
+        seeds = sizes.seeds if way == "guided" else sizes.other_seeds
+        limit = sizes.free_limit if way in FOLLOWED else sizes.long
+        yield from (Task(way, Method.FREE, STANDARD, standard, seed, limit) for seed in range(1, seeds + 1))
+    for way in ("guided", "round_robin", "random", "clumped"):
+        seeds = range(1, sizes.other_seeds + 1)
+        yield from (Task(way, Method.SURFACE, STANDARD, standard, seed, sizes.surface_limit) for seed in seeds)
+    for case, conditions in sizes.cases.items():
+        for way in ("guided", "tilt_recipe"):
+            seeds = range(1, sizes.case_seeds + 1)
+            yield from (Task(way, Method.FREE, case, conditions, seed, sizes.free_limit) for seed in seeds)
+
+
+def _key(task: Task) -> tuple[str, str, str]:
+    return task.case, task.method.value, task.way
+
+
+def _run(task: Task) -> Course:
+    return run_course(Part(), task.way, task.method, task.conditions, task.seed, task.limit)
+
+
+def _row(task: Task, courses: Sequence[Course]) -> dict[str, Any]:
+    """Return the medians over seeds with their 95 % intervals, and the course of the mean error."""
+    thresholds = {"pokes_to_5mm": (0.005, False), "pokes_to_3mm": (0.003, False), "pokes_to_p95_8mm": (0.008, True)}
+    return {
+        "case": task.case,
+        "conditions": asdict(task.conditions),
+        "method": task.method.value,
+        "way": task.way,
+        "seeds": len(courses),
+        "limit": task.limit,
+        **{name: _interval([one.pokes_to(*told) for one in courses]) for name, told in thresholds.items()},
+        "seconds_to_5mm": _interval([_seconds_to(one, 0.005) for one in courses]),
+        "pokes": courses[0].pokes.tolist(),
+        "mean_mm": (1e3 * _over(courses, "mean")).round(4).tolist(),
+        "p95_mm": (1e3 * _over(courses, "p95")).round(4).tolist(),
+        "done": float(np.mean([one.done for one in courses])),
+        "falsely_done_share": float(np.sum([one.falsely for one in courses]) / (len(courses) * _TAXELS)),
+    }
+
+
+def _over(courses: Sequence[Course], name: str) -> FloatArray:
+    return np.mean([getattr(one, name) for one in courses], axis=0)
+
+
+def _seconds_to(course: Course, error: float) -> float:
+    pokes = course.pokes_to(error)
+    return float("inf") if np.isinf(pokes) else float(course.seconds[np.searchsorted(course.pokes, pokes)])
+
+
+def _interval(numbers: Sequence[float]) -> dict[str, float | None]:
+    """Return the median, and the 95 % interval of it by ranks (binomial); null where it is not reached."""
+    ordered = np.sort(np.array(numbers, dtype=float))
+    count = len(ordered)
+    reach = 1.96 * np.sqrt(count) / 2.0
+    low, high = max(int(np.floor(count / 2 - reach)), 0), min(int(np.ceil(count / 2 + reach)), count - 1)
+    middle = float(np.median(ordered)) if np.isfinite(ordered).all() else float(ordered[count // 2])
+    return {"median": _finite(middle), "low": _finite(ordered[low]), "high": _finite(ordered[high])}
+
+
+def _finite(number: float) -> float | None:
+    return float(number) if np.isfinite(number) else None
+
+
+def _bars(
+    free: Mapping[str, dict[str, Any]], rows: Sequence[dict[str, Any]], kept: Mapping[tuple[str, str, str], list[Course]]
+) -> dict[str, dict[str, Any]]:
+    to = {way: row["pokes_to_5mm"]["median"] for way, row in free.items()}
+    guided, to_3 = to["guided"] or np.inf, free["guided"]["pokes_to_3mm"]["median"] or np.inf
+    # Where a way does not get there, it takes more than its limit.
+    times = {way: (to[way] or free[way]["limit"]) / guided for way in ("random", "round_robin", "tilt_recipe")}
+    numbers = {
+        "guided_pokes_to_5mm": (guided, "<=", TO_5_MAX),
+        "guided_pokes_to_3mm": (to_3, "<=", TO_3_MAX),
+        "random_over_guided": (times["random"], ">=", TIMES_RANDOM),
+        "round_robin_over_guided": (times["round_robin"], ">=", TIMES_RANDOM),
+        "tilt_recipe_over_guided": (times["tilt_recipe"], ">=", TIMES_RECIPE),
+        "surface_over_round_robin": (_surface_ratio(kept), "<=", SURFACE_MAX),
+        "drift_over_none": (_drift_ratio(kept), "<=", DRIFT_MAX),
+        "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", FALSE_MAX),
+    }
+    return {name: _bar(*told) for name, told in numbers.items()}
+
+
+def _bar(value: float, sign: str, limit: float) -> dict[str, Any]:
+    holds = value >= limit if sign == ">=" else value <= limit
+    return {"value": _finite(value), "sign": sign, "limit": limit, "holds": bool(holds)}
+
+
+def _surface_ratio(kept: Mapping[tuple[str, str, str], list[Course]]) -> float:
+    ours, theirs = (kept[STANDARD, "surface", way] for way in ("guided", "round_robin"))
+    late = ours[0].pokes >= _TAXELS
+    return float((_over(ours, "mean")[late] / _over(theirs, "mean")[late]).max())
+
+
+def _drift_ratio(kept: Mapping[tuple[str, str, str], list[Course]]) -> float:
+    """Return the ratio of the errors at the last poke, over the seeds that both cases have."""
+    drifting = kept["drift 0.25 N", "free", "guided"]
+    still = kept[STANDARD, "free", "guided"][: len(drifting)]
+    return float(np.mean([one.mean[-1] for one in drifting]) / np.mean([one.mean[-1] for one in still]))
+
+
+def _told(row: Mapping[str, Any]) -> str:
+    def pokes(name: str) -> str:
+        told = row[name]
+        return f"over {row['limit']}" if told["median"] is None else f"{told['median']:.0f}"
+
+    return (
+        f"{row['case']}, {row['method']}, {row['way'].replace('_', ' ')}: {pokes('pokes_to_5mm')} pokes to 5 mm, "
+        f"{pokes('pokes_to_3mm')} to 3 mm; {row['mean_mm'][-1]:.2f} mm after {row['pokes'][-1]} ({row['seeds']} seeds)"
+    )
+
+
+def summary(result: dict[str, Any]) -> list[str]:
+    """Return a line for each row, and the bars."""
+    bars: list[str] = []
+    for name, bar in result["bars"].items():
+        value = "not reached" if bar["value"] is None else f"{bar['value']:.3g}"
+        bars.append(f"{name}: {value}, bar {bar['sign']} {bar['limit']:g}: {'holds' if bar['holds'] else 'DOES NOT HOLD'}")
+    return [*map(_told, result["table"]), *bars]
+
+
+def draw(result: dict[str, Any], figure: Figure) -> None:
+    """Draw error against pokes of every way, both methods."""
+    from skincal.studies.guidance_figure import draw_guidance
+
+    draw_guidance(result, figure)
