@@ -106,6 +106,8 @@ class State:
     """Whether only the place along the skin counts (surface method)."""
     open: FloatArray
     """(n,) float: 1 where the taxel still needs something, else 0."""
+    solved: FloatArray
+    """(n,) float, metres: what the solver says of the error, which counts where it is more: it weighs contacts its own way."""
 
 
 def rms_of(state: State, rows: IntArray) -> FloatArray:
@@ -115,11 +117,14 @@ def rms_of(state: State, rows: IntArray) -> FloatArray:
 
 def _covariances(state: State, rows: IntArray) -> FloatArray:
     """Return (m, 3, 3), m^2; along the skin alone where that is what counts."""
-    if not state.in_plane:
-        return _inverse(state.information[rows])
-    basis = across(state.normals[rows])
-    flat = _inverse(basis @ state.information[rows] @ basis.transpose(0, 2, 1))
-    return np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
+    if state.in_plane:
+        basis = across(state.normals[rows])
+        flat = _inverse(basis @ state.information[rows] @ basis.transpose(0, 2, 1))
+        found = np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
+    else:
+        found = _inverse(state.information[rows])
+    total = np.trace(found, axis1=1, axis2=2)
+    return found * np.maximum(state.solved[rows] ** 2 / total, 1.0)[:, None, None]
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
@@ -159,13 +164,16 @@ def _lowered(
     (m, k), d = touched.shape, state.pushes.shape[1]
     heard = np.maximum(weights, _HARDLY)
     pairs = across(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
-    lever = np.broadcast_to((state.places[touched] - state.sensor)[:, None], (m, d, k, 3))
-    offsets = np.broadcast_to(offset_square(heard, noise)[:, None], (m, d, k))
-    every = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
-    precision = row_precision(every, lever.reshape(-1, 3), np.full(m * d * k, FORCE), offsets.ravel(), noise)
+    away: FloatArray = state.places[touched] - state.sensor
+    lever: FloatArray = np.broadcast_to(away[:, None], (m, d, k, 3))
+    offsets: FloatArray = np.broadcast_to(offset_square(heard, noise)[:, None], (m, d, k))
+    every: FloatArray = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
+    forces = np.full(m * d * k, FORCE)
+    precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), noise)
     # The chance that it answers at all is about its share of the strongest answer.
     beside = _inverse(precision).reshape(m, d, k, 2, 2) / heard[:, None, :, None, None]
     moved: FloatArray = pairs @ before[:, None]
     spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
-    less = np.sum(moved * (_inverse(spread) @ moved), axis=(-1, -2))
+    inverse = _inverse(spread)
+    less = np.sum(moved * (inverse @ moved), axis=(-1, -2))
     return np.trace(before, axis1=-2, axis2=-1)[:, None], less

@@ -8,8 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import Evidence
@@ -22,11 +24,22 @@ from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 
+BoolArray: TypeAlias = NDArray[np.bool_]
+
 OTHERS = 0.3
 """Share of what a poke tells of the neighbours that counts in the phase of own pokes: none of it takes 6 % more pokes to 3 mm,
 all of it pulls neighbours together in the long run."""
 AIM_MAX = 0.002
 """m: no poke is asked for farther beside its taxel, or a neighbour would answer most."""
+
+
+NEAR = 150
+"""Taxels among which the free method's next target is looked for where there are more: two thirds of them those nearest to the
+hand, one third the neediest."""
+SAME_SIDE = float(np.cos(np.radians(25.0)))
+"""Cosine of the angle within which two pushes come from the same side: half the way between two that are tried."""
+SKIPPED = 2
+"""A side of a taxel that was skipped so often is left out."""
 
 
 class Phase(Enum):
@@ -114,8 +127,14 @@ class Guide:
         self._asked: IntArray = np.zeros(len(plan.channels), dtype=np.int64)
         """How often each taxel was the target of a poke."""
         self._last: Target | None = None
+        self._skips: dict[int, list[FloatArray]] = {}
+        """The sides of each taxel, by its index, that were skipped."""
+        self._not_now = -1
+        """Index of the taxel that was skipped last, until the next poke."""
         self._estimates: list[Estimate | None] = [None] * len(plan.channels)
         self._needs: list[tuple[Need, ...]] = [()] * len(plan.channels)
+        self._nothing = float(np.sqrt(3.0)) * self.settings.unknown
+        self._solved = np.full(len(plan.channels), self._nothing)
         self._hand: FloatArray | None = None
         self._sensor = np.zeros(3)
 
@@ -145,6 +164,13 @@ class Guide:
         self._renew_needs(estimates[self.method], dirty)
         return self._guidance(estimates[self.method])
 
+    def skip(self) -> None:
+        """Ask for something else than the last target; a side of a taxel that is skipped twice is asked for no more."""
+        if self._last is not None:
+            self._not_now = self._knowledge.row(self._last.channel)
+            self._skips.setdefault(self._not_now, []).append(self._last.push)
+            self._stale[self._not_now] = True
+
     def _take(self, contacts: Mapping[int, Contact], estimates: Mapping[Method, Sequence[Estimate]]) -> set[int]:
         """Take the contacts that are new or changed, leave out those that are gone; return whose taxels they touch."""
         gone = [poke for poke in self._contacts if poke not in contacts]
@@ -161,6 +187,7 @@ class Guide:
             touched.append(contact)
             self._centres[poke] = self._centre(contact)
         if new:
+            self._not_now = -1
             self._count_asked(contacts, new)
             newest = contacts[max(new)]
             self._hand, self._sensor = self._centres[newest.poke], newest.link_from_sensor[:3, 3]
@@ -194,6 +221,8 @@ class Guide:
                 beside = float(np.sqrt(know.beside[row] @ know.beside[row]))
                 facts = Facts(int(know.own[row]), float(know.diversity[row]), beside, float(know.moved[row]))
                 self._estimates[row], self._needs[row] = one, needs(one, facts, self.method, self.settings)
+                told = one.sd if one.rms is None else one.rms
+                self._solved[row] = min(self._nothing if told is None else told, self._nothing)
 
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
         know, missing = self._knowledge, tuple(self._needs)
@@ -201,12 +230,20 @@ class Guide:
         state = choose.State(
             self._places, self._pushes, self._neighbours, know.information,
             self.plan.normals, self._sensor, self.settings.wanted, self._in_plane,
-            np.array([1.0 if each else 0.0 for each in missing]),
+            np.array([1.0 if each else 0.0 for each in missing]), self._solved,
         )  # fmt: skip
         phase = self._phase(missing)
         self._last = None if phase is Phase.ENOUGH else self._target(state, phase, missing)
         return Guidance(
-            self.method, phase, self._last, self.plan.channels, self._places, rms, know.diversity, know.own, missing
+            self.method,
+            phase,
+            self._last,
+            self.plan.channels,
+            self._places,
+            rms,
+            know.diversity.copy(),
+            know.own.copy(),
+            missing,
         )
 
     def _phase(self, missing: Sequence[tuple[Need, ...]]) -> Phase:
@@ -217,17 +254,44 @@ class Guide:
         return Phase.SWEEP
 
     def _target(self, state: choose.State, phase: Phase, missing: Sequence[tuple[Need, ...]]) -> Target | None:
-        rows = np.flatnonzero((state.open > 0) & np.isfinite(state.places).all(axis=1))
+        rows = self._eligible(state)
         if not rows.size:
             return None
         seconds = self.settings.poke_s + self._away(state.places[rows]) / self.settings.hand_speed
         if self._in_plane:
-            row, push = self._evenly(rows, seconds), 0
+            row = self._evenly(rows, seconds)
+            push = int(self._left_out(state, row).argmin())
         else:
-            gains = self._fresh_gains(state, rows, phase) / seconds[:, None]
+            near = self._near(rows, seconds)
+            gains = self._fresh_gains(state, rows[near], phase) / seconds[near, None]
             best = int(gains.argmax())
-            row, push = int(rows[best // gains.shape[1]]), best % gains.shape[1]
+            row, push = int(rows[near[best // gains.shape[1]]]), best % gains.shape[1]
         return self._told(state, row, push, missing)
+
+    def _eligible(self, state: choose.State) -> IntArray:
+        """Return the taxels that may be asked for: they need something, are somewhere, and some side of them is left."""
+        rows = np.flatnonzero((state.open > 0) & np.isfinite(state.places).all(axis=1))
+        shut = [row for row in self._skips if self._left_out(state, row).all()]
+        others = rows[~np.isin(rows, [*shut, self._not_now])]
+        return others if others.size else rows[~np.isin(rows, shut)]
+
+    def _left_out(self, state: choose.State, row: int) -> BoolArray:
+        """Return (d,) which pushes at a taxel come from sides that were skipped."""
+        skips = self._skips.get(row)
+        if skips is None:
+            return np.zeros(choose.TRIES, dtype=bool)
+        alike: FloatArray = state.pushes[row] @ np.array(skips).T
+        often: IntArray = np.sum(alike > SAME_SIDE, axis=1)
+        return often >= SKIPPED
+
+    def _near(self, rows: IntArray, seconds: FloatArray) -> IntArray:
+        """Return which of `rows` to look at, all of them where they are few."""
+        if len(rows) <= NEAR:
+            return np.arange(len(rows))
+        known = self._knowledge.contacts[rows]
+        nearest, neediest = seconds.argsort(kind="stable"), np.lexsort((seconds, known))
+        both: IntArray = np.union1d(nearest[: 2 * NEAR // 3], neediest[: NEAR // 3])
+        return both
 
     def _evenly(self, rows: IntArray, seconds: FloatArray) -> int:
         """Return the taxel whose turn it is, round by round; of several the one that is reached soonest.
@@ -247,6 +311,8 @@ class Guide:
         anew = rows[self._stale[rows]]
         if anew.size:
             self._gains[anew] = choose.gains(state, anew, self._noise, 1.0 if phase is Phase.SWEEP else OTHERS)
+            for row in self._skips.keys() & set(anew.tolist()):
+                self._gains[row, self._left_out(state, row)] = -np.inf
             self._stale[anew] = False
         return self._gains[rows]
 

@@ -193,7 +193,7 @@ def round_robin(part: Part, conditions: Conditions, count: int, rng: np.random.G
 def tilt_recipe(part: Part, conditions: Conditions, count: int, rng: np.random.Generator) -> Wish:
     """Poke each taxel once a round, tilted, the tilt turned with each round: what can be printed on a card."""
     rows = _rounds(part, count, rng)
-    turns: FloatArray = RECIPE_TURN * (np.arange(count) // len(part.plan.channels))
+    turns = np.asarray(RECIPE_TURN * (np.arange(count) // len(part.plan.channels)), dtype=np.float64)
     return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.usable)), turns)
 
 

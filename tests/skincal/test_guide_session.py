@@ -1,0 +1,179 @@
+"""The guide over a session: what it asks, and what becomes of it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from skincal.estimate.result import Method
+from skincal.guide.guide import SKIPPED, Guide, Phase
+from skincal.session.actions import Exclude, MarkDead, Restore
+from skincal.session.session import Session
+from skincal.studies.courses import errors_of, looks, run_course
+from skincal.studies.poking import WAYS, Conditions, Part, Wish, poked
+
+
+@cache
+def part():
+    return Part()
+
+
+def guide(method=Method.FREE):
+    return Guide(part().plan, part().scene.noise, method, part().spacing)
+
+
+class Followed:
+    """A session whose operator does what the guide asks."""
+
+    def __init__(self, method=Method.FREE, seed=1):
+        self.session, self.guide = Session(part().scene, part().surface), guide(method)
+        self.rig, self.rng = part().rig(Conditions(), seed), np.random.default_rng(seed)
+        self.contacts = {}
+        self.guidance = self.look()
+        self.asked = []
+
+    def look(self):
+        return self.guide.update(self.contacts, self.session.snapshot().estimates, self.session.evidence)
+
+    def poke(self, place=None):
+        target = self.guidance.target
+        self.asked.append(target.channel)
+        wish = Wish((target.place if place is None else place)[None], target.push[None])
+        for contact in poked(part(), self.rig, wish, Conditions(), self.rng, self.session.last_poke + 1)[0]:
+            self.session.add(contact)
+            self.contacts[contact.poke] = contact
+        self.guidance = self.look()
+        return self
+
+
+@cache
+def after(pokes, method=Method.FREE):
+    followed = Followed(method)
+    for _ in range(pokes):
+        followed.poke()
+    return followed
+
+
+def test_the_first_target_stands_on_the_part_and_says_what_it_gains():
+    guidance = Followed().guidance
+    target = guidance.target
+    assert guidance.phase is Phase.SWEEP
+    assert guidance.done == 0
+    row = int(np.flatnonzero(guidance.channels == target.channel)[0])
+    np.testing.assert_array_equal(target.place, part().plan.places[row])
+    assert np.linalg.norm(target.push) == pytest.approx(1.0)
+    assert -target.push @ target.normal == pytest.approx(np.cos(target.tilt))
+    assert target.tilt <= np.radians(28.0) + 1e-9
+    assert 0 < target.after < target.before
+
+
+def test_ninety_pokes_bring_the_free_method_to_five_millimetres():
+    followed = after(96)
+    errors = errors_of(followed.session.snapshot().estimates[Method.FREE], followed.rig)
+    assert errors.mean() < 0.0055
+    assert len(set(followed.asked)) > 50
+    # Targets lie near each other: a third of the part's length is seldom crossed.
+    places = {int(c): p for c, p in zip(part().plan.channels, part().plan.places, strict=True)}
+    steps = [np.linalg.norm(places[a] - places[b]) for a, b in zip(followed.asked, followed.asked[1:], strict=False)]
+    assert np.median(steps) < 0.03
+
+
+def test_on_a_surface_each_is_asked_for_once_a_round():
+    followed = after(84, Method.SURFACE)
+    assert sorted(followed.asked) == part().plan.channels.tolist()
+    assert followed.guidance.phase is Phase.OWN
+
+
+def test_a_session_that_is_opened_at_once_knows_what_a_followed_one_knows():
+    followed = after(60)
+    opened = guide().update(followed.contacts, followed.session.snapshot().estimates, followed.session.evidence)
+    np.testing.assert_array_equal(opened.own, followed.guidance.own)
+    np.testing.assert_allclose(opened.diversity, followed.guidance.diversity, atol=1e-12)
+    np.testing.assert_allclose(opened.places, followed.guidance.places, atol=1e-12)
+    np.testing.assert_array_equal(opened.rms, followed.guidance.rms)
+
+
+def test_a_poke_that_is_taken_out_and_put_in_again_leaves_no_trace():
+    followed = Followed(seed=3)
+    for _ in range(40):
+        followed.poke()
+    before = followed.guidance
+    followed.session.act(Exclude(17))
+    gone = followed.contacts.pop(17)
+    without = followed.look()
+    assert (without.own != before.own).any() or (without.diversity != before.diversity).any()
+    followed.session.act(Restore(17))
+    followed.contacts[17] = gone
+    again = followed.look()
+    np.testing.assert_array_equal(again.own, before.own)
+    np.testing.assert_array_equal(again.diversity, before.diversity)
+    assert again.needs == before.needs
+
+
+def test_a_target_that_is_skipped_gives_way_and_a_side_skipped_twice_is_left_out():
+    followed = Followed(seed=5)
+    first = followed.guidance.target
+    followed.guide.skip()
+    other = followed.look().target
+    assert other.channel != first.channel
+    followed.guidance = followed.look()
+    followed.poke()
+    # The same side again and again: from then on never.
+    row = int(np.flatnonzero(part().plan.channels == first.channel)[0])
+    followed.guide._skips[row] = [first.push] * SKIPPED
+    followed.guide._stale[:] = True
+    for _ in range(60):
+        target = followed.guidance.target
+        assert not (target.channel == first.channel and target.push @ first.push > 0.99)
+        followed.poke()
+
+
+def test_a_dead_taxel_is_never_asked_for():
+    followed = Followed(seed=7)
+    dead = followed.guidance.target.channel
+    followed.session.act(MarkDead(dead))
+    followed.guidance = followed.look()
+    for _ in range(30):
+        assert followed.guidance.target.channel != dead
+        followed.poke()
+
+
+def test_a_poke_on_another_taxel_counts_where_it_landed():
+    followed = Followed(seed=9)
+    row = int(np.flatnonzero(part().plan.channels == followed.guidance.target.channel)[0])
+    elsewhere = (row + 40) % 84
+    followed.poke(part().plan.places[elsewhere])
+    peak = next(iter(followed.contacts.values()))
+    hit = int(peak.channels[peak.responses.argmax()])
+    assert followed.guidance.own[np.flatnonzero(part().plan.channels == hit)[0]] == 1
+
+
+def test_where_everything_is_done_it_says_so():
+    followed = after(60)
+    estimates = followed.session.snapshot().estimates
+    easy = Guide(part().plan, part().scene.noise, Method.SURFACE, part().spacing)
+    easy._renew_needs = lambda *_: easy._needs.__setitem__(slice(None), [()] * 84)
+    guidance = easy.update(followed.contacts, estimates, followed.session.evidence)
+    assert guidance.phase is Phase.ENOUGH
+    assert guidance.target is None
+    assert guidance.done == 84
+
+
+@pytest.mark.parametrize("way", [*WAYS, "guided", "diversity", "optimal"])
+def test_a_course_is_the_same_each_time_and_gets_better(way):
+    one, two = (run_course(part(), way, Method.SURFACE, Conditions(), 2, 60) for _ in range(2))
+    np.testing.assert_array_equal(one.mean, two.mean)
+    np.testing.assert_array_equal(one.seconds, two.seconds)
+    assert one.pokes.tolist() == looks(60).tolist()
+    assert one.mean[-1] < one.mean[0]
+    assert (np.diff(one.seconds) > 0).all()
+    assert one.falsely <= one.done
+
+
+def test_a_threshold_is_reached_where_the_error_stays_below_it():
+    course = run_course(part(), "round_robin", Method.SURFACE, Conditions(), 2, 120)
+    at = course.pokes_to(0.02)
+    place = int(np.searchsorted(course.pokes, at))
+    assert (course.mean[place:] <= 0.02).all()
+    assert course.mean[place - 1] > 0.02
+    assert course.pokes_to(1e-6) == float("inf")

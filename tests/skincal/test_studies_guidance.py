@@ -1,0 +1,60 @@
+"""The guidance study itself: small, whole, and what its JSON says."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from skincal.studies import guidance
+from skincal.studies.figure import write_figure
+from skincal.studies.guidance import QUICK, Conditions
+from skincal.studies.poking import WAYS
+
+TINY = replace(QUICK, seeds=2, other_seeds=1, case_seeds=1, free_limit=24, surface_limit=90, long=40)
+
+
+@cache
+def result():
+    said = []
+    return guidance.run(True, said.append, TINY), said
+
+
+def test_it_says_what_each_way_takes():
+    found, said = result()
+    assert set(found["pokes_to_5mm"]) == {"guided", *WAYS, "diversity", "optimal"} == set(found["pokes_to_3mm"])
+    assert len(said) == len(found["table"]) == len(guidance.summary(found)) - len(found["bars"])
+    json.dumps(found, allow_nan=False)
+    for row in found["table"]:
+        assert len(row["pokes"]) == len(row["mean_mm"]) == len(row["p95_mm"])
+        assert row["pokes"][-1] == row["limit"]
+        assert row["mean_mm"][-1] <= row["mean_mm"][0]
+    # Nobody gets to 5 mm within 40 pokes: null, and no number that was not measured.
+    assert found["pokes_to_5mm"]["random"] is None
+    assert not found["bars"]["guided_pokes_to_5mm"]["holds"]
+    assert any("not reached" in line for line in guidance.summary(found))
+
+
+def test_the_figure_is_drawn(tmp_path):
+    found, _ = result()
+    paths = write_figure(lambda figure: guidance.draw(found, figure), tmp_path, "guidance")
+    assert all(path.stat().st_size > 10_000 for path in paths)
+
+
+def test_an_interval_holds_the_median_and_is_null_where_it_is_not_reached():
+    told = guidance._interval([70.0, 80.0, 90.0, 100.0, float("inf")])
+    assert told["low"] <= told["median"] == 90.0
+    assert told["high"] is None
+    assert guidance._interval([float("inf")] * 3)["median"] is None
+    many = guidance._interval(np.random.default_rng(1).normal(100, 10, 400).tolist())
+    assert many["low"] < many["median"] < many["high"]
+    assert many["high"] - many["low"] < 4.0
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.25])
+def test_conditions_change_the_rig_alone_where_they_say_so(drift):
+    errors = Conditions(drift=drift).errors
+    assert errors.drift_force == drift
+    assert errors.matrix == 0.0
+    assert errors.mount_shift == pytest.approx(0.004 / np.sqrt(2))
