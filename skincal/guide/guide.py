@@ -31,8 +31,6 @@ OTHERS = 0.3
 all of it pulls neighbours together in the long run."""
 AIM_MAX = 0.002
 """m: no poke is asked for farther beside its taxel, or a neighbour would answer most."""
-
-
 NEAR = 150
 """Taxels among which the free method's next target is looked for where there are more: two thirds of them those nearest to the
 hand, one third the neediest."""
@@ -111,8 +109,6 @@ class Guide:
         self, plan: Plan, noise: NoiseSettings, method: Method, spacing: float, settings: GuideSettings | None = None
     ) -> None:
         self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
-        self.tilt = self.settings.usable_tilt
-        """rad, how far the tool may lean; lowered by pokes that slide or miss."""
         self._noise = noise
         self._in_plane = method is Method.SURFACE
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
@@ -121,7 +117,7 @@ class Guide:
         self._places = plan.places.copy()
         self._neighbours = choose.find_neighbours(self._places, spacing, noise)
         self._gains = np.full((len(plan.channels), choose.TRIES), -np.inf)
-        self._pushes = choose.directions(plan.normals, self.tilt)
+        self._pushes = choose.directions(plan.normals, self.settings.usable_tilt)
         self._gains_of: Phase | None = None
         self._stale = np.ones(len(plan.channels), dtype=bool)
         self._asked: IntArray = np.zeros(len(plan.channels), dtype=np.int64)
@@ -182,24 +178,27 @@ class Guide:
             return set()
         best = estimates.get(Method.SURFACE) or estimates[Method.FREE]
         self._places = believed(self.plan, best)
+        # A poke is told twice: it was asked for once.
+        fresh = [contacts[poke] for poke in new if poke not in self._contacts]
+        if fresh:
+            self._not_now = -1
+            self._count_asked(fresh)
         for poke in new:
             contact = self._contacts[poke] = contacts[poke]
             touched.append(contact)
             self._centres[poke] = self._centre(contact)
         if new:
-            self._not_now = -1
-            self._count_asked(contacts, new)
             newest = contacts[max(new)]
             self._hand, self._sensor = self._centres[newest.poke], newest.link_from_sensor[:3, 3]
         return {channel for contact in touched for channel in contact.channels.tolist() if self._knowledge.has(channel)}
 
-    def _count_asked(self, contacts: Mapping[int, Contact], new: Sequence[int]) -> None:
-        """Count whom the new pokes were meant for: the target, if one was asked for, else who answered most."""
-        if self._last is not None and len(new) == 1:
+    def _count_asked(self, fresh: Sequence[Contact]) -> None:
+        """Count whom new pokes were meant for: the target, if one was asked for, else who answered most."""
+        if self._last is not None and len(fresh) == 1:
             self._asked[self._knowledge.row(self._last.channel)] += 1
             return
-        for poke in new:
-            peak = int(contacts[poke].channels[contacts[poke].responses.argmax()])
+        for contact in fresh:
+            peak = int(contact.channels[contact.responses.argmax()])
             if self._knowledge.has(peak):
                 self._asked[self._knowledge.row(peak)] += 1
 
@@ -220,7 +219,10 @@ class Guide:
             if one is not self._estimates[row] or one.channel in dirty:
                 beside = float(np.sqrt(know.beside[row] @ know.beside[row]))
                 facts = Facts(int(know.own[row]), float(know.diversity[row]), beside, float(know.moved[row]))
-                self._estimates[row], self._needs[row] = one, needs(one, facts, self.method, self.settings)
+                was, now = self._needs[row], needs(one, facts, self.method, self.settings)
+                self._estimates[row], self._needs[row] = one, now
+                if bool(was) != bool(now):
+                    self._stale |= (self._neighbours.rows == row).any(axis=1)
                 told = one.sd if one.rms is None else one.rms
                 self._solved[row] = min(self._nothing if told is None else told, self._nothing)
 

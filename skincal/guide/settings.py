@@ -12,7 +12,7 @@ class GuideSettings:
     """SI units."""
 
     wanted: float = 0.003
-    """m, predicted rms error at which a taxel may be done: less than the half of the 5 mm between taxels."""
+    """m, predicted rms error at which a taxel may be done: a little over half of the 5 mm between taxels."""
     own_pokes: int = 3
     """Pokes of its own, in which the taxel answers most: what neighbours' pokes say of it is off to their side."""
     diversity: float = float(np.radians(15.0))
@@ -22,23 +22,13 @@ class GuideSettings:
     settled: float = 0.0005
     """m: how far the last poke of its own may have moved a taxel."""
     usable_tilt: float = float(np.radians(28.0))
-    """rad, from the normal: a little less than the friction of a tip on foam holds. Learnt from pokes that slide."""
-    least_tilt: float = float(np.radians(10.0))
-    """rad: below it the free method gains next to nothing, so less is never asked."""
-    tilt_step: float = float(np.radians(4.0))
-    """rad, by which the tilt asked for is lowered after two misses or a slide."""
-    tilt_miss: float = float(np.radians(10.0))
-    """rad: a push that is off the wanted one by more missed it."""
+    """rad, from the normal: a little less than the friction of a tip on foam holds."""
     sweep: float = 1.5
     """Pokes a taxel until the guide asks for pokes of its own: until then those between taxels tell more, afterwards they
     pull neighbours together."""
-    held_out: int = 6
-    """Every so many-th poke of its own is compared with what the ones before it foretold."""
     unknown: float = 0.020
     """m, sd of a taxel's place in each direction before anything is known: keeps one axis finite; never counts as known."""
     poke_s: float = 2.0
     """s, for a poke where the hand is: measured on the simulated operator, whose habits are assumed."""
     hand_speed: float = 0.15
     """m/s, of the hand between taxels. Assumed: slow, as one aims."""
-    cover: float = 0.010
-    """m between the spots asked for where there is no layout: the tip and its neighbours reach 5 mm."""

@@ -117,7 +117,7 @@ def test_a_session_of_ten_thousand_pokes_is_opened(benchmark, forearm, tmp_path)
     """From its journal, to the estimates of both methods."""
     contacts = forearm.contacts(-(-10_000 // len(forearm.channels)), seed=1)[:10_000]
     spaced = [replace(one, poke=i, start_s=2.5 * i, end_s=2.5 * i + 0.3) for i, one in enumerate(contacts, start=1)]
-    write_pokes(tmp_path / "session", resource("scenes/icub-forearm/scene.toml"), spaced)
+    write_pokes(tmp_path / "session", forearm.scene, spaced)
     road = benchmark.pedantic(load, (tmp_path / "session",), rounds=3)
     assert len(road.session.contacts) == len(spaced)
     assert road.snapshot().estimates[Method.SURFACE]

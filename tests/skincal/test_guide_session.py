@@ -1,5 +1,6 @@
 """The guide over a session: what it asks, and what becomes of it."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -136,6 +137,18 @@ def test_a_dead_taxel_is_never_asked_for():
     for _ in range(30):
         assert followed.guidance.target.channel != dead
         followed.poke()
+
+
+def test_a_poke_that_is_told_twice_is_asked_for_once():
+    followed = Followed(Method.SURFACE, seed=11)
+    followed.poke()
+    number, contact = next(iter(followed.contacts.items()))
+    asked, target = followed.guide._asked.copy(), followed.guidance.target.channel
+    again = replace(contact, tare_change=0.02)
+    followed.session.add(again)
+    followed.contacts[number] = again
+    assert followed.look().target.channel == target
+    np.testing.assert_array_equal(followed.guide._asked, asked)
 
 
 def test_a_poke_on_another_taxel_counts_where_it_landed():
