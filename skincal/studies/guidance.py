@@ -78,7 +78,7 @@ def _cases() -> dict[str, Conditions]:
 
 FULL = Sizes(cases=_cases())
 QUICK = Sizes(
-    seeds=6, other_seeds=2, case_seeds=2, free_limit=220, surface_limit=252, long=2016,
+    seeds=6, other_seeds=2, case_seeds=2, free_limit=220, surface_limit=252, long=1008,
     cases={"drift 0.25 N": replace(Conditions(), drift=0.25)},
 )  # fmt: skip
 
