@@ -59,6 +59,7 @@ COMMANDS: tuple[Command, ...] = (
     ),
     Command("method", "View", "Next method", ("V",), "Show the estimates of the other method"),
     Command("difference", "View", "Lines to the other method", ("X",), "Join the estimates of both methods", checkable=True),
+    Command("guide", "View", "Guide", ("G",), "Say and show what to poke next", checkable=True),
     Command("camera", "View", "Whole part", ("Home",), "Bring the whole part into the 3D view"),
     Command("none", "View", "Select nothing", ("Esc",), "Dismiss the message, or the selection"),
     Command("full", "View", "Full screen", ("F11",), "", checkable=True),
@@ -115,7 +116,7 @@ class Commands(QObject):
             added.append(action)
         return added
 
-    def follow(self, may: Allowed, *, can_keep: bool) -> None:
+    def follow(self, may: Allowed, *, can_keep: bool, can_guide: bool) -> None:
         """Enable what may be done, and name it."""
         actions = self.actions
         _set(actions["undo"], bool(may.undo), f"Undo {may.undo}".strip())
@@ -136,6 +137,7 @@ class Commands(QObject):
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),
+            ("guide", can_guide),
         ):
             _set(actions[name], enabled, actions[name].text())
 

@@ -7,7 +7,7 @@ something changed. Everything slow is done in the background and comes back in a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from skincal.errors import InputError
 
 if TYPE_CHECKING:
     from app.opening import Part
+    from skincal.estimate.evidence import Evidence
     from skincal.estimate.result import Method
     from skincal.files.reference import Reference
     from skincal.session.actions import Action
@@ -57,6 +58,8 @@ class Picture:
     """Host's monotonic clock; while readings wait, the arrival of the newest that was worked on."""
     behind_s: float
     """How long ago that was, while readings wait; else 0."""
+    evidence: Callable[[Collection[int]], Evidence]
+    """What the contacts of the newest snapshot say of some channels; holds until the next picture."""
 
 
 class Controller(QObject):
@@ -251,7 +254,8 @@ class Controller(QObject):
         self._shown = recording.road.snapshot()
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
         live = recording.road.live(reached_ns)
-        self.ticked.emit(Picture(self._shown, live, reached_ns, (now_ns - reached_ns) * 1e-9))
+        evidence = recording.road.session.evidence
+        self.ticked.emit(Picture(self._shown, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence))
 
     # The operator's wishes
 

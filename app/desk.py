@@ -19,6 +19,7 @@ from app.controller import Controller, Picture
 from app.dialogs.export import ExportDialog
 from app.error_tracker import ErrorTracker
 from app.frame import Frame, same_results
+from app.guiding import Guiding
 from app.opening import Part
 from app.panels.devices import LinkChips
 from app.panels.message_bar import Message
@@ -73,6 +74,7 @@ class Desk(QObject):
         self.method = self.workspace.methods[0]
         self.chips = LinkChips()
         self.tracker = ErrorTracker(part, controller.compute)
+        self.guiding = Guiding(part)
         self.workspace.error_course.begin(self.tracker)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
         self._connect()
@@ -124,17 +126,23 @@ class Desk(QObject):
             now_ns=picture.now_ns,
             revision=self._revision,
             links=link_lines(picture.live.links, picture.now_ns, self._clock_offset, self._controller.running),
+            guidance=self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence),
         )
         self.workspace.show_frame(self.frame)
         self.chips.show_frame(self.frame)
         self.chips.show_behind(picture.behind_s)
-        if before is None or before.revision != self._revision or before.snapshot.can_undo != picture.snapshot.can_undo:
+        if before is None or _allows_other(before, self.frame):
             self.refresh_allowed()
 
     def show_again(self) -> None:
         """Show the same moment again, after the selection, the method or the colours changed."""
         if self._picture is not None:
             self.take_picture(self._picture)
+
+    def show_guide(self) -> None:
+        """Say and show what to poke next, or do not."""
+        self.guiding.wanted = self._commands.actions["guide"].isChecked()
+        self.show_again()
 
     def refresh_allowed(self) -> None:
         """Enable what may be done now."""
@@ -143,7 +151,7 @@ class Desk(QObject):
         frame, pokes = self.frame, self.workspace.pokes.selected()
         running = self._controller.running
         self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected)
-        self._commands.follow(self._allowed, can_keep=self._controller.can_keep)
+        self._commands.follow(self._allowed, can_keep=self._controller.can_keep, can_guide=self.guiding.possible)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
@@ -276,6 +284,8 @@ class Desk(QObject):
             state = settings.value(name)
             if isinstance(state, QByteArray):
                 splitter.restoreState(state)
+        self.guiding.wanted = bool(settings.value("window/guide", True, type=bool))
+        self._commands.actions["guide"].setChecked(self.guiding.wanted)
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
 
@@ -286,6 +296,7 @@ class Desk(QObject):
         for name, splitter in self._splitters().items():
             settings.setValue(name, splitter.saveState())
         self.workspace.error_course.save(settings)
+        settings.setValue("window/guide", self.guiding.wanted)
         settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
 
     def close(self) -> None:
@@ -294,3 +305,12 @@ class Desk(QObject):
             action.deleteLater()
         self._tab_actions = []
         self.workspace.close_all()
+
+
+def _allows_other(before: Frame, now: Frame) -> bool:
+    """Return whether other things may be done in a frame than in the one before."""
+    return (
+        before.revision != now.revision
+        or before.guidance is not now.guidance
+        or before.snapshot.can_undo != now.snapshot.can_undo
+    )

@@ -9,6 +9,7 @@ from app.display_units import ChannelNames
 from app.running import Running
 from app.words import LinkWords
 from skincal.estimate.result import Estimate, Method
+from skincal.guide.guide import Guidance, Target
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
 
@@ -30,6 +31,8 @@ class Frame:
     revision: int
     """Another number where pokes, estimates or dead taxels are others than in the frame before; see `same_results`."""
     links: tuple[LinkWords, ...] = ()
+    guidance: Guidance | None = None
+    """What to poke next and what each taxel still needs; None where nobody guides."""
 
     @property
     def now_s(self) -> float:
@@ -40,6 +43,11 @@ class Frame:
     def estimates(self) -> tuple[Estimate, ...]:
         """Estimates of the method that is shown; empty where the scene has no such method."""
         return self.snapshot.estimates.get(self.method, ())
+
+    @property
+    def target(self) -> Target | None:
+        """The poke that is asked for; None where none is."""
+        return None if self.guidance is None else self.guidance.target
 
     def by_channel(self) -> Mapping[int, Estimate]:
         """Return the shown method's estimates by their channel."""

@@ -15,10 +15,13 @@ import numpy as np
 
 from app.display_units import newtons, number
 from app.frame import Frame
+from app.guide_words import BETWEEN, end_words, enough_words, target_words, why_words
 from app.running import Running
-from app.words import LinkLook, LinkWords, link_words, verdict_detail, verdict_words
+from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
 from skincal.estimate.result import Estimate, State
+from skincal.guide.guide import Phase as GuidePhase
+from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray, LinkHealth, Stream
 from skincal.scene import ContactSettings, Scene
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -27,8 +30,8 @@ VERDICT_S = 2.5
 """s. A verdict stays at least this long unless the next poke begins: a dozen words are read in it."""
 SETTLE_S = 0.15
 """s. A calm phase must last this long before it is said, so that the line does not flicker with noise."""
-GOOD_RMS = 0.003
-"""m. A predicted error up to this counts as good: the usual tolerance of a tactile layout (pad spacing 5 mm)."""
+GOOD_RMS = GuideSettings().wanted
+"""m. A predicted error up to this counts as good: what the guide works for."""
 WORST_SHOWN = 12
 """Taxels in the list of the worst: what fits beside the details without scrolling."""
 
@@ -64,6 +67,10 @@ class NowMemory:
     """The phase that is said."""
     coming: Phase = Phase.NO_DATA
     coming_since_s: float = -math.inf
+    asked: int | None = None
+    """Channel that the frame before asked to poke."""
+    meant: int | None = None
+    """Channel that was asked for when the newest poke was made."""
 
     @staticmethod
     def of(snapshot: Snapshot) -> NowMemory:
@@ -81,14 +88,14 @@ def now_line(memory: NowMemory, at: Frame) -> tuple[Now, NowMemory]:
     Trouble goes before everything. A poke in progress is said at once; a
     verdict stays `VERDICT_S`; a calm phase is said once it lasted `SETTLE_S`.
     """
-    memory = _settle(_see_outcome(memory, at), at)
+    memory = _settle(_see_target(_see_outcome(memory, at), at), at)
     trouble = _trouble(at)
     if trouble is not None:
         return trouble, memory
     if memory.phase in PRESSING:
         return _pressing(memory.phase, at), memory
     if at.now_s < memory.verdict_until_s and memory.outcome is not None:
-        return _verdict(memory.outcome, at), memory
+        return _verdict(memory.outcome, memory.meant, at), memory
     return _calm(memory.phase, at), memory
 
 
@@ -101,7 +108,12 @@ def _see_outcome(memory: NowMemory, at: Frame) -> NowMemory:
     older = told is not None and newest.poke < told.poke
     if same or older:
         return replace(memory, outcome=newest)
-    return replace(memory, outcome=newest, verdict_until_s=at.now_s + VERDICT_S)
+    return replace(memory, outcome=newest, verdict_until_s=at.now_s + VERDICT_S, meant=memory.asked)
+
+
+def _see_target(memory: NowMemory, at: Frame) -> NowMemory:
+    asked = None if at.target is None else at.target.channel
+    return memory if asked == memory.asked else replace(memory, asked=asked)
 
 
 def _kind(outcome: Outcome) -> object:
@@ -143,18 +155,46 @@ def _pressing(phase: Phase, at: Frame) -> Now:
     return Now(Tone.HOLD, "hold still", f"{newtons(force)}, keep the tip where it is")
 
 
-def _verdict(outcome: Outcome, at: Frame) -> Now:
-    tone = Tone.BAD if isinstance(outcome, Rejection) else Tone.GOOD
-    return Now(tone, verdict_words(outcome, at.names), verdict_detail(outcome, at.snapshot, at.method, at.names))
+def _verdict(outcome: Outcome, meant: int | None, at: Frame) -> Now:
+    detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
+    if isinstance(outcome, Rejection):
+        return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
+    if meant is not None and meant != peak_channel(outcome):
+        return Now(Tone.GOOD, counted_words(outcome, at.names), f"{at.names.short(meant)} was asked for{BETWEEN}{detail}")
+    return Now(Tone.GOOD, verdict_words(outcome, at.names), detail)
 
 
 def _calm(phase: Phase, at: Frame) -> Now:
     if phase is Phase.NO_DATA:
         return _no_data(at)
     if phase is Phase.TARING:
-        return Now(Tone.WAIT, "keep hands off", "Taring: the sensor's offset is taken while nothing touches the part.")
+        return Now(
+            Tone.WAIT, "keep hands off", _next(at) or "Taring: the sensor's offset is taken while nothing touches the part."
+        )
     if phase in PRESSING:
         return _pressing(phase, at)
+    return _guided(at) or _ready(at)
+
+
+def _next(at: Frame) -> str:
+    """Return what to do once the tare is taken; empty where nobody guides."""
+    if at.guidance is None or at.target is None:
+        return ""
+    return f"Taring.  Next: {target_words(at.guidance, at.target, at.names)}"
+
+
+def _guided(at: Frame) -> Now | None:
+    guidance, dead = at.guidance, at.snapshot.dead
+    if guidance is None:
+        return None
+    if guidance.phase is GuidePhase.ENOUGH:
+        return Now(Tone.GOOD, enough_words(guidance, GOOD_RMS, dead), end_words(guidance, dead))
+    if at.target is None:
+        return None
+    return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))
+
+
+def _ready(at: Frame) -> Now:
     limits = at.scene.contacts
     low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)
     return Now(Tone.GO, "ready: poke", f"Press {low} to {high} onto a taxel and hold {number(limits.still_s, 1)} s.")

@@ -79,6 +79,7 @@ class Window(QMainWindow):
             "dead": self._of_desk(lambda desk: desk.mark_or_revive()),
             "method": self._of_desk(lambda desk: desk.next_method()),
             "difference": self._of_desk(lambda desk: desk.show_difference()),
+            "guide": self._of_desk(lambda desk: desk.show_guide()),
             "camera": self._of_desk(lambda desk: desk.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,

@@ -88,6 +88,12 @@ def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
     return f"accepted {taxel}  {newtons(force_of(outcome))}"
 
 
+def counted_words(contact: Contact, names: ChannelNames) -> str:
+    """Return for which taxel a poke counts that was meant for another."""
+    peak = peak_channel(contact)
+    return f"counted for {'' if peak is None else names.short(peak)}  {newtons(force_of(contact))}"
+
+
 def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: ChannelNames) -> str:
     """Return what a poke changed, or what to do better."""
     if isinstance(outcome, Rejection):

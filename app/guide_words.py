@@ -1,0 +1,115 @@
+"""What the guide wants, put into words; pure functions of its guidance, without Qt."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.display_units import ChannelNames, count, degrees, in_millimetres, millimetres, number
+from skincal.estimate.result import Method
+from skincal.guide.done import Need
+from skincal.guide.guide import Guidance, Target
+from skincal.readings import FloatArray
+
+STRAIGHT = float(np.radians(5.0))
+"""rad. A hand does not hold a smaller tilt: it is asked to push straight."""
+ASIDE = float(np.cos(np.radians(35.0)))
+"""Cosine. A neighbour lies where the tool leans if it is off by less: the six around a taxel are 60 degrees apart."""
+FARTHEST = 0.020
+"""m. A neighbour farther away tells no direction to somebody who looks at the taxel."""
+BETWEEN = "  \N{MIDDLE DOT}  "
+WHAT: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "place"}
+"""What a poke is to tell: nearly all of the free method's error is depth; the surface method's lies along the skin."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lean:
+    """Where the tool's upper end leans, told by a neighbour of the target."""
+
+    channel: int
+    away: bool
+    """It leans away from that neighbour: there is none on the other side."""
+
+
+def lean_of(guidance: Guidance, target: Target) -> Lean | None:
+    """Return where the tool leans; None where it stands straight, or where no neighbour tells."""
+    if target.tilt < STRAIGHT:
+        return None
+    up = -target.push
+    along = up - (up @ target.normal) * target.normal
+    along /= np.linalg.norm(along)
+    for away in (False, True):
+        channel = _neighbour(guidance, target, -along if away else along)
+        if channel is not None:
+            return Lean(channel, away)
+    return None
+
+
+def _neighbour(guidance: Guidance, target: Target, along: FloatArray) -> int | None:
+    """Return the nearest taxel of those that lie `along` the skin, (3,) float, unit, from the target."""
+    apart = guidance.places - target.place
+    apart -= (apart @ target.normal)[:, None] * target.normal
+    distance = np.sqrt(np.sum(apart * apart, axis=1))
+    found = (apart @ along > ASIDE * distance) & (distance <= FARTHEST) & (guidance.channels != target.channel)
+    return int(guidance.channels[np.where(found, distance, np.inf).argmin()]) if found.any() else None
+
+
+def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
+    """Return what to do, verb first: `"poke 17-04, tilt 28° toward 17-05"`."""
+    poke = f"poke {names.short(target.channel)}"
+    if target.tilt < STRAIGHT:
+        return f"{poke} straight"
+    lean = lean_of(guidance, target)
+    side = "" if lean is None else f" {'away from' if lean.away else 'toward'} {names.short(lean.channel)}"
+    return f"{poke}, tilt {degrees(target.tilt)}{side}"
+
+
+def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
+    """Return what the poke is for, and how far the session is."""
+    return f"{_reason(guidance, target)}{BETWEEN}{progress_words(guidance, dead)}"
+
+
+def _reason(guidance: Guidance, target: Target) -> str:
+    row = int(np.searchsorted(guidance.channels, target.channel))
+    missing = guidance.needs[row]
+    if Need.ACCURACY not in missing:
+        return f"needs {missing[0].value}" if missing else "checks what is known"
+    if not np.isfinite(guidance.rms[row]):
+        return f"{WHAT[guidance.method]} not known yet"
+    return (
+        f"{WHAT[guidance.method]} {number(in_millimetres(target.before), 1)} \N{RIGHTWARDS ARROW} {millimetres(target.after)}"
+    )
+
+
+def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
+    """Return how many taxels are done, of those that are used."""
+    done, total = _done(guidance, dead)
+    return f"{done} of {total} done"
+
+
+def enough_words(guidance: Guidance, wanted: float, dead: Collection[int]) -> str:
+    """Return that it is enough: `"enough: 84 of 84 taxels meet 3 mm"`.
+
+    Parameters
+    ----------
+    wanted : m, the predicted error that was asked for
+    """
+    done, total = _done(guidance, dead)
+    return f"enough: {done} of {count(total, 'taxel')} meet {millimetres(wanted, 0)}"
+
+
+def end_words(guidance: Guidance, dead: Collection[int]) -> str:
+    """Return what comes after enough, and what was left out."""
+    unused = len(guidance.channels) - _done(guidance, dead)[1]
+    left_out = f"{unused} not used{BETWEEN}" if unused else ""
+    return f"{left_out}Session > Export (Ctrl+E) writes the calibration."
+
+
+def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
+    """Return how many taxels are done, and how many there are; none that is not used."""
+    used = [
+        not missing for channel, missing in zip(guidance.channels.tolist(), guidance.needs, strict=True) if channel not in dead
+    ]
+    return sum(used), len(used)

@@ -1,0 +1,87 @@
+"""The guide of the open part, for the method that the window shows: told what is new, asked what to poke next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+
+import numpy as np
+
+from app.opening import Part
+from skincal.contacts.outcome import Contact
+from skincal.estimate.evidence import Evidence
+from skincal.estimate.result import Estimate, Method
+from skincal.guide.guide import Guidance, Guide
+from skincal.guide.places import Plan
+from skincal.session.snapshot import Snapshot
+
+
+class Guiding:
+    """Follows a session; without a layout that is laid on the part there is nothing to follow, and it costs nothing.
+
+    Parameters
+    ----------
+    part : what is calibrated
+    """
+
+    def __init__(self, part: Part) -> None:
+        self._scene = part.scene
+        self._plan = plan_of(part)
+        self._rows = () if self._plan is None else np.flatnonzero(np.isin(part.channels, self._plan.channels)).tolist()
+        self._all = len(self._rows) == len(part.channels)
+        self._guide: Guide | None = None
+        self._told: tuple[int, Method] | None = None
+        self._guidance: Guidance | None = None
+        self.wanted = True
+        """The operator wants to be guided."""
+
+    @property
+    def possible(self) -> bool:
+        """Whether this part can be guided on."""
+        return self._plan is not None
+
+    def follow(
+        self, snapshot: Snapshot, revision: int, method: Method, evidence: Callable[[Collection[int]], Evidence]
+    ) -> Guidance | None:
+        """Return what to poke next; worked out anew only where the revision or the method is another. None: no guide.
+
+        Parameters
+        ----------
+        revision : another number where pokes, estimates or dead taxels changed
+        evidence : what the contacts of this snapshot say of some channels
+        """
+        if self._plan is None or not self.wanted:
+            return None
+        if (revision, method) != self._told:
+            self._told = revision, method
+            guide = self._guide_of(self._plan, method)
+            self._guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence)
+        return self._guidance
+
+    def _guide_of(self, plan: Plan, method: Method) -> Guide:
+        if self._guide is None or self._guide.method is not method:
+            layout = self._scene.skin.layout
+            self._guide = Guide(plan, self._scene.noise, method, 0.0 if layout is None else layout.spacing)
+        return self._guide
+
+    def _estimates(self, snapshot: Snapshot) -> Mapping[Method, Sequence[Estimate]]:
+        """Return one estimate for each taxel of the plan, in its order."""
+        if self._all:
+            return snapshot.estimates
+        return {method: [every[row] for row in self._rows] for method, every in snapshot.estimates.items()}
+
+
+def plan_of(part: Part) -> Plan | None:
+    """Return where the layout puts the taxels, without those that it puts nowhere; None where it puts none."""
+    layout, laid = part.scene.skin.layout, part.laid
+    if layout is None or laid is None:
+        return None
+    channels = part.channels[np.isfinite(laid.places[part.channels]).all(axis=1)]
+    if not len(channels):
+        return None
+    return Plan(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
+
+
+def _contacts(snapshot: Snapshot) -> dict[int, Contact]:
+    """Return the contacts that count, by the number of their poke."""
+    counting = (record.outcome for record in snapshot.pokes if not record.excluded)
+    return {outcome.poke: outcome for outcome in counting if isinstance(outcome, Contact)}
