@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.display_units import ChannelNames, count, degrees, in_millimetres, millimetres, number
+from skincal.contacts.outcome import Contact
 from skincal.estimate.result import Method
 from skincal.guide.done import Need
 from skincal.guide.guide import Guidance, Target
@@ -83,6 +84,11 @@ def _reason(guidance: Guidance, target: Target) -> str:
     )
 
 
+def asked_words(contact: Contact, meant: int, names: ChannelNames) -> str:
+    """Return which taxel was asked for where a poke counts for another."""
+    return f"{names.short(meant)} was asked for{BETWEEN}{count(len(contact.channels), 'taxel')} answered"
+
+
 def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Return how many taxels are done, of those that are used."""
     done, total = _done(guidance, dead)
@@ -105,6 +111,20 @@ def end_words(guidance: Guidance, dead: Collection[int]) -> str:
     unused = len(guidance.channels) - _done(guidance, dead)[1]
     left_out = f"{unused} not used{BETWEEN}" if unused else ""
     return f"{left_out}Session > Export (Ctrl+E) writes the calibration."
+
+
+def needs_words(guidance: Guidance, channel: int) -> str:
+    """Return what a taxel still needs: `"needs pokes of its own, pokes from other sides"`; empty where nothing."""
+    row = int(np.searchsorted(guidance.channels, channel))
+    missing = guidance.needs[row] if channel in guidance.channels else ()
+    return f"needs {', '.join(need.value for need in missing)}" if missing else ""
+
+
+def done_channels(guidance: Guidance | None) -> frozenset[int]:
+    """Return the channels of which the guide needs nothing more."""
+    if guidance is None:
+        return frozenset()
+    return frozenset(c for c, missing in zip(guidance.channels.tolist(), guidance.needs, strict=True) if not missing)
 
 
 def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:

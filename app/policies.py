@@ -7,7 +7,7 @@ be read, a phase that must last before it is announced) is a frozen value that g
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from app.display_units import newtons, number
 from app.frame import Frame
-from app.guide_words import BETWEEN, end_words, enough_words, target_words, why_words
+from app.guide_words import asked_words, end_words, enough_words, target_words, why_words
 from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
@@ -160,7 +160,7 @@ def _verdict(outcome: Outcome, meant: int | None, at: Frame) -> Now:
     if isinstance(outcome, Rejection):
         return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
     if meant is not None and meant != peak_channel(outcome):
-        return Now(Tone.GOOD, counted_words(outcome, at.names), f"{at.names.short(meant)} was asked for{BETWEEN}{detail}")
+        return Now(Tone.GOOD, counted_words(outcome, at.names), asked_words(outcome, meant, at.names))
     return Now(Tone.GOOD, verdict_words(outcome, at.names), detail)
 
 
@@ -274,7 +274,8 @@ class Mark(Enum):
     BLIND = 1
     ROUGH = 2
     GOOD = 3
-    DEAD = 4
+    DONE = 4
+    DEAD = 5
 
 
 MARK_WORDS: Mapping[Mark, str] = {
@@ -282,6 +283,7 @@ MARK_WORDS: Mapping[Mark, str] = {
     Mark.BLIND: "axes do not determine it",
     Mark.ROUGH: f"estimated, error above {GOOD_RMS * 1e3:.0f} mm",
     Mark.GOOD: f"estimated, error up to {GOOD_RMS * 1e3:.0f} mm",
+    Mark.DONE: "done, the guide needs nothing more of it",
     Mark.DEAD: "not used",
 }
 
@@ -296,12 +298,18 @@ def mark_of(estimate: Estimate) -> Mark:
     return Mark.BLIND if state is State.BLIND else Mark.DEAD
 
 
-def marks(estimates: Sequence[Estimate], width: int) -> IntArray:
-    """Return the mark of each channel of a frame, (width,) int; a channel without an estimate was never poked."""
+def marks(estimates: Sequence[Estimate], width: int, done: Collection[int] = ()) -> IntArray:
+    """Return the mark of each channel of a frame, (width,) int; a channel without an estimate was never poked.
+
+    Parameters
+    ----------
+    done : channels that the guide needs nothing more of
+    """
     result = np.full(width, Mark.UNSEEN.value, dtype=np.int64)
     for estimate in estimates:
         if estimate.state is not State.UNSEEN:
-            result[estimate.channel] = mark_of(estimate).value
+            is_done = estimate.channel in done and estimate.state is not State.DEAD
+            result[estimate.channel] = (Mark.DONE if is_done else mark_of(estimate)).value
     return result
 
 

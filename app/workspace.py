@@ -165,7 +165,7 @@ class Workspace(QWidget):
             self.progress.setText(f"{summary_words(frame.estimates)}, {pokes_words(frame.snapshot)}")
             self.errors.setText(error_words(frame.estimates))
             self.method_box.setCurrentIndex(self.method_box.findData(frame.method))
-        self.view.show(frame.snapshot, frame.live, frame.method, frame.selected)
+        self.view.show(frame.snapshot, frame.live, frame.method, frame.selected, frame.target)
 
     def _show_tab(self) -> None:
         panel = self.tabs.currentWidget()

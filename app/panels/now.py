@@ -12,13 +12,13 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout, QWi
 
 from app.display_units import newtons
 from app.frame import Frame
-from app.panels.texts import ElidedLabel
+from app.panels.texts import ElidedLabel, FittedLabel
 from app.policies import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, LIGHT, Colours, digits_font
 from skincal.session.snapshot import Snapshot
 
 SIGN_PX = 52
-GAUGE_PX = 210
+GAUGE_PX = 170
 
 
 def tone_colour(tone: Tone, colours: Colours) -> str:
@@ -156,7 +156,7 @@ class NowPanel(QFrame):
         self._now = Now(Tone.CALM, "")
         self._colours = LIGHT
         self.sign = Sign()
-        self.headline = ElidedLabel()
+        self.headline = FittedLabel()
         self.detail = ElidedLabel()
         self.detail.setProperty("quiet", True)
         self.gauge = ForceGauge()
@@ -178,8 +178,8 @@ class NowPanel(QFrame):
         row.addLayout(words, 1)
         row.addWidget(self.gauge)
         self.setWhatsThis(
-            "What is happening now and what to do. The ring fills while a poke is held still; the bar is its force and "
-            "the lighter band the range in which a poke counts."
+            "What is happening now and what to do: which taxel to poke, from which side, and why. The ring fills while a poke "
+            "is held still; the bar is its force and the lighter band the range in which a poke counts."
         )
 
     def begin(self, snapshot: Snapshot) -> None:

@@ -28,10 +28,12 @@ from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip, QWidget
 
 from app.display_units import ChannelNames, number
 from app.frame import Frame
+from app.guide_words import done_channels, needs_words
 from app.panels.map_layout import Fit, MapPlan, fit, plan_map
 from app.panels.marks import SMALL, Stamps, draw_dots, draw_mark, draw_wedge
 from app.policies import MARK_WORDS, Mark, answer_levels, marks
 from app.theme import HUES, LIGHT, Colours, mix
+from skincal.guide.guide import Guidance
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
 
@@ -45,6 +47,8 @@ NUMBER_LEAST = 9
 """Pixels. A smaller number cannot be read and is left out."""
 WEDGE_SHARE, WEDGE_LEAST = 0.85, 4.5
 """Size of the wedge of a taxel that may lie elsewhere: in radii of a mark, and pixels at least."""
+TARGET_SHARE, TARGET_LEAST = 2.5, 9.0
+"""Radius of the ring around the target: in radii of a mark, and pixels at least."""
 REACH_PX = 14.0
 """A click this near to a taxel means it."""
 
@@ -80,8 +84,11 @@ class TaxelMap(QWidget):
         self._answers: FloatArray = np.zeros(self._width)
         self._rivals: frozenset[int] = frozenset()
         """Channels that may as well lie elsewhere."""
+        self._guidance: Guidance | None = None
+        self._target: int | None = None
+        """Channel that is to be poked next."""
         self._selected: int | None = None
-        self._generation: tuple[object, object] = (None, None)
+        self._generation: tuple[object, ...] = ()
         self._base = QPixmap()
         self._states = QPixmap()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -89,7 +96,7 @@ class TaxelMap(QWidget):
         self.setAccessibleName("map of the taxels")
         self.setWhatsThis(
             "Every taxel at its place in the maker's flat drawing. The fill tells what is known, the halo how strongly "
-            "it answers now. Click one to select it, or use the arrow keys."
+            "it answers now, the white ring which to poke next. Click one to select it, or use the arrow keys."
         )
 
     def sizeHint(self) -> QSize:
@@ -103,15 +110,17 @@ class TaxelMap(QWidget):
     def show_frame(self, frame: Frame) -> None:
         """Show states, answers and the selection of a frame; draws nothing where all are the same."""
         changed = False
-        generation = (frame.revision, frame.method)
+        self._guidance = frame.guidance
+        generation = (frame.revision, frame.method, frame.guidance is None)
         if generation != self._generation:
             self._generation = generation
-            self._marks = marks(frame.estimates, self._width)
+            self._marks = marks(frame.estimates, self._width, done_channels(frame.guidance))
             self._rivals = frozenset(e.channel for e in frame.estimates if e.rival is not None)
             self._states = QPixmap()
             changed = True
-        if frame.selected != self._selected:
-            self._selected = frame.selected
+        target = None if frame.target is None else frame.target.channel
+        if (frame.selected, target) != (self._selected, self._target):
+            self._selected, self._target = frame.selected, target
             changed = True
         if len(frame.live.skin) == self._width:
             self._answers = frame.live.skin
@@ -194,7 +203,8 @@ class TaxelMap(QWidget):
         answer = number(float(self._answers[channel]), 0)
         rival = "\nanother place fits nearly as well" if channel in self._rivals else ""
         name = f"{self._names.short(channel)}  ({self._names.long(channel)})"
-        return f"{name}\n{state}{rival}\nanswers {answer} above its baseline"
+        needs = "" if self._guidance is None else needs_words(self._guidance, channel)
+        return "\n".join(filter(None, (name, f"{state}{rival}", needs, f"answers {answer} above its baseline")))
 
     def _room(self) -> QRectF:
         return QRectF(
@@ -216,7 +226,7 @@ class TaxelMap(QWidget):
         return int(self._plan.channels[best]) if math.isfinite(cost[best]) else None
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the modules, the answers, the states and the selection, in that order."""
+        """Draw the modules, the answers, the states, the selection and the target, in that order."""
         if self._base.isNull():
             self._base = self._drawn(self._draw_modules)
         if self._states.isNull():
@@ -227,6 +237,7 @@ class TaxelMap(QWidget):
         self._draw_answers(painter)
         painter.drawPixmap(0, 0, self._states)
         self._draw_selection(painter)
+        self._draw_target(painter)
         painter.end()
 
     def _drawn(self, draw: Callable[[QPainter], None]) -> QPixmap:
@@ -304,7 +315,7 @@ class TaxelMap(QWidget):
         y = self.height() - LEGEND_PX / 2 - 1
         x = float(MARGIN_PX + 6)
         for mark in Mark:
-            if mark is Mark.DEAD and counted[mark.value] == 0:
+            if mark in (Mark.DONE, Mark.DEAD) and counted[mark.value] == 0:
                 continue
             draw_mark(painter, QPointF(x, y), 5.0, mark, QColor(self._colours.text), QColor(self._colours.text))
             text = f"{_SHORT[mark]} {counted[mark.value]}"
@@ -326,5 +337,22 @@ class TaxelMap(QWidget):
             painter.setPen(QPen(QColor(colour), width))
             painter.drawEllipse(centre, radius, radius)
 
+    def _draw_target(self, painter: QPainter) -> None:
+        """Draw a white ring in a black one around the taxel that is to be poked, outside the ring of a selected one."""
+        if self._target is None:
+            return
+        centre, radius = self.place_of(self._target), max(TARGET_LEAST, self._radius() * TARGET_SHARE)
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        for width, colour in ((6.5, Qt.GlobalColor.black), (2.5, Qt.GlobalColor.white)):
+            painter.setPen(QPen(QColor(colour), width))
+            painter.drawEllipse(centre, radius, radius)
 
-_SHORT = {Mark.UNSEEN: "unseen", Mark.BLIND: "blind", Mark.ROUGH: "> 3 mm", Mark.GOOD: "good", Mark.DEAD: "unused"}
+
+_SHORT = {
+    Mark.UNSEEN: "unseen",
+    Mark.BLIND: "blind",
+    Mark.ROUGH: "> 3 mm",
+    Mark.GOOD: "good",
+    Mark.DONE: "done",
+    Mark.DEAD: "unused",
+}

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QSize, Qt
-from PySide6.QtGui import QColor, QIcon, QPainter, QPaintEvent, QPalette
+from PySide6.QtGui import QColor, QFont, QFontMetrics, QIcon, QPainter, QPaintEvent, QPalette
 from PySide6.QtWidgets import QDialogButtonBox, QLabel, QScrollArea, QSizePolicy, QWidget
+
+LEAST_SHARE = 0.75
+"""Share of a large type's size below which it is not read from two metres."""
 
 
 class ElidedLabel(QWidget):
@@ -44,9 +47,34 @@ class ElidedLabel(QWidget):
         """Draw what fits."""
         painter = QPainter(self)
         painter.setPen(self._colour or self.palette().windowText().color())
-        text = self.fontMetrics().elidedText(self._text, Qt.TextElideMode.ElideRight, self.width())
-        painter.drawText(self.rect(), Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft, text)
+        self.draw(painter)
         painter.end()
+
+    def draw(self, painter: QPainter) -> None:
+        """Draw what fits, in the painter's font."""
+        text = painter.fontMetrics().elidedText(self._text, Qt.TextElideMode.ElideRight, self.width())
+        painter.drawText(self.rect(), Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft, text)
+
+
+class FittedLabel(ElidedLabel):
+    """One line of large type that is drawn smaller where it does not fit, and only then ends in an ellipsis."""
+
+    def fitted(self) -> QFont:
+        """Return the font in which the text is drawn: its own, or down to `LEAST_SHARE` of it."""
+        font = QFont(self.font())
+        least, step = LEAST_SHARE * font.pointSizeF(), 0.5
+        while QFontMetrics(font).horizontalAdvance(self.text()) > self.width() and font.pointSizeF() - step >= least:
+            font.setPointSizeF(font.pointSizeF() - step)
+        return font
+
+    def is_elided(self) -> bool:
+        """Return whether the text does not fit even so."""
+        return QFontMetrics(self.fitted()).horizontalAdvance(self.text()) > self.width()
+
+    def draw(self, painter: QPainter) -> None:
+        """Draw what fits."""
+        painter.setFont(self.fitted())
+        super().draw(painter)
 
 
 def quiet(text: str = "", *, wrap: bool = False) -> QLabel:

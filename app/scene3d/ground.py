@@ -11,6 +11,7 @@ import numpy as np
 from app.scene3d.looks import ColourArray, module_hues
 from app.scene3d.shading import Shaded, shade
 from skincal.estimate.result import Estimate, Method
+from skincal.guide.guide import Target
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
@@ -35,6 +36,8 @@ class Frame:
     """Channel."""
     difference: bool = False
     """Also draw a line from each estimate to the other method's."""
+    target: Target | None = None
+    """The poke that is asked for."""
 
     def estimates(self) -> tuple[Estimate, ...]:
         """Return the chosen method's estimates; empty where the scene has no such method."""

@@ -24,6 +24,7 @@ from app.scene3d.modules import ModulesLayer
 from app.scene3d.picking import nearest_at, project
 from app.scene3d.shapes import Shape
 from app.scene3d.surface import SurfaceLayer
+from app.scene3d.target import TargetLayer
 from app.scene3d.uncertainty import UncertaintyLayer
 from skincal.readings import FloatArray, IntArray
 
@@ -78,9 +79,12 @@ class Stage:
         layout = ground.scene.skin.layout
         if ground.shaded is not None:
             layers.append(SurfaceLayer(renderer, ground.shaded))
+        target: tuple[Layer, ...] = ()
         if layout is not None and ground.laid is not None and np.isfinite(ground.places[:, 0]).any():
+            target = (TargetLayer(renderer, ground),)
             layers.append(ModulesLayer(renderer, ground, layout, ground.laid))
-        return (*layers, self.estimates, AxesLayer(renderer, ground), UncertaintyLayer(renderer, ground), self.hints)
+        others = (self.estimates, AxesLayer(renderer, ground), UncertaintyLayer(renderer, ground))
+        return (*layers, *others, *target, self.hints)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""

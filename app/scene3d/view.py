@@ -25,6 +25,7 @@ from app.scene3d.pointer import Pointer
 from app.scene3d.probe import Canvas, best_canvas
 from skincal.errors import InputError
 from skincal.estimate.result import Method
+from skincal.guide.guide import Target
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.surface.lay import LaidSkin
@@ -42,7 +43,7 @@ SWITCH_S = 0.0005
 
 
 class View3D(QWidget):
-    """The surface, the modules, the estimates, the force axes and the uncertainty of a session.
+    """The surface, the modules, the estimates, the force axes, the uncertainty and the target of a session.
 
     Parameters
     ----------
@@ -102,7 +103,14 @@ class View3D(QWidget):
     def show(self) -> None: ...
 
     @overload
-    def show(self, snapshot: Snapshot, live: LiveView | None, method: Method, selected: int | None) -> bool: ...
+    def show(
+        self,
+        snapshot: Snapshot,
+        live: LiveView | None,
+        method: Method,
+        selected: int | None,
+        target: Target | None = None,
+    ) -> bool: ...
 
     def show(
         self,
@@ -110,6 +118,7 @@ class View3D(QWidget):
         live: LiveView | None = None,
         method: Method = Method.FREE,
         selected: int | None = None,
+        target: Target | None = None,
     ) -> bool | None:
         """Show a moment of a session; without arguments, be visible as any widget.
 
@@ -123,7 +132,7 @@ class View3D(QWidget):
         if snapshot is None:
             super().show()
             return None
-        self._frame = Frame(snapshot, live, method, selected, self._difference)
+        self._frame = Frame(snapshot, live, method, selected, self._difference, target)
         return self.isVisible() and self._show_frame()
 
     def set_difference(self, wanted: bool) -> None:

@@ -1,0 +1,272 @@
+"""What the guide draws: the target in the 3D view and on the map, and the whole window that is guided, on a real display."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from guide_support import guidance, target
+from PySide6.QtCore import QSettings, Qt
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QApplication, QMainWindow
+from scene3d_support import box, estimate, laid
+from vtkmodules.vtkRenderingCore import vtkRenderer
+from whole_window import Bench, Paints
+from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, session
+
+from app.panels.taxel_map import TaxelMap
+from app.panels.texts import FittedLabel
+from app.plan import Plan
+from app.scene3d.ground import Frame, Ground
+from app.scene3d.probe import Canvas
+from app.scene3d.target import HEAD, RING, TOOL, TargetLayer, arrow
+from app.scene3d.view import View3D
+from app.theme import DARK, Choice
+from skincal.estimate.result import Method
+from skincal.guide.guide import Target
+
+TILT = float(np.radians(28.0))
+
+
+@pytest.fixture
+def layer():
+    return TargetLayer(vtkRenderer(), Ground(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
+
+
+def moment(asked: Target | None, generation: int = 1) -> Frame:
+    return Frame(session(generation), None, Method.FREE, None, target=asked)
+
+
+def strokes(layer: TargetLayer) -> np.ndarray:
+    return layer.core._points.reshape(-1, 2, 3)
+
+
+def test_the_ring_lies_on_the_skin_and_the_arrow_pushes_to_its_middle(layer):
+    # The place that is believed lies 5 mm inside the box; its skin is at z = 0.
+    place = laid(PLAN).places[3] - np.array([0.0, 0.0, 0.005])
+    asked = target(3, TILT, place=place)
+    assert layer.show(moment(asked))
+    ring, shaft, head = strokes(layer)[:-5], strokes(layer)[-5], strokes(layer)[-4:]
+    middle = place * [1, 1, 0]
+    np.testing.assert_allclose(np.linalg.norm(ring - middle, axis=2), RING, rtol=1e-4)
+    np.testing.assert_allclose(ring[..., 2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(shaft, [middle - TOOL * asked.push, middle], atol=1e-7)
+    np.testing.assert_allclose(head[:, 1], np.tile(middle, (4, 1)), atol=1e-7)
+    np.testing.assert_array_equal(layer.rim._points, layer.core._points)
+
+
+def test_an_arrow_is_the_same_from_every_side():
+    for push in np.eye(3):
+        ends = arrow(np.zeros(3), push)
+        np.testing.assert_allclose(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), [TOOL, HEAD, HEAD, HEAD, HEAD])
+        assert (ends[:, 0] @ push < 0).all()
+
+
+def test_the_target_layer_changes_its_arrays_and_never_its_actors(layer):
+    assert not layer.show(moment(None)), "nobody guides"
+    assert layer.show(moment(target(3, TILT)))
+    held, actors = layer.core._points, layer.rim.actor
+    assert not layer.show(moment(target(3, TILT), 2)), "the same poke is asked for again"
+    assert layer.show(moment(target(7, TILT), 2))
+    assert layer.core._points is held
+    assert layer.show(moment(None, 3))
+    assert not layer.core.actor.GetVisibility()
+    assert layer.show(moment(target(7), 4))
+    assert layer.rim.actor is actors
+    assert layer.rim.actor.GetVisibility()
+
+
+@pytest.fixture
+def view(qtbot):
+    window = QMainWindow()
+    made = View3D(window, Canvas.RASTER)
+    window.setCentralWidget(made)
+    window.resize(640, 480)
+    qtbot.addWidget(window, before_close_func=lambda _: made.close_view())
+    with qtbot.waitExposed(window):
+        window.show()
+    with qtbot.waitSignal(made.ready, timeout=60_000):
+        made.begin(SCENE, box(), laid(PLAN), range(24))
+    settle()
+    yield made
+    window.close()
+
+
+def settle():
+    for _ in range(4):
+        QApplication.processEvents()
+
+
+def seen(view) -> np.ndarray:
+    settle()
+    image = view.window().grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.bytesPerLine())
+    return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).astype(int)
+
+
+@pytest.mark.parametrize("dark", [True, False])
+def test_the_target_is_black_and_white_in_both_themes_and_goes_without_a_trace(view, dark):
+    view.set_dark(dark)
+    at = session(1, {3: estimate(3, laid(PLAN).places[3])})
+    view.show(at, None, Method.FREE, None)
+    without, place = seen(view), view.screen_place(3)
+    assert view.show(at, None, Method.FREE, None, target(3))
+    shown = seen(view)
+    x, y = (round(v) for v in place)
+    new = shown[np.abs(shown - without).max(axis=2) > 25]
+    assert (new.min(axis=1) > 230).sum() > 50
+    assert (new.max(axis=1) < 30).sum() > 50
+    # The ring is around the taxel: something of it on each side.
+    differs = np.abs(shown - without).max(axis=2) > 25
+    for side in (np.s_[y - 60 : y, x - 5 : x + 5], np.s_[y : y + 60, x - 5 : x + 5]):
+        assert differs[side].any()
+    assert view.show(at, None, Method.FREE, None)
+    assert np.abs(seen(view) - without).max() < 3
+
+
+def test_the_same_target_asks_for_no_picture(view):
+    drawn = []
+    view._stage.renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
+    assert view.show(session(1), None, Method.FREE, None, target(3))
+    settle()
+    count = len(drawn)
+    assert not view.show(session(1), None, Method.FREE, None, target(3))
+    settle()
+    assert len(drawn) == count
+
+
+@pytest.fixture
+def taxels(qtbot):
+    made = TaxelMap(SCENE, PLAN.channels, NAMES)
+    made.resize(420, 300)
+    qtbot.addWidget(made)
+    with qtbot.waitExposed(made):
+        made.show()
+    made.set_colours(DARK)
+    return made
+
+
+def framed(says, generation: int = 1):
+    at = frame(session(generation, {c: estimate(c, (0, 0, 0)) for c in (2, 3, 15)}))
+    return replace(at, guidance=says)
+
+
+def near(view: TaxelMap, channel: int, reach: int) -> tuple[slice, slice]:
+    place = view.place_of(channel).toPoint()
+    return np.s_[max(0, place.y() - reach) : place.y() + reach, max(0, place.x() - reach) : place.x() + reach]
+
+
+def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
+    taxels.show_frame(framed(guidance()))
+    before = pixels(taxels)
+    taxels.show_frame(framed(guidance(target(3))))
+    after = pixels(taxels)
+    assert changed(before[near(taxels, 3, 24)], after[near(taxels, 3, 24)]) > 60
+    assert changed(before[near(taxels, 15, 12)], after[near(taxels, 15, 12)]) == 0
+    ring = after[near(taxels, 3, 24)][(before != after)[near(taxels, 3, 24)].any(axis=2)][:, :3].astype(int)
+    assert (ring.min(axis=1) > 240).any()
+    assert (ring.max(axis=1) < 15).any()
+    qtbot.wait(30)
+    paints = Paints(taxels)
+    taxels.show_frame(framed(guidance(target(3))))
+    qtbot.wait(30)
+    assert paints.count == 0, "the same target is drawn no second time"
+    taxels.show_frame(framed(guidance(target(15))))
+    qtbot.wait(30)
+    assert paints.count == 1
+
+
+def test_a_done_taxel_is_told_by_shape_and_what_is_missing_by_words(taxels):
+    taxels.show_frame(framed(guidance()))
+    good = pixels(taxels)
+    taxels.show_frame(framed(guidance(done=(3,)), 2))
+    done = pixels(taxels)
+    assert changed(good[near(taxels, 3, 12)], done[near(taxels, 3, 12)]) > 10
+    assert changed(good[near(taxels, 15, 12)], done[near(taxels, 15, 12)]) == 0
+    assert "done" in taxels.tell(3)
+    assert "needs pokes of its own, a smaller predicted error" in taxels.tell(15)
+    taxels.show_frame(framed(None, 2))
+    assert np.array_equal(good[near(taxels, 3, 12)], pixels(taxels)[near(taxels, 3, 12)]), "without a guide it is good"
+    assert "needs" not in taxels.tell(15)
+
+
+def test_large_type_becomes_smaller_before_it_is_cut(qtbot):
+    label = FittedLabel()
+    font = label.font()
+    font.setPointSizeF(20.0)
+    label.setFont(font)
+    qtbot.addWidget(label)
+    label.resize(300, 40)
+    label.setText("poke 17-04")
+    assert label.fitted().pointSizeF() == 20.0
+    label.resize(label.fontMetrics().horizontalAdvance("poke 17-04 straight") - 10, 40)
+    label.setText("poke 17-04 straight")
+    assert 15.0 <= label.fitted().pointSizeF() < 20.0
+    assert not label.is_elided()
+    label.setText("poke 17-04 straight " * 9)
+    assert label.fitted().pointSizeF() == 15.0
+    assert label.is_elided()
+
+
+def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
+    bench.open(Plan(session=recorded))
+    bench.until_all_is_there()
+    desk = bench.window.desk
+    first = desk.frame.target
+    assert first is not None
+    assert "target" in desk.workspace.view.list_layers()
+    view, on_map = pixels(desk.workspace.view), pixels(desk.workspace.map)
+
+    bench.key(Qt.Key.Key_G)
+    assert desk.frame.guidance is None
+    assert changed(view, pixels(desk.workspace.view)) > 100
+    assert changed(on_map, pixels(desk.workspace.map)) > 60
+    bench.key(Qt.Key.Key_G)
+    assert desk.frame.target.channel == first.channel
+    assert changed(view, pixels(desk.workspace.view)) == 0
+    assert changed(on_map, pixels(desk.workspace.map)) == 0
+
+    bench.key(Qt.Key.Key_V)
+    assert desk.frame.guidance.method is Method.FREE
+    again = desk.frame.guidance
+    desk.show_again()
+    assert desk.frame.guidance is again, "nothing is worked out where nothing changed"
+
+    paints = Paints(bench.window)
+    qtbot.wait(1200)
+    assert paints.count == 0
+
+
+def test_the_guide_stays_off_where_it_was_switched_off(bench, qtbot, tmp_path, recorded):
+    bench.open(Plan(session=recorded))
+    bench.until_all_is_there()
+    assert bench.window.commands.actions["guide"].isChecked()
+    bench.key(Qt.Key.Key_G)
+    bench.window.close()
+    QSettings("skincal", "test").sync()
+    other = Bench(qtbot, tmp_path / "again")
+    other.open(Plan(session=recorded))
+    assert not other.window.commands.actions["guide"].isChecked()
+    assert other.window.desk.frame.guidance is None
+    other.window.close()
+
+
+@pytest.mark.parametrize("choice", [Choice.DARK, Choice.LIGHT])
+def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
+    bench.theme.choose(choice)
+    bench.open_served()
+    now = bench.window.desk.workspace.now
+    bench.key(Qt.Key.Key_V)
+    bench.until(lambda: now.headline.text().startswith("poke "))
+    asked = bench.window.desk.frame.target
+    assert bench.window.desk.workspace.names.short(asked.channel) in now.headline.text()
+    assert (bench.window.width(), bench.window.height()) == (1280, 720)
+    for longest in ("poke 24-11, tilt 28\N{DEGREE SIGN} away from 24-03", "enough: 84 of 84 taxels meet 3 mm"):
+        now.headline.setText(longest)
+        assert not now.headline.is_elided()
+    detail = now.detail.fontMetrics()
+    assert (
+        detail.horizontalAdvance("needs one more poke, since the last one moved it  \N{MIDDLE DOT}  84 of 84 done")
+        <= now.detail.width()
+    )
