@@ -51,6 +51,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("picture", "Session", "Save 3D picture\N{HORIZONTAL ELLIPSIS}", ("Ctrl+P",), "Write the 3D view as it stands"),
     Command("quit", "Session", "Quit", ("Ctrl+Q",), "Everything recorded is on the disk already"),
     Command("space", "Poke", "Pause", ("Space",), "Do the obvious thing: pause, or go on"),
+    Command("another", "Poke", "Another target", ("N",), "Ask for another poke; a side that is skipped twice is left out"),
     Command("undo", "Poke", "Undo", ("Backspace", "Ctrl+Z"), "Take back the last poke or action"),
     Command("exclude", "Poke", "Exclude selected pokes", ("E",), "Selected pokes count no more, or count again"),
     Command("last", "Poke", "Select last poke", ("L",), "Show the newest poke in the list"),
@@ -138,6 +139,7 @@ class Commands(QObject):
             ("difference", may.switch_method),
             ("keep", can_keep),
             ("guide", can_guide),
+            ("another", may.another),
         ):
             _set(actions[name], enabled, actions[name].text())
 

@@ -144,13 +144,18 @@ class Desk(QObject):
         self.guiding.wanted = self._commands.actions["guide"].isChecked()
         self.show_again()
 
+    def skip_target(self) -> None:
+        """Ask for another target."""
+        self.guiding.skip()
+        self.show_again()
+
     def refresh_allowed(self) -> None:
         """Enable what may be done now."""
         if self.frame is None:
             return
         frame, pokes = self.frame, self.workspace.pokes.selected()
         running = self._controller.running
-        self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected)
+        self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected, frame.target)
         self._commands.follow(self._allowed, can_keep=self._controller.can_keep, can_guide=self.guiding.possible)
 
     def set_colours(self, colours: Colours) -> None:

@@ -57,6 +57,12 @@ class Guiding:
             self._guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence)
         return self._guidance
 
+    def skip(self) -> None:
+        """Ask for another poke than the one that was asked for last."""
+        if self._guide is not None:
+            self._guide.skip()
+            self._told = None
+
     def _guide_of(self, plan: Plan, method: Method) -> Guide:
         if self._guide is None or self._guide.method is not method:
             layout = self._scene.skin.layout

@@ -21,6 +21,7 @@ from app.words import LinkLook, LinkWords, counted_words, link_words, peak_chann
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
 from skincal.estimate.result import Estimate, State
 from skincal.guide.guide import Phase as GuidePhase
+from skincal.guide.guide import Target
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray, LinkHealth, Stream
 from skincal.scene import ContactSettings, Scene
@@ -235,10 +236,18 @@ class Allowed:
     choose_pose: bool
     space: str
     """What the space bar does; empty where it does nothing."""
+    another: bool = False
+    """A target may be left for another."""
 
 
 def allowed(
-    snapshot: Snapshot, scene: Scene, links: Sequence[LinkHealth], running: Running, pokes: Sequence[int], taxel: int | None
+    snapshot: Snapshot,
+    scene: Scene,
+    links: Sequence[LinkHealth],
+    running: Running,
+    pokes: Sequence[int],
+    taxel: int | None,
+    target: Target | None = None,
 ) -> Allowed:
     """Return what may be done with the selection in this state.
 
@@ -246,6 +255,7 @@ def allowed(
     ----------
     pokes : numbers of the selected pokes
     taxel : the selected channel
+    target : the poke that is asked for
     """
     chosen = _selected(snapshot.pokes, pokes)
     streamed = any(Stream.JOINTS in link.carries for link in links)
@@ -259,6 +269,7 @@ def allowed(
         switch_method=len(snapshot.estimates) > 1,
         choose_pose=scene.arm is not None and bool(scene.arm.poses) and not streamed,
         space={Running.STREAMING: "Pause", Running.PAUSED: "Go on", Running.OFFLINE: "Connect"}.get(running, ""),
+        another=target is not None,
     )
 
 

@@ -73,6 +73,7 @@ class Window(QMainWindow):
             "picture": self._of_desk(lambda desk: desk.ask_picture(self)),
             "quit": self.close,
             "space": self.controller.toggle,
+            "another": self._of_desk(lambda desk: desk.skip_target()),
             "undo": self._of_desk(lambda desk: desk.undo()),
             "exclude": self._of_desk(lambda desk: desk.exclude_or_restore()),
             "last": self._of_desk(lambda desk: desk.select_last()),

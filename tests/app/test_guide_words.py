@@ -152,6 +152,19 @@ def test_the_guide_is_asked_once_for_what_is_new():
     assert asked.times == 1
 
 
+def test_a_target_that_is_skipped_gives_way_to_another():
+    of, guiding = Session(SCENE, None), Guiding(part())
+    guiding.skip()
+    first = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
+    guiding.skip()
+    second = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
+    assert first is not None
+    assert second is not None
+    assert first.target is not None
+    assert second.target is not None
+    assert second.target.channel != first.target.channel
+
+
 def test_where_the_plan_leaves_a_taxel_out_the_guide_does():
     whole = part()
     whole.laid.places[5] = np.nan

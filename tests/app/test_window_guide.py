@@ -227,8 +227,15 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     assert changed(view, pixels(desk.workspace.view)) == 0
     assert changed(on_map, pixels(desk.workspace.map)) == 0
 
-    bench.key(Qt.Key.Key_V)
-    assert desk.frame.guidance.method is Method.FREE
+    for method in (Method.SURFACE, Method.FREE):
+        assert desk.frame.guidance.method is method
+        before, on_map = desk.frame.target, pixels(desk.workspace.map)
+        bench.key(Qt.Key.Key_N)
+        assert desk.frame.target.channel != before.channel
+        assert changed(on_map, pixels(desk.workspace.map)) > 60
+        bench.key(Qt.Key.Key_V)
+    assert desk.frame.guidance.method is Method.SURFACE
+    assert desk.frame.target.channel == first.channel, "a method whose turn it is again starts its guide anew"
     again = desk.frame.guidance
     desk.show_again()
     assert desk.frame.guidance is again, "nothing is worked out where nothing changed"

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from guide_support import target
 from hypothesis import given
 from hypothesis import strategies as st
 from scene3d_support import estimate
@@ -209,6 +210,8 @@ def test_what_may_be_done_follows_the_selection():
     may = allowed(at, SCENE, (), Running.STREAMING, [1, 2, 3], 7)
     assert (may.exclude, may.restore, may.revive, may.mark_dead) == ((1,), (3,), True, False)
     assert (may.export, may.switch_method, may.undo, may.space) == (True, True, "poke 4", "Pause")
+    assert not may.another
+    assert allowed(at, SCENE, (), Running.STREAMING, [], None, target(3)).another
     empty = allowed(session(), SCENE, (), Running.OFFLINE, [], None)
     assert (empty.export, empty.exclude, empty.mark_dead, empty.undo, empty.space) == (False, (), False, "", "Connect")
 
