@@ -315,7 +315,7 @@ class TaxelMap(QWidget):
         y = self.height() - LEGEND_PX / 2 - 1
         x = float(MARGIN_PX + 6)
         for mark in Mark:
-            if mark in (Mark.DONE, Mark.DEAD) and counted[mark.value] == 0:
+            if mark is not Mark.UNSEEN and counted[mark.value] == 0:
                 continue
             draw_mark(painter, QPointF(x, y), 5.0, mark, QColor(self._colours.text), QColor(self._colours.text))
             text = f"{_SHORT[mark]} {counted[mark.value]}"
