@@ -28,7 +28,8 @@ class Guiding:
         self._plan = plan_of(part)
         self._rows = () if self._plan is None else np.flatnonzero(np.isin(part.channels, self._plan.channels)).tolist()
         self._all = len(self._rows) == len(part.channels)
-        self._guide: Guide | None = None
+        self._guides: dict[Method, Guide] = {}
+        """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
         self._told: tuple[int, Method] | None = None
         self._guidance: Guidance | None = None
         self.wanted = True
@@ -59,15 +60,15 @@ class Guiding:
 
     def skip(self) -> None:
         """Ask for another poke than the one that was asked for last."""
-        if self._guide is not None:
-            self._guide.skip()
+        if self._told is not None:
+            self._guides[self._told[1]].skip()
             self._told = None
 
     def _guide_of(self, plan: Plan, method: Method) -> Guide:
-        if self._guide is None or self._guide.method is not method:
+        if method not in self._guides:
             layout = self._scene.skin.layout
-            self._guide = Guide(plan, self._scene.noise, method, 0.0 if layout is None else layout.spacing)
-        return self._guide
+            self._guides[method] = Guide(plan, self._scene.noise, method, 0.0 if layout is None else layout.spacing)
+        return self._guides[method]
 
     def _estimates(self, snapshot: Snapshot) -> Mapping[Method, Sequence[Estimate]]:
         """Return one estimate for each taxel of the plan, in its order."""
