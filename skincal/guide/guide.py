@@ -183,11 +183,11 @@ class Guide:
         if fresh:
             self._not_now = -1
             self._count_asked(fresh)
-        for poke in new:
-            contact = self._contacts[poke] = contacts[poke]
-            touched.append(contact)
-            self._centres[poke] = self._centre(contact)
         if new:
+            told = [contacts[poke] for poke in new]
+            touched += told
+            self._contacts.update(zip(new, told, strict=True))
+            self._centres.update(zip(new, self._centres_of(told), strict=True))
             newest = contacts[max(new)]
             self._hand, self._sensor = self._centres[newest.poke], newest.link_from_sensor[:3, 3]
         return {channel for contact in touched for channel in contact.channels.tolist() if self._knowledge.has(channel)}
@@ -202,19 +202,21 @@ class Guide:
             if self._knowledge.has(peak):
                 self._asked[self._knowledge.row(peak)] += 1
 
-    def _centre(self, contact: Contact) -> FloatArray:
-        """Return (3,) the middle of the taxels that answered, weighted by their answers."""
-        pairs = [
-            (self._places[self._knowledge.row(channel)], response)
-            for channel, response in zip(contact.channels.tolist(), contact.responses.tolist(), strict=True)
-            if self._knowledge.has(channel)
-        ]
-        places, weights = np.array([place for place, _ in pairs]), np.array([weight for _, weight in pairs])
-        return np.sum(places * weights[:, None], axis=0) / weights.sum() if pairs else np.full(3, np.nan)
+    def _centres_of(self, contacts: Sequence[Contact]) -> FloatArray:
+        """Return (n, 3) the middles of the taxels that answered, weighted by their answers; NaN where none is a taxel."""
+        sizes = np.array([len(contact.channels) for contact in contacts])
+        owner = np.arange(len(contacts)).repeat(sizes)
+        rows = self._knowledge.rows(np.concatenate([contact.channels for contact in contacts]))
+        responses = np.where(rows >= 0, np.concatenate([contact.responses for contact in contacts]), 0.0)
+        sums = np.zeros((len(contacts), 4))
+        np.add.at(sums[:, :3], owner, responses[:, None] * np.nan_to_num(self._places[rows]))
+        np.add.at(sums[:, 3], owner, responses)
+        with np.errstate(invalid="ignore"):
+            return sums[:, :3] / sums[:, 3:]
 
     def _renew_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
         """Say anew what those taxels need whose contacts or estimates changed."""
-        know = self._knowledge
+        know, turned = self._knowledge, list[int]()
         for row, one in enumerate(estimates):
             if one is not self._estimates[row] or one.channel in dirty:
                 beside = float(np.sqrt(know.beside[row] @ know.beside[row]))
@@ -222,9 +224,10 @@ class Guide:
                 was, now = self._needs[row], needs(one, facts, self.method, self.settings)
                 self._estimates[row], self._needs[row] = one, now
                 if bool(was) != bool(now):
-                    self._stale |= (self._neighbours.rows == row).any(axis=1)
+                    turned.append(row)
                 told = one.sd if one.rms is None else one.rms
                 self._solved[row] = min(self._nothing if told is None else told, self._nothing)
+        self._stale |= np.isin(self._neighbours.rows, turned).any(axis=1)
 
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
         know, missing = self._knowledge, tuple(self._needs)

@@ -45,6 +45,11 @@ class Knowledge:
         """Whether a channel is one of the taxels."""
         return channel in self._row
 
+    def rows(self, channels: IntArray) -> IntArray:
+        """Return (n,) the indices of channels, -1 for those that are no taxels."""
+        at = np.searchsorted(self.channels, channels).clip(max=len(self.channels) - 1)
+        return np.where(self.channels[at] == channels, at, -1)
+
     def row(self, channel: int) -> int:
         """Return the index of a channel."""
         return self._row[channel]
