@@ -66,6 +66,8 @@ class Stage:
         """The operator moved the camera: it is theirs from then on."""
         self.estimates = EstimatesLayer(renderer, ground)
         self.hints = HintsLayer(renderer)
+        self.target: TargetLayer | None = None
+        """None where no skin is laid on the part: nobody guides there."""
         self.layers = self._build(renderer, ground)
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
@@ -79,11 +81,11 @@ class Stage:
         layout = ground.scene.skin.layout
         if ground.shaded is not None:
             layers.append(SurfaceLayer(renderer, ground.shaded))
-        target: tuple[Layer, ...] = ()
         if layout is not None and ground.laid is not None and np.isfinite(ground.places[:, 0]).any():
-            target = (TargetLayer(renderer, ground),)
+            self.target = TargetLayer(renderer, ground)
             layers.append(ModulesLayer(renderer, ground, layout, ground.laid))
         others = (self.estimates, AxesLayer(renderer, ground), UncertaintyLayer(renderer, ground))
+        target = () if self.target is None else (self.target,)
         return (*layers, *others, *target, self.hints)
 
     def list_layers(self) -> tuple[str, ...]:
@@ -155,7 +157,11 @@ class Stage:
         active = self.renderer.GetActiveCamera()
         self.renderer.ResetCameraClippingRange()
         size = self.renderer.GetSize()
-        self.estimates.follow(camera.pixels_per_metre(active, size[1]), -np.array(active.GetDirectionOfProjection()))
+        scale = camera.pixels_per_metre(active, size[1])
+        towards = -np.array(active.GetDirectionOfProjection())
+        self.estimates.follow(scale, towards)
+        if self.target is not None:
+            self.target.follow(scale, towards)
         self.hints.follow(active, (size[0], size[1]))
 
 

@@ -20,9 +20,13 @@ RING = 4.6e-3
 TOOL = 0.035
 """m. Length of the arrow, a tool's tip: as long as a drawn force axis outside the part."""
 HEAD = 7e-3
-"""m. Length of each stroke of the arrow's head."""
+"""m. Length of each of the two strokes of the arrow's head."""
 SPREAD = float(np.radians(28.0))
 """rad. Angle of these strokes with the arrow."""
+ALONG = 1e-6
+"""Sine. A camera that looks along the arrow sees a dot: either side of it will do."""
+LEAST_PIXELS = 13.0
+"""Radius of the ring at least, on the screen: on a whole body a ring of its own size would not be found."""
 NEARER = {"rim": -600.0, "core": -1000.0}
 """How far towards the camera each is drawn, in VTK's units of depth, a few millimetres here: the part's curve must not cut
 the ring, nor the black the white."""
@@ -39,6 +43,13 @@ class TargetLayer:
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
         self._key = b""
+        self._target: Target | None = None
+        self._at: FloatArray = np.zeros(3)
+        """(3,) float, metres: where the target's line meets the skin."""
+        self._scale = 1.0
+        """How many times larger than its own size it is drawn."""
+        self._towards: FloatArray = np.zeros(3)
+        """(3,) float, unit: from the part to the camera."""
         for shape, nearer in ((self.rim, NEARER["rim"]), (self.core, NEARER["core"])):
             mapper = shape.actor.GetMapper()
             mapper.SetResolveCoincidentTopologyToPolygonOffset()
@@ -54,29 +65,49 @@ class TargetLayer:
         key = b"" if target is None else b"".join(each.tobytes() for each in (target.place, target.normal, target.push))
         if key == self._key:
             return False
-        self._key = key
-        ends = np.empty((0, 2, 3)) if target is None else self._strokes(target)
+        self._key, self._target = key, target
+        if target is not None:
+            # A believed place lies above or below the skin; seen from outside, the ring must not.
+            self._at = contact_point(self.ground.surface, target.place, -target.normal, target.place)
+        self._draw()
+        return True
+
+    def follow(self, pixels_per_metre: float, towards: FloatArray) -> None:
+        """Keep the ring large enough to be found when the camera goes away, and the arrow's head flat to the camera.
+
+        Parameters
+        ----------
+        towards : (3,) float, unit: from the part to the camera
+        """
+        scale = max(1.0, LEAST_PIXELS / (RING * pixels_per_metre))
+        if scale != self._scale or not np.array_equal(towards, self._towards):
+            self._scale, self._towards = scale, towards
+            self._draw()
+
+    def _draw(self) -> None:
+        ends = np.empty((0, 2, 3)) if self._target is None else self._strokes(self._target)
         for shape, colour in ((self.rim, BLACK), (self.core, WHITE)):
             shape.join(ends, np.tile(colour, (len(ends), 1)))
-        return True
 
     def _strokes(self, target: Target) -> FloatArray:
         """Return the sides of the ring and the strokes of the arrow, (n, 2, 3) float, metres, on the skin."""
-        # A believed place lies above or below the skin; seen from outside, the ring must not.
-        at = contact_point(self.ground.surface, target.place, -target.normal, target.place)
-        ring = rings(at[None], target.normal[None], RING, sides=36).reshape(-1, 2, 3)
-        return np.concatenate([ring, arrow(at, target.push)])
+        ring = rings(np.zeros((1, 3)), target.normal[None], RING, sides=36).reshape(-1, 2, 3)
+        return self._at + self._scale * np.concatenate([ring, arrow(target.push, self._towards)])
 
 
-def arrow(tip: FloatArray, push: FloatArray) -> FloatArray:
-    """Return the strokes of an arrow that ends at `tip`, (3,) float, metres, and points along `push`, (3,) float, unit.
+def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:
+    """Return the strokes of an arrow that ends at the origin and points along `push`, (3,) float, unit.
+
+    Parameters
+    ----------
+    towards : (3,) float, to the camera, which sees both strokes of the head
 
     Returns
     -------
-    (5, 2, 3) float, metres: the shaft, then four strokes of the head, so that two of them are seen from any side
+    (3, 2, 3) float, metres: the shaft, then the head
     """
-    one, two = (across[0] for across in tangents(push[None]))
-    sides = np.array([one, -one, two, -two])
-    back = HEAD * (np.sin(SPREAD) * sides - np.cos(SPREAD) * push)
-    tails = np.concatenate([(tip - TOOL * push)[None], tip + back])
-    return np.stack([tails, np.tile(tip, (5, 1))], axis=1)
+    side = np.cross(push, towards)
+    length = float(np.linalg.norm(side))
+    side = side / length if length > ALONG else tangents(push[None])[0][0]
+    tails = [-TOOL * push, *(HEAD * (np.sin(SPREAD) * each - np.cos(SPREAD) * push) for each in (side, -side))]
+    return np.stack([np.array(tails), np.zeros((3, 3))], axis=1)

@@ -20,7 +20,7 @@ from app.panels.texts import FittedLabel
 from app.plan import Plan
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.probe import Canvas
-from app.scene3d.target import HEAD, RING, TOOL, TargetLayer, arrow
+from app.scene3d.target import HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
 from app.theme import DARK, Choice
 from skincal.estimate.result import Method
@@ -47,20 +47,42 @@ def test_the_ring_lies_on_the_skin_and_the_arrow_pushes_to_its_middle(layer):
     place = laid(PLAN).places[3] - np.array([0.0, 0.0, 0.005])
     asked = target(3, TILT, place=place)
     assert layer.show(moment(asked))
-    ring, shaft, head = strokes(layer)[:-5], strokes(layer)[-5], strokes(layer)[-4:]
+    ring, shaft, head = strokes(layer)[:36], strokes(layer)[36], strokes(layer)[37:]
     middle = place * [1, 1, 0]
     np.testing.assert_allclose(np.linalg.norm(ring - middle, axis=2), RING, rtol=1e-4)
     np.testing.assert_allclose(ring[..., 2], 0.0, atol=1e-9)
     np.testing.assert_allclose(shaft, [middle - TOOL * asked.push, middle], atol=1e-7)
-    np.testing.assert_allclose(head[:, 1], np.tile(middle, (4, 1)), atol=1e-7)
+    np.testing.assert_allclose(head[:, 1], np.tile(middle, (2, 1)), atol=1e-7)
     np.testing.assert_array_equal(layer.rim._points, layer.core._points)
 
 
-def test_an_arrow_is_the_same_from_every_side():
+def test_the_target_keeps_its_size_on_the_part_until_it_would_not_be_found(layer):
+    above = np.array([0.0, 0.6, 0.8])
+    layer.follow(4000.0, above)
+    layer.show(moment(target(3)))
+    own, middle = strokes(layer).copy(), laid(PLAN).places[3]
+    layer.follow(LEAST_PIXELS / RING, above)
+    np.testing.assert_array_equal(strokes(layer), own)
+    layer.follow(LEAST_PIXELS / RING / 3.0, above)
+    np.testing.assert_allclose(strokes(layer) - middle, 3.0 * (own - middle), atol=1e-7)
+    layer.show(moment(None))
+    layer.follow(4000.0, above)
+    assert not layer.core.actor.GetVisibility()
+
+
+@pytest.mark.parametrize("towards", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)])
+def test_an_arrow_shows_its_head_to_the_camera_wherever_that_is(towards):
     for push in np.eye(3):
-        ends = arrow(np.zeros(3), push)
-        np.testing.assert_allclose(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), [TOOL, HEAD, HEAD, HEAD, HEAD])
-        assert (ends[:, 0] @ push < 0).all()
+        shaft, *head = arrow(push, np.array(towards))
+        np.testing.assert_allclose(shaft, [-TOOL * push, np.zeros(3)])
+        for stroke in head:
+            assert np.linalg.norm(stroke[0]) == pytest.approx(HEAD)
+            assert stroke[0] @ push < 0
+        # Both strokes are as far off the arrow, and no part of that is along the line of sight.
+        aside = head[0][0] - head[1][0]
+        assert np.linalg.norm(aside) > 0.9 * HEAD
+        if np.linalg.norm(np.cross(push, towards)) > 0:
+            assert aside @ np.array(towards) == pytest.approx(0.0)
 
 
 def test_the_target_layer_changes_its_arrays_and_never_its_actors(layer):
