@@ -21,6 +21,7 @@ from PySide6.QtWidgets import (
 from app.display_units import DASH, ChannelNames, direction, millimetres, number, point_mm
 from app.evidence_words import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
 from app.frame import Frame
+from app.guide_words import needs_words
 from app.panels.texts import on_panel, put, quiet
 from app.policies import MARK_WORDS, mark_of, worst
 from app.theme import GAP
@@ -131,10 +132,10 @@ class InspectPanel(QScrollArea):
 
     def show_frame(self, frame: Frame) -> None:
         """Show the selected taxel of a frame and the worst; nothing happens where they are the same."""
-        shown = (frame.revision, frame.method, frame.selected)
+        shown = (frame.revision, frame.method, frame.guidance is None, frame.selected)
         if shown == self._shown:
             return
-        changed_worst = shown[:2] != self._shown[:2]
+        changed_worst = shown[:-1] != self._shown[:-1]
         self._shown = shown
         if changed_worst:
             self._list_worst(frame)
@@ -152,7 +153,9 @@ class InspectPanel(QScrollArea):
         shown = found.get(frame.method)
         reason = frame.snapshot.dead.get(channel) or (shown.reason if shown is not None else "")
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
-        put(self.reason, "  ".join(filter(None, (reason, distance_words(pair[0], pair[1])))))
+        needs = "" if frame.guidance is None else needs_words(frame.guidance, channel)
+        sentences = (reason, distance_words(pair[0], pair[1]), needs and f"It {needs}.")
+        put(self.reason, "  ".join(filter(None, sentences)))
         put(self.rival, f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
         self.rival.setVisible(shown is not None and bool(rival_words(shown)))
         self._list_pokes(() if shown is None else taxel_pokes(frame.snapshot, shown), frame.method)

@@ -15,6 +15,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 from whole_window import Bench, Paints
 from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, session
 
+from app.panels.inspect import InspectPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.texts import FittedLabel
 from app.plan import Plan
@@ -211,6 +212,18 @@ def test_a_done_taxel_is_told_by_shape_and_what_is_missing_by_words(taxels):
     taxels.show_frame(framed(None, 2))
     assert np.array_equal(good[near(taxels, 3, 12)], pixels(taxels)[near(taxels, 3, 12)]), "without a guide it is good"
     assert "needs" not in taxels.tell(15)
+
+
+def test_the_taxel_tab_says_what_the_selected_taxel_still_needs(qtbot):
+    panel = InspectPanel((Method.FREE,), NAMES)
+    qtbot.addWidget(panel)
+    for says, last in ((guidance(), "It needs pokes of its own, a smaller predicted error."), (guidance(done=(3,)), "")):
+        panel.show_frame(replace(framed(says, 1 + len(last)), selected=3))
+        assert panel.reason.text() == last
+    panel.show_frame(replace(framed(guidance(), 9), selected=3))
+    assert "needs" in panel.reason.text()
+    panel.show_frame(replace(framed(None, 9), selected=3))
+    assert "needs" not in panel.reason.text(), "nobody guides any more"
 
 
 def test_large_type_becomes_smaller_before_it_is_cut(qtbot):
