@@ -301,11 +301,11 @@ class Guide:
     def _evenly(self, rows: IntArray, seconds: FloatArray) -> int:
         """Return the taxel whose turn it is, round by round; of several the one that is reached soonest.
 
-        One that was asked for and missed is asked for once more in a round, and no more often: who cannot be reached must
-        not keep the others waiting.
+        A poke of its own is a turn, asked for or not. One that was asked for and missed is asked for once more in a round, and
+        no more often: who cannot be reached must not keep the others waiting.
         """
         asked, own = self._asked[rows], self._knowledge.own[rows]
-        turn = np.maximum(np.minimum(asked, own + 1), asked - 1)
+        turn = np.maximum(own, np.maximum(np.minimum(asked, own + 1), asked - 1))
         first = np.flatnonzero(turn == turn.min())
         return int(rows[first[seconds[first].argmin()]])
 
