@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import Evidence
-from skincal.estimate.result import Estimate, Method
+from skincal.estimate.result import Estimate, Method, State
 from skincal.guide import choose
 from skincal.guide.done import Facts, Need, needs
 from skincal.guide.knowledge import Knowledge
@@ -217,16 +217,22 @@ class Guide:
     def _renew_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
         """Say anew what those taxels need whose contacts or estimates changed."""
         know, turned = self._knowledge, list[int]()
-        for row, one in enumerate(estimates):
-            if one is not self._estimates[row] or one.channel in dirty:
-                beside = float(np.sqrt(know.beside[row] @ know.beside[row]))
-                facts = Facts(int(know.own[row]), float(know.diversity[row]), beside, float(know.moved[row]))
-                was, now = self._needs[row], needs(one, facts, self.method, self.settings)
-                self._estimates[row], self._needs[row] = one, now
-                if bool(was) != bool(now):
-                    turned.append(row)
-                told = one.sd if one.rms is None else one.rms
-                self._solved[row] = min(self._nothing if told is None else told, self._nothing)
+        beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
+        facts = zip(*map(np.ndarray.tolist, (know.own, know.diversity, beside, know.moved)), strict=True)
+        nothing: tuple[Need, ...] | None = None
+        for row, (one, each) in enumerate(zip(estimates, facts, strict=True)):
+            if one is self._estimates[row] and one.channel not in dirty:
+                continue
+            if one.state is State.UNSEEN:
+                # The same for all of them: in a large part they are thousands at first.
+                nothing = now = nothing or needs(one, Facts(*each), self.method, self.settings)
+            else:
+                now = needs(one, Facts(*each), self.method, self.settings)
+            if bool(self._needs[row]) != bool(now):
+                turned.append(row)
+            self._estimates[row], self._needs[row] = one, now
+            told = one.sd if one.rms is None else one.rms
+            self._solved[row] = min(self._nothing if told is None else told, self._nothing)
         self._stale |= np.isin(self._neighbours.rows, turned).any(axis=1)
 
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
