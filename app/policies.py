@@ -15,7 +15,7 @@ import numpy as np
 
 from app.display_units import newtons, number
 from app.frame import Frame
-from app.guide_words import asked_words, end_words, enough_words, target_words, why_words
+from app.guide_words import BETWEEN, asked_words, end_words, enough_words, target_words, why_words
 from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
@@ -160,28 +160,32 @@ def _verdict(outcome: Outcome, meant: int | None, at: Frame) -> Now:
     detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
     if isinstance(outcome, Rejection):
         return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
+    words = verdict_words(outcome, at.names)
     if meant is not None and meant != peak_channel(outcome):
-        return Now(Tone.GOOD, counted_words(outcome, at.names), asked_words(outcome, meant, at.names))
-    return Now(Tone.GOOD, verdict_words(outcome, at.names), detail)
+        words, detail = counted_words(outcome, at.names), asked_words(outcome, meant, at.names)
+    # Whoever is quick pokes again while this is still said.
+    return Now(Tone.GOOD, words, BETWEEN.join(filter(None, (_next(at), detail))))
 
 
 def _calm(phase: Phase, at: Frame) -> Now:
     if phase is Phase.NO_DATA:
         return _no_data(at)
     if phase is Phase.TARING:
-        return Now(
-            Tone.WAIT, "keep hands off", _next(at) or "Taring: the sensor's offset is taken while nothing touches the part."
+        following = _next(at)
+        taring = (
+            f"Taring.  {following}" if following else "Taring: the sensor's offset is taken while nothing touches the part."
         )
+        return Now(Tone.WAIT, "keep hands off", taring)
     if phase in PRESSING:
         return _pressing(phase, at)
     return _guided(at) or _ready(at)
 
 
 def _next(at: Frame) -> str:
-    """Return what to do once the tare is taken; empty where nobody guides."""
+    """Return what to do next; empty where nobody guides."""
     if at.guidance is None or at.target is None:
         return ""
-    return f"Taring.  Next: {target_words(at.guidance, at.target, at.names)}"
+    return f"Next: {target_words(at.guidance, at.target, at.names)}"
 
 
 def _guided(at: Frame) -> Now | None:
