@@ -127,11 +127,6 @@ class State:
     """(n,) float, metres: what the solver says of the error, which counts where it is more: it weighs contacts its own way."""
 
 
-def rms_of(state: State, rows: IntArray) -> FloatArray:
-    """Return (m,) the predicted rms errors of the taxels `rows`, metres."""
-    return np.sqrt(np.trace(_covariances(state, rows), axis1=1, axis2=2))
-
-
 def _covariances(state: State, rows: IntArray) -> FloatArray:
     """Return (m, 3, 3), m^2; along the skin alone where that is what counts."""
     if state.in_plane:
