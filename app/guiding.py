@@ -11,7 +11,7 @@ from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.result import Estimate, Method
 from skincal.guide.guide import Guidance, Guide
-from skincal.guide.places import Plan
+from skincal.guide.places import Plan, plan_from
 from skincal.session.snapshot import Snapshot
 
 
@@ -78,14 +78,9 @@ class Guiding:
 
 
 def plan_of(part: Part) -> Plan | None:
-    """Return where the layout puts the taxels, without those that it puts nowhere; None where it puts none."""
+    """Return where the part's layout puts the taxels; None where there is no layout or it puts none."""
     layout, laid = part.scene.skin.layout, part.laid
-    if layout is None or laid is None:
-        return None
-    channels = part.channels[np.isfinite(laid.places[part.channels]).all(axis=1)]
-    if not len(channels):
-        return None
-    return Plan(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
+    return None if layout is None or laid is None else plan_from(layout, laid)
 
 
 def _contacts(snapshot: Snapshot) -> dict[int, Contact]:

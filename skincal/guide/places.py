@@ -14,6 +14,8 @@ import numpy as np
 from skincal.estimate.result import Estimate
 from skincal.guide.knowledge import solved
 from skincal.readings import FloatArray, IntArray
+from skincal.skin import Layout
+from skincal.surface.lay import LaidSkin
 
 WHOLE = 0.006
 """m, sd of the whole skin beside its plan, each direction: by hand it is put on to a few millimetres."""
@@ -37,6 +39,15 @@ class Plan:
     """(n, 3) float, unit, outward; NaN likewise."""
     modules: IntArray
     """(n,) index of the module, from 0."""
+
+
+def plan_from(layout: Layout, laid: LaidSkin) -> Plan | None:
+    """Return where a laid layout puts the taxels, without those that it puts nowhere; None where it puts none."""
+    channels = layout.channels
+    channels = channels[np.isfinite(laid.places[channels]).all(axis=1)]
+    if not len(channels):
+        return None
+    return Plan(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
 
 
 def believed(plan: Plan, estimates: Sequence[Estimate]) -> FloatArray:

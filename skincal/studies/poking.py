@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.guide.places import Plan
+from skincal.guide.places import Plan, plan_from
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene, load_scene, resource
 from skincal.simulate.contacts import Tare, simulate_contacts
@@ -84,12 +84,10 @@ class Part:
         """Where the layout puts the taxels."""
         layout = self.scene.skin.layout
         laid = None if layout is None else lay(layout, self.scene.skin.anchor, self.surface)
-        if layout is None or laid is None:
+        plan = None if layout is None or laid is None else plan_from(layout, laid)
+        if plan is None:
             raise ValueError(f"{SCENE} has no layout that can be laid")
-        channels = layout.channels
-        modules = np.concatenate([np.full(len(module.channels), i) for i, module in enumerate(layout.modules)])
-        order = np.concatenate([module.channels for module in layout.modules]).argsort()
-        return Plan(channels, laid.places[channels], laid.normals[channels], modules[order])
+        return plan
 
     @property
     def spacing(self) -> float:

@@ -171,6 +171,20 @@ def test_a_poke_on_another_taxel_counts_where_it_landed():
     assert followed.guidance.own[np.flatnonzero(part().plan.channels == hit)[0]] == 1
 
 
+def test_what_is_doubted_tells_the_guide_less():
+    followed = after(60)
+    estimates, plain, doubting = followed.session.snapshot().estimates, guide(), guide()
+    row = int(followed.guidance.own.argmax())
+    one = estimates[Method.FREE][row]
+    poke = followed.session.evidence([one.channel]).pokes[0]
+    mistrusted = [replace(each, doubted={int(poke): 0.0}) if each is one else each for each in estimates[Method.FREE]]
+    plain.update(followed.contacts, estimates, followed.session.evidence)
+    doubting.update(followed.contacts, {**estimates, Method.FREE: mistrusted}, followed.session.evidence)
+    known, less = (np.trace(each._knowledge.information, axis1=1, axis2=2) for each in (plain, doubting))
+    assert less[row] < 0.9 * known[row]
+    np.testing.assert_array_equal(np.delete(less, row), np.delete(known, row))
+
+
 def test_where_everything_is_done_it_says_so():
     followed = after(60)
     estimates = followed.session.snapshot().estimates
