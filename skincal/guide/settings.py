@@ -23,6 +23,8 @@ class GuideSettings:
     """m: how far the last poke of its own may have moved a taxel."""
     usable_tilt: float = float(np.radians(28.0))
     """rad, from the normal: a little less than the friction of a tip on foam holds."""
+    tolerance: float = float(np.radians(10.0))
+    """rad: a push within this of the wanted one is as asked; the hand's own error is 6 degrees (sd)."""
     sweep: float = 1.5
     """Pokes a taxel until the guide asks for pokes of its own: until then those between taxels tell more, afterwards they
     pull neighbours together."""
