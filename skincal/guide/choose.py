@@ -66,6 +66,13 @@ def find_neighbours(places: FloatArray, spacing: float, noise: NoiseSettings, mo
     return Neighbours(rows, weights)
 
 
+def pulls(places: FloatArray, neighbours: Neighbours) -> FloatArray:
+    """Return (n, 3) how far beside each taxel the middle of the expected answers lies when it is poked right upon, metres."""
+    off = np.nan_to_num(places[neighbours.rows] - places[:, None])
+    shares = neighbours.weights[:, :, None]
+    return np.asarray(np.sum(shares * off, axis=1) / np.sum(shares, axis=1), dtype=np.float64)
+
+
 def _pairs(places: FloatArray, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
     """Return all pairs of `places` (n, 3) within `reach`, metres, each once, and how far they are apart.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -94,6 +95,16 @@ class Guidance:
         return sum(not each for each in self.needs)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Felt:
+    """Where a poke was by the answers, told from a taxel: its place is better known later on."""
+
+    row: int
+    """Index of the taxel that answered most; -1 where none is a taxel."""
+    beside: FloatArray
+    """(3,) float, metres; NaN where none is a taxel."""
+
+
 class Guide:
     """Follows a session by one method.
 
@@ -113,9 +124,10 @@ class Guide:
         self._in_plane = method is Method.SURFACE
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._contacts: dict[int, Contact] = {}
-        self._centres: dict[int, FloatArray] = {}
+        self._pokes: dict[int, Felt] = {}
         self._places = plan.places.copy()
         self._neighbours = choose.find_neighbours(self._places, spacing, noise)
+        self._pulls = choose.pulls(self._places, self._neighbours)
         self._gains = np.full((len(plan.channels), choose.TRIES), -np.inf)
         self._pushes = choose.directions(plan.normals, self.settings.usable_tilt)
         self._gains_of: Phase | None = None
@@ -154,7 +166,8 @@ class Guide:
             told = evidence(dirty)
             pairs = zip(told.channels[told.taxels].tolist(), told.pokes.tolist(), strict=True)
             trust = [doubted[channel].get(poke, 1.0) for channel, poke in pairs]
-            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, self.plan.normals, self._centres)
+            centres = {poke: self._centre(poke) for poke in set(told.pokes.tolist())}
+            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, self.plan.normals, centres)
             rows = np.array([self._knowledge.row(channel) for channel in dirty])
             self._stale |= np.isin(self._neighbours.rows, rows).any(axis=1)
         self._renew_needs(estimates[self.method], dirty)
@@ -173,7 +186,7 @@ class Guide:
         new = [poke for poke, contact in contacts.items() if self._contacts.get(poke) is not contact]
         touched = [self._contacts[poke] for poke in (*gone, *new) if poke in self._contacts]
         for poke in gone:
-            del self._contacts[poke], self._centres[poke]
+            del self._contacts[poke], self._pokes[poke]
         if not touched and not new:
             return set()
         best = estimates.get(Method.SURFACE) or estimates[Method.FREE]
@@ -187,9 +200,9 @@ class Guide:
             told = [contacts[poke] for poke in new]
             touched += told
             self._contacts.update(zip(new, told, strict=True))
-            self._centres.update(zip(new, self._centres_of(told), strict=True))
+            self._pokes.update(zip(new, self._felt(told), strict=True))
             newest = contacts[max(new)]
-            self._hand, self._sensor = self._centres[newest.poke], newest.link_from_sensor[:3, 3]
+            self._hand, self._sensor = self._centre(newest.poke), newest.link_from_sensor[:3, 3]
         return {channel for contact in touched for channel in contact.channels.tolist() if self._knowledge.has(channel)}
 
     def _count_asked(self, fresh: Sequence[Contact]) -> None:
@@ -202,17 +215,29 @@ class Guide:
             if self._knowledge.has(peak):
                 self._asked[self._knowledge.row(peak)] += 1
 
-    def _centres_of(self, contacts: Sequence[Contact]) -> FloatArray:
-        """Return (n, 3) the middles of the taxels that answered, weighted by their answers; NaN where none is a taxel."""
+    def _centre(self, poke: int) -> FloatArray:
+        """Return (3,) where a poke was by the answers, metres; NaN where no taxel answered."""
+        felt = self._pokes[poke]
+        return self._places[felt.row] + felt.beside
+
+    def _felt(self, contacts: Sequence[Contact]) -> list[Felt]:
+        """Return where pokes were by the answers.
+
+        That is the middle of the taxels that answered, weighted by their answers, less what it is off where the taxel that
+        answered most is poked right upon: at the skin's edge there is nobody to answer on the other side.
+        """
         sizes = np.array([len(contact.channels) for contact in contacts])
+        starts = np.concatenate([[0], sizes.cumsum()])
         owner = np.arange(len(contacts)).repeat(sizes)
         rows = self._knowledge.rows(np.concatenate([contact.channels for contact in contacts]))
         responses = np.where(rows >= 0, np.concatenate([contact.responses for contact in contacts]), 0.0)
+        peaks = rows[[a + int(responses[a:b].argmax()) for a, b in pairwise(starts.tolist())]]
         sums = np.zeros((len(contacts), 4))
-        np.add.at(sums[:, :3], owner, responses[:, None] * np.nan_to_num(self._places[rows]))
+        np.add.at(sums[:, :3], owner, responses[:, None] * np.nan_to_num(self._places[rows] - self._places[peaks][owner]))
         np.add.at(sums[:, 3], owner, responses)
         with np.errstate(invalid="ignore"):
-            return sums[:, :3] / sums[:, 3:]
+            beside = sums[:, :3] / sums[:, 3:] - self._pulls[peaks]
+        return [Felt(int(peak), off) for peak, off in zip(peaks.tolist(), beside, strict=True)]
 
     def _renew_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
         """Say anew what those taxels need whose contacts or estimates changed."""
