@@ -115,6 +115,11 @@ def rate(per_second: float) -> str:
     return f"{number(per_second, 0 if per_second >= 20 else 1)} Hz"
 
 
+def minutes(seconds: float) -> str:
+    """Return a length of time for somebody who plans a break: `"12 min"`, and `"1 min"` for anything less."""
+    return f"{max(1, round(seconds / 60.0))} min"
+
+
 def age(seconds: float) -> str:
     """Return how long ago something was, in words that do not flicker: `"now"` below a quarter of a second."""
     if seconds < 0.25:

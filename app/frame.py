@@ -9,7 +9,7 @@ from app.display_units import ChannelNames
 from app.running import Running
 from app.words import LinkWords
 from skincal.estimate.result import Estimate, Method
-from skincal.guide.guide import Guidance, Target
+from skincal.guide.guidance import Guidance, Target
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
 

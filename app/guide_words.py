@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.display_units import ChannelNames, count, degrees, in_millimetres, millimetres, number
+from app.display_units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, number
 from skincal.contacts.outcome import Contact
 from skincal.estimate.result import Method
 from skincal.guide.done import Need
-from skincal.guide.guide import Guidance, Target
+from skincal.guide.guidance import Guidance, Phase, Target
 from skincal.readings import FloatArray
 
 STRAIGHT = float(np.radians(5.0))
@@ -59,6 +59,8 @@ def _neighbour(guidance: Guidance, target: Target, along: FloatArray) -> int | N
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
     """Return what to do, verb first: `"poke 17-04, tilt 28° toward 17-05"`."""
+    if target.channel is None:
+        return "poke at the ring, straight"
     poke = f"poke {names.short(target.channel)}"
     if target.tilt < STRAIGHT:
         return f"{poke} straight"
@@ -69,10 +71,12 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
 
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
     """Return what the poke is for, and how far the session is."""
-    return f"{_reason(guidance, target)}{BETWEEN}{progress_words(guidance, dead)}"
+    return BETWEEN.join(filter(None, (_reason(guidance, target), progress_words(guidance, dead), left_words(guidance))))
 
 
 def _reason(guidance: Guidance, target: Target) -> str:
+    if target.channel is None:
+        return "looks for taxels"
     row = int(np.searchsorted(guidance.channels, target.channel))
     missing = guidance.needs[row]
     if Need.ACCURACY not in missing:
@@ -93,6 +97,16 @@ def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Return how many taxels are done, of those that are used."""
     done, total = _done(guidance, dead)
     return f"{done} of {total} done"
+
+
+def left_words(guidance: Guidance) -> str:
+    """Return how much is left: `"about 120 pokes, 6 min left"`; empty where nothing is, or where nobody knows."""
+    if not guidance.pokes_left or guidance.phase is Phase.COVER:
+        return ""
+    # More digits than it is good to would be a lie.
+    pokes = guidance.pokes_left if guidance.pokes_left < 10 else 10 * round(guidance.pokes_left / 10)
+    time = "" if guidance.seconds_left is None else f", {minutes(guidance.seconds_left)}"
+    return f"about {count(pokes, 'poke')}{time} left"
 
 
 def enough_words(guidance: Guidance, wanted: float, dead: Collection[int]) -> str:

@@ -7,11 +7,14 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from app.opening import Part
-from skincal.contacts.outcome import Contact
+from skincal.contacts.outcome import Contact, Rejection
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.result import Estimate, Method
-from skincal.guide.guide import Guidance, Guide
+from skincal.guide.guidance import Guidance
+from skincal.guide.guide import Guide
 from skincal.guide.places import Plan, plan_from
+from skincal.guide.settings import GuideSettings
+from skincal.guide.verdict import Verdict, verdict_of
 from skincal.session.snapshot import Snapshot
 
 
@@ -24,7 +27,7 @@ class Guiding:
     """
 
     def __init__(self, part: Part) -> None:
-        self._scene = part.scene
+        self._scene, self._surface = part.scene, part.surface
         self._plan = plan_of(part)
         self._rows = () if self._plan is None else np.flatnonzero(np.isin(part.channels, self._plan.channels)).tolist()
         self._all = len(self._rows) == len(part.channels)
@@ -55,8 +58,19 @@ class Guiding:
         if (revision, method) != self._told:
             self._told = revision, method
             guide = self._guide_of(self._plan, method)
-            self._guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence)
+            self._guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence, _rejections(snapshot))
         return self._guidance
+
+    def verdict(self, guidance: Guidance, snapshot: Snapshot, evidence: Callable[[Collection[int]], Evidence]) -> Verdict:
+        """Return what the session has come to.
+
+        Parameters
+        ----------
+        guidance : of this snapshot
+        evidence : what the contacts of this snapshot say of some channels
+        """
+        estimates, noise = snapshot.estimates[guidance.method], self._scene.noise
+        return verdict_of(guidance, estimates, _contacts(snapshot), evidence, noise, self._surface, GuideSettings())
 
     def skip(self) -> None:
         """Ask for another poke than the one that was asked for last."""
@@ -87,3 +101,9 @@ def _contacts(snapshot: Snapshot) -> dict[int, Contact]:
     """Return the contacts that count, by the number of their poke."""
     counting = (record.outcome for record in snapshot.pokes if not record.excluded)
     return {outcome.poke: outcome for outcome in counting if isinstance(outcome, Contact)}
+
+
+def _rejections(snapshot: Snapshot) -> dict[int, Rejection]:
+    """Return the pokes that do not count by themselves, by their number."""
+    outcomes = (record.outcome for record in snapshot.pokes)
+    return {outcome.poke: outcome for outcome in outcomes if isinstance(outcome, Rejection)}

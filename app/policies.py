@@ -20,8 +20,8 @@ from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
 from skincal.estimate.result import Estimate, State
-from skincal.guide.guide import Phase as GuidePhase
-from skincal.guide.guide import Target
+from skincal.guide.guidance import Phase as GuidePhase
+from skincal.guide.guidance import Target
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray, LinkHealth, Stream
 from skincal.scene import ContactSettings, Scene

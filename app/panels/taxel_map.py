@@ -33,7 +33,7 @@ from app.panels.map_layout import Fit, MapPlan, fit, plan_map
 from app.panels.marks import SMALL, Stamps, draw_dots, draw_mark, draw_wedge
 from app.policies import MARK_WORDS, Mark, answer_levels, marks
 from app.theme import HUES, LIGHT, Colours, mix
-from skincal.guide.guide import Guidance
+from skincal.guide.guidance import Guidance
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
 

@@ -11,7 +11,7 @@ import numpy as np
 from app.scene3d.looks import ColourArray, module_hues
 from app.scene3d.shading import Shaded, shade
 from skincal.estimate.result import Estimate, Method
-from skincal.guide.guide import Target
+from skincal.guide.guidance import Target
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot

@@ -12,7 +12,7 @@ from app.scene3d.entry import contact_point
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import Look
 from app.scene3d.shapes import Segments, rings, tangents
-from skincal.guide.guide import Target
+from skincal.guide.guidance import Target
 from skincal.readings import FloatArray
 
 RING = 4.6e-3

@@ -25,7 +25,7 @@ from app.scene3d.pointer import Pointer
 from app.scene3d.probe import Canvas, best_canvas
 from skincal.errors import InputError
 from skincal.estimate.result import Method
-from skincal.guide.guide import Target
+from skincal.guide.guidance import Target
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.surface.lay import LaidSkin

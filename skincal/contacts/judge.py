@@ -147,7 +147,7 @@ def judge(poke: Poke, scene: Scene, after: Tare | None, final: bool, unused: Set
         )
     )
     if verdict is not None or still is None or force is None or moment is None or still.link_from_sensor is None:
-        return _reject(poke, verdict, channels, final)
+        return _reject(poke, verdict, channels, final, force, moment)
     return Contact(
         poke=poke.number,
         start_s=still.start_s,
@@ -170,10 +170,13 @@ def _tared(poke: Poke, after: Tare | None) -> tuple[FloatArray | None, FloatArra
     return wrench[:3], wrench[3:]
 
 
-def _reject(poke: Poke, verdict: Verdict | None, channels: IntArray, final: bool) -> Rejection:
+def _reject(
+    poke: Poke, verdict: Verdict | None, channels: IntArray, final: bool, force: FloatArray | None, moment: FloatArray | None
+) -> Rejection:
     if verdict is None:
         raise AssertionError("a poke without a still window or pose passes no gate")
     start, end = (poke.start_s, poke.end_s) if poke.still is None else (poke.still.start_s, poke.still.end_s)
+    pose = None if poke.still is None else poke.still.link_from_sensor
     return Rejection(
         poke=poke.number,
         start_s=start,
@@ -184,4 +187,7 @@ def _reject(poke: Poke, verdict: Verdict | None, channels: IntArray, final: bool
         unit=verdict.unit,
         channels=channels,
         final=final,
+        force=None if pose is None else force,
+        moment=None if pose is None else moment,
+        link_from_sensor=pose,
     )

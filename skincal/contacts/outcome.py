@@ -75,6 +75,12 @@ class Rejection:
     channels: IntArray
     """Taxels that answered, ascending; may be empty."""
     final: bool
+    force: FloatArray | None = None
+    """(3,) float, N, tared, sensor frame, force on the part; None without a still window or a known pose."""
+    moment: FloatArray | None = None
+    """(3,) float, N m, tared, about the sensor's origin; None as `force`."""
+    link_from_sensor: FloatArray | None = None
+    """(4, 4) float, metres: pose of the arm during the poke; None as `force`."""
 
 
 Outcome: TypeAlias = Contact | Rejection

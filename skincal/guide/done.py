@@ -1,4 +1,4 @@
-"""When a taxel is done. Never by residuals: those of near-parallel axes agree beautifully and are wrong."""
+"""When a taxel is done, and when it is given up. Never by residuals: those of near-parallel axes agree and are wrong."""
 
 from __future__ import annotations
 
@@ -20,6 +20,18 @@ class Need(Enum):
     DECISION = "a poke that tells two places apart"
 
 
+class Why(Enum):
+    """Why a taxel is not done; the value says it in a few words."""
+
+    DEAD = "not used"
+    NEVER_FIRED = "never answered where it is expected"
+    OUT_OF_REACH = "out of reach: every side of it was skipped"
+    TILT = "the tilt that the hand manages does not spread its axes enough"
+    AMBIGUOUS = "two places fit its pokes"
+    STUBBORN = "many pokes were not enough"
+    EARLY = "not poked enough yet"
+
+
 @dataclass(frozen=True, slots=True)
 class Facts:
     """What is known of one taxel beside its estimate; SI units."""
@@ -28,6 +40,21 @@ class Facts:
     diversity: float
     beside: float
     moved: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """What was tried at one taxel, and what can be."""
+
+    own: int
+    contacts: int
+    """Pokes in which it answered."""
+    unanswered: int
+    """Pokes at it, while it was asked for, in which it did not answer."""
+    shut: bool
+    """Every side of it was skipped."""
+    tilt: float
+    """rad, the most that a push may lean now."""
 
 
 def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings) -> tuple[Need, ...]:
@@ -43,3 +70,19 @@ def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSetti
         Need.DECISION: estimate.rival is not None,
     }
     return tuple(need for need, is_missing in missing.items() if is_missing)
+
+
+def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -> Why | None:
+    """Return why a taxel that still needs something is asked for no more; None where it is."""
+    if not missing:
+        return None
+    if tried.shut:
+        return Why.OUT_OF_REACH
+    if tried.contacts == 0:
+        return Why.NEVER_FIRED if tried.unanswered >= settings.unanswered else None
+    if tried.own >= settings.patience:
+        return Why.AMBIGUOUS if Need.DECISION in missing else Why.STUBBORN
+    # Axes that all lean by one angle, evenly to all sides, have just that diversity; none has more.
+    if Need.SIDES in missing and tried.own >= settings.own_pokes and tried.tilt < settings.diversity:
+        return Why.TILT
+    return None

@@ -6,24 +6,27 @@ It knows no truth of its own: all of it follows from the contacts, the estimates
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
-from itertools import pairwise
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.contacts.outcome import Contact
+from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.result import Estimate, Method, State
 from skincal.guide import choose
-from skincal.guide.done import Facts, Need, needs
+from skincal.guide.done import Facts, Need, Tried, Why, given_up, needs
+from skincal.guide.guidance import Guidance, Phase, Target
 from skincal.guide.knowledge import Knowledge
+from skincal.guide.left import pace, pokes_left
 from skincal.guide.places import Plan, believed
+from skincal.guide.pokes import Pokes, axis_of
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
+
+if TYPE_CHECKING:
+    from skincal.guide.cover import Cover
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
@@ -39,70 +42,7 @@ SAME_SIDE = float(np.cos(np.radians(25.0)))
 """Cosine of the angle within which two pushes come from the same side: half the way between two that are tried."""
 SKIPPED = 2
 """A side of a taxel that was skipped so often is left out."""
-
-
-class Phase(Enum):
-    """What the guide is after; the value is its name."""
-
-    SWEEP = "sweep"
-    OWN = "own pokes"
-    ENOUGH = "enough"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Target:
-    """The poke that is asked for, link frame."""
-
-    channel: int
-    place: FloatArray
-    """(3,) float, metres."""
-    normal: FloatArray
-    """(3,) float, unit, outward."""
-    push: FloatArray
-    """(3,) float, unit: which way the tool pushes."""
-    tilt: float
-    """rad, of the push from the normal."""
-    before: float
-    """m, the taxel's predicted rms error now."""
-    after: float
-    """m, and after the poke."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Guidance:
-    """What the guide says at one moment, of n taxels."""
-
-    method: Method
-    """The solver it follows."""
-    phase: Phase
-    target: Target | None
-    channels: IntArray
-    """(n,) ascending."""
-    places: FloatArray
-    """(n, 3) float, metres, believed; NaN where nothing is known."""
-    rms: FloatArray
-    """(n,) float, metres: predicted error; infinite while there is none."""
-    diversity: FloatArray
-    """(n,) float, rad."""
-    own: IntArray
-    """(n,) pokes of their own."""
-    needs: tuple[tuple[Need, ...], ...]
-    """For each taxel what is not met yet; none where it is done."""
-
-    @property
-    def done(self) -> int:
-        """How many taxels are done."""
-        return sum(not each for each in self.needs)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Felt:
-    """Where a poke was by the answers, told from a taxel: its place is better known later on."""
-
-    row: int
-    """Index of the taxel that answered most; -1 where none is a taxel."""
-    beside: FloatArray
-    """(3,) float, metres; NaN where none is a taxel."""
+_NOTHING_REJECTED: Mapping[int, Rejection] = {}
 
 
 class Guide:
@@ -110,47 +50,54 @@ class Guide:
 
     Parameters
     ----------
-    plan : where the layout puts the taxels
+    plan : where the layout puts the taxels, if there is one
     noise : the rig's
     method : the solver whose needs count
     spacing : m, usual distance of neighbours
+    cover : places to poke while nobody knows where the taxels are; None with a layout
     """
 
     def __init__(
-        self, plan: Plan, noise: NoiseSettings, method: Method, spacing: float, settings: GuideSettings | None = None
+        self,
+        plan: Plan,
+        noise: NoiseSettings,
+        method: Method,
+        spacing: float,
+        settings: GuideSettings | None = None,
+        cover: Cover | None = None,
     ) -> None:
+        count = len(plan.channels)
         self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
-        self._noise = noise
+        self._noise, self._spacing, self._cover = noise, spacing, cover
         self._in_plane = method is Method.SURFACE
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
-        self._contacts: dict[int, Contact] = {}
-        self._pokes: dict[int, Felt] = {}
-        self._places = plan.places.copy()
-        self._neighbours = choose.find_neighbours(self._places, spacing, noise)
-        self._pulls = choose.pulls(self._places, self._neighbours)
-        self._gains = np.full((len(plan.channels), choose.TRIES), -np.inf)
-        self._pushes = choose.directions(plan.normals, self.settings.usable_tilt)
+        self._pokes = Pokes(plan.channels, self.settings)
+        self._places, self._normals = plan.places.copy(), plan.normals.copy()
+        self._loose: BoolArray = np.isnan(plan.places[:, 0])
+        """(n,) channels that the plan puts nowhere: no taxels until they answer."""
         self._gains_of: Phase | None = None
-        self._stale = np.ones(len(plan.channels), dtype=bool)
-        self._asked: IntArray = np.zeros(len(plan.channels), dtype=np.int64)
-        """How often each taxel was the target of a poke."""
+        self._gains = np.full((count, choose.TRIES), -np.inf)
+        self._stale = np.ones(count, dtype=bool)
+        self._usable = self._pokes.tilt.usable
+        self._lay_out()
         self._last: Target | None = None
+        self._place: int | None = None
+        """Of the cover, where the last target is one of its places."""
         self._skips: dict[int, list[FloatArray]] = {}
         """The sides of each taxel, by its index, that were skipped."""
         self._not_now = -1
         """Index of the taxel that was skipped last, until the next poke."""
-        self._estimates: list[Estimate | None] = [None] * len(plan.channels)
-        self._needs: list[tuple[Need, ...]] = [()] * len(plan.channels)
+        self._estimates: list[Estimate | None] = [None] * count
+        self._needs: list[tuple[Need, ...]] = [()] * count
         self._nothing = float(np.sqrt(3.0)) * self.settings.unknown
-        self._solved = np.full(len(plan.channels), self._nothing)
-        self._hand: FloatArray | None = None
-        self._sensor = np.zeros(3)
+        self._solved = np.full(count, self._nothing)
 
     def update(
         self,
         contacts: Mapping[int, Contact],
         estimates: Mapping[Method, Sequence[Estimate]],
         evidence: Callable[[Collection[int]], Evidence],
+        rejections: Mapping[int, Rejection] = _NOTHING_REJECTED,
     ) -> Guidance:
         """Take what a session holds now, and say what is to be done.
 
@@ -159,15 +106,16 @@ class Guide:
         contacts : those that count, by the number of their poke
         estimates : of each method, one a taxel in the plan's order
         evidence : gives what is known of some channels
+        rejections : pokes that do not count, by their number
         """
-        dirty = self._take(contacts, estimates)
+        dirty = self._take(contacts, estimates, rejections)
         if dirty:
             doubted = {one.channel: one.doubted for one in estimates[self.method] if one.channel in dirty}
             told = evidence(dirty)
             pairs = zip(told.channels[told.taxels].tolist(), told.pokes.tolist(), strict=True)
             trust = [doubted[channel].get(poke, 1.0) for channel, poke in pairs]
-            centres = {poke: self._centre(poke) for poke in set(told.pokes.tolist())}
-            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, self.plan.normals, centres)
+            centres = {poke: self._pokes.place(poke, self._places) for poke in set(told.pokes.tolist())}
+            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, self._normals, centres)
             rows = np.array([self._knowledge.row(channel) for channel in dirty])
             self._stale |= np.isin(self._neighbours.rows, rows).any(axis=1)
         self._renew_needs(estimates[self.method], dirty)
@@ -175,69 +123,58 @@ class Guide:
 
     def skip(self) -> None:
         """Ask for something else than the last target; a side of a taxel that is skipped twice is asked for no more."""
-        if self._last is not None:
+        if self._last is not None and self._last.channel is not None:
             self._not_now = self._knowledge.row(self._last.channel)
             self._skips.setdefault(self._not_now, []).append(self._last.push)
             self._stale[self._not_now] = True
+        elif self._cover is not None and self._place is not None:
+            self._cover.leave_out(self._place)
 
-    def _take(self, contacts: Mapping[int, Contact], estimates: Mapping[Method, Sequence[Estimate]]) -> set[int]:
-        """Take the contacts that are new or changed, leave out those that are gone; return whose taxels they touch."""
-        gone = [poke for poke in self._contacts if poke not in contacts]
-        new = [poke for poke, contact in contacts.items() if self._contacts.get(poke) is not contact]
-        touched = [self._contacts[poke] for poke in (*gone, *new) if poke in self._contacts]
-        for poke in gone:
-            del self._contacts[poke], self._pokes[poke]
-        if not touched and not new:
-            return set()
-        best = estimates.get(Method.SURFACE) or estimates[Method.FREE]
-        self._places = believed(self.plan, best)
-        # A poke is told twice: it was asked for once.
-        fresh = [contacts[poke] for poke in new if poke not in self._contacts]
-        if fresh:
+    def _take(
+        self,
+        contacts: Mapping[int, Contact],
+        estimates: Mapping[Method, Sequence[Estimate]],
+        rejections: Mapping[int, Rejection],
+    ) -> set[int]:
+        """Take the pokes that are new or changed, leave out those that are gone; return whose channels they touch."""
+        rows, fresh = self._pokes.take(contacts, rejections, self._last, self._places, self._normals, self._pulls)
+        if any(isinstance(one, Contact) for one in fresh):
             self._not_now = -1
-            self._count_asked(fresh)
-        if new:
-            told = [contacts[poke] for poke in new]
-            touched += told
-            self._contacts.update(zip(new, told, strict=True))
-            self._pokes.update(zip(new, self._felt(told), strict=True))
-            newest = contacts[max(new)]
-            self._hand, self._sensor = self._centre(newest.poke), newest.link_from_sensor[:3, 3]
-        return {channel for contact in touched for channel in contact.channels.tolist() if self._knowledge.has(channel)}
+        self._cover_with(fresh)
+        if rows:
+            best = estimates.get(Method.SURFACE) or estimates[Method.FREE]
+            self._places = believed(self.plan, best)
+            self._find_loose(rows, best)
+        if self._pokes.tilt.usable != self._usable:
+            self._usable = self._pokes.tilt.usable
+            self._pushes = choose.directions(self._normals, self._usable)
+            self._stale[:] = True
+        return {int(self.plan.channels[row]) for row in rows}
 
-    def _count_asked(self, fresh: Sequence[Contact]) -> None:
-        """Count whom new pokes were meant for: the target, if one was asked for, else who answered most."""
-        if self._last is not None and len(fresh) == 1:
-            self._asked[self._knowledge.row(self._last.channel)] += 1
-            return
-        for contact in fresh:
-            peak = int(contact.channels[contact.responses.argmax()])
-            if self._knowledge.has(peak):
-                self._asked[self._knowledge.row(peak)] += 1
+    def _lay_out(self) -> None:
+        """Work out what follows from where the taxels are believed to be."""
+        self._neighbours = choose.find_neighbours(self._places, self._spacing, self._noise)
+        self._pulls = choose.pulls(self._places, self._neighbours)
+        self._pushes = choose.directions(self._normals, self._usable)
 
-    def _centre(self, poke: int) -> FloatArray:
-        """Return (3,) where a poke was by the answers, metres; NaN where no taxel answered."""
-        felt = self._pokes[poke]
-        return self._places[felt.row] + felt.beside
+    def _find_loose(self, rows: Collection[int], estimates: Sequence[Estimate]) -> None:
+        """Take places and normals of channels that the plan puts nowhere from their estimates."""
+        found = [row for row in rows if self._loose[row]]
+        for row in found:
+            normal = estimates[row].normal
+            if normal is not None:
+                self._normals[row] = normal
+        if found:
+            self._lay_out()
+            self._stale[:] = True
 
-    def _felt(self, contacts: Sequence[Contact]) -> list[Felt]:
-        """Return where pokes were by the answers.
-
-        That is the middle of the taxels that answered, weighted by their answers, less what it is off where the taxel that
-        answered most is poked right upon: at the skin's edge there is nobody to answer on the other side.
-        """
-        sizes = np.array([len(contact.channels) for contact in contacts])
-        starts = np.concatenate([[0], sizes.cumsum()])
-        owner = np.arange(len(contacts)).repeat(sizes)
-        rows = self._knowledge.rows(np.concatenate([contact.channels for contact in contacts]))
-        responses = np.where(rows >= 0, np.concatenate([contact.responses for contact in contacts]), 0.0)
-        peaks = rows[[a + int(responses[a:b].argmax()) for a, b in pairwise(starts.tolist())]]
-        sums = np.zeros((len(contacts), 4))
-        np.add.at(sums[:, :3], owner, responses[:, None] * np.nan_to_num(self._places[rows] - self._places[peaks][owner]))
-        np.add.at(sums[:, 3], owner, responses)
-        with np.errstate(invalid="ignore"):
-            beside = sums[:, :3] / sums[:, 3:] - self._pulls[peaks]
-        return [Felt(int(peak), off) for peak, off in zip(peaks.tolist(), beside, strict=True)]
+    def _cover_with(self, fresh: Sequence[Contact | Rejection]) -> None:
+        """Tell the cover where new pokes were."""
+        for poke in fresh if self._cover is not None else ():
+            answered = isinstance(poke, Contact)
+            axis = axis_of(poke) if answered or poke.reason is Reason.NO_TAXEL else None
+            if axis is not None and self._cover is not None:
+                self._cover.poked(axis, answered=answered)
 
     def _renew_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
         """Say anew what those taxels need whose contacts or estimates changed."""
@@ -248,7 +185,9 @@ class Guide:
         for row, (one, each) in enumerate(zip(estimates, facts, strict=True)):
             if one is self._estimates[row] and one.channel not in dirty:
                 continue
-            if one.state is State.UNSEEN:
+            if one.state is State.UNSEEN and self._loose[row]:
+                now = ()
+            elif one.state is State.UNSEEN:
                 # The same for all of them: in a large part they are thousands at first.
                 nothing = now = nothing or needs(one, Facts(*each), self.method, self.settings)
             else:
@@ -261,62 +200,104 @@ class Guide:
         self._stale |= np.isin(self._neighbours.rows, turned).any(axis=1)
 
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
-        know, missing = self._knowledge, tuple(self._needs)
+        know, left = self._knowledge, self._given_up()
         rms = np.array([np.inf if one.rms is None else one.rms for one in estimates])
+        open_ = np.array([bool(each) for each in self._needs])
+        open_[list(left)] = False
         state = choose.State(
-            self._places, self._pushes, self._neighbours, know.information,
-            self.plan.normals, self._sensor, self.settings.wanted, self._in_plane,
-            np.array([1.0 if each else 0.0 for each in missing]), self._solved,
+            self._places, self._pushes, self._neighbours, know.information, self._normals, self._pokes.sensor,
+            self.settings.wanted, self._in_plane, open_.astype(np.float64), self._solved,
         )  # fmt: skip
-        phase = self._phase(missing)
-        self._last = None if phase is Phase.ENOUGH else self._target(state, phase, missing)
+        phase, self._place = self._phase(open_)
+        self._last = None
+        if self._place is not None:
+            self._last = self._somewhere(self._place)
+        elif phase is not Phase.ENOUGH:
+            self._last = self._target(state, phase)
+        beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
+        count = pokes_left(open_, know.own, rms, beside, know.moved, self.settings)
+        step = pace(np.array([one.start_s for one in self._pokes.latest()]))
+        shown = np.flatnonzero(~self._loose | (know.contacts > 0))
         return Guidance(
-            self.method,
-            phase,
-            self._last,
-            self.plan.channels,
-            self._places,
-            rms,
-            know.diversity.copy(),
-            know.own.copy(),
-            missing,
+            method=self.method,
+            phase=phase,
+            target=self._last,
+            channels=self.plan.channels[shown],
+            places=self._places[shown],
+            rms=rms[shown],
+            diversity=know.diversity[shown],
+            own=know.own[shown],
+            needs=tuple(self._needs[row] for row in shown.tolist()),
+            given_up={int(self.plan.channels[row]): why for row, why in left.items()},
+            usable_tilt=self._usable,
+            pokes_left=count,
+            seconds_left=None if step is None else step * count,
         )
 
-    def _phase(self, missing: Sequence[tuple[Need, ...]]) -> Phase:
-        if not any(missing):
-            return Phase.ENOUGH
-        if self._in_plane or len(self._contacts) >= self.settings.sweep * len(self.plan.channels):
-            return Phase.OWN
-        return Phase.SWEEP
+    def _given_up(self) -> dict[int, Why]:
+        """Return which taxels are asked for no more though they need something, by their index."""
+        know, settings, unanswered = self._knowledge, self.settings, self._pokes.unanswered
+        tried_often = (know.own >= settings.patience) | ((know.contacts == 0) & (unanswered >= settings.unanswered))
+        if self._usable < settings.diversity:
+            tried_often |= know.own >= settings.own_pokes
+        found: dict[int, Why] = {}
+        for row in {*np.flatnonzero(tried_often).tolist(), *self._skips}:
+            tried = Tried(
+                own=int(know.own[row]),
+                contacts=int(know.contacts[row]),
+                unanswered=int(unanswered[row]),
+                shut=bool(self._left_out(row).all()),
+                tilt=self._usable,
+            )
+            why = given_up(self._needs[row], tried, settings)
+            if why is not None:
+                found[row] = why
+        return found
 
-    def _target(self, state: choose.State, phase: Phase, missing: Sequence[tuple[Need, ...]]) -> Target | None:
+    def _phase(self, open_: BoolArray) -> tuple[Phase, int | None]:
+        """Return what the guide is after, and the place of the cover that it asks for."""
+        place = None if self._cover is None else self._cover.next(self._pokes.hand(self._places))
+        if place is not None:
+            return Phase.COVER, place
+        if not open_.any():
+            return Phase.ENOUGH, None
+        if self._in_plane or self._loose.all() or len(self._pokes.contacts) >= self.settings.sweep * len(self.plan.channels):
+            return Phase.OWN, None
+        return Phase.SWEEP, None
+
+    def _somewhere(self, place: int) -> Target:
+        """Return a poke at a place of the cover, straight."""
+        assert self._cover is not None
+        normal = self._cover.normals[place]
+        return Target(None, self._cover.places[place], normal, -normal, 0.0, float("inf"), float("inf"))
+
+    def _target(self, state: choose.State, phase: Phase) -> Target | None:
         rows = self._eligible(state)
         if not rows.size:
             return None
         seconds = self.settings.poke_s + self._away(state.places[rows]) / self.settings.hand_speed
         if self._in_plane:
             row = self._evenly(rows, seconds)
-            push = int(self._left_out(state, row).argmin())
+            push = int(self._left_out(row).argmin())
         else:
             near = self._near(rows, seconds)
             gains = self._fresh_gains(state, rows[near], phase) / seconds[near, None]
             best = int(gains.argmax())
             row, push = int(rows[near[best // gains.shape[1]]]), best % gains.shape[1]
-        return self._told(state, row, push, missing)
+        return self._told(state, row, push)
 
     def _eligible(self, state: choose.State) -> IntArray:
-        """Return the taxels that may be asked for: they need something, are somewhere, and some side of them is left."""
+        """Return the taxels that may be asked for: open ones that are somewhere; the one just skipped only if it is alone."""
         rows = np.flatnonzero((state.open > 0) & np.isfinite(state.places).all(axis=1))
-        shut = [row for row in self._skips if self._left_out(state, row).all()]
-        others = rows[~np.isin(rows, [*shut, self._not_now])]
-        return others if others.size else rows[~np.isin(rows, shut)]
+        others = rows[rows != self._not_now]
+        return others if others.size else rows
 
-    def _left_out(self, state: choose.State, row: int) -> BoolArray:
+    def _left_out(self, row: int) -> BoolArray:
         """Return (d,) which pushes at a taxel come from sides that were skipped."""
         skips = self._skips.get(row)
         if skips is None:
             return np.zeros(choose.TRIES, dtype=bool)
-        alike: FloatArray = state.pushes[row] @ np.array(skips).T
+        alike: FloatArray = self._pushes[row] @ np.array(skips).T
         often: IntArray = np.sum(alike > SAME_SIDE, axis=1)
         return often >= SKIPPED
 
@@ -335,7 +316,7 @@ class Guide:
         A poke of its own is a turn, asked for or not. One that was asked for and missed is asked for once more in a round, and
         no more often: who cannot be reached must not keep the others waiting.
         """
-        asked, own = self._asked[rows], self._knowledge.own[rows]
+        asked, own = self._pokes.asked[rows], self._knowledge.own[rows]
         turn = np.maximum(own, np.maximum(np.minimum(asked, own + 1), asked - 1))
         first = np.flatnonzero(turn == turn.min())
         return int(rows[first[seconds[first].argmin()]])
@@ -348,15 +329,16 @@ class Guide:
         if anew.size:
             self._gains[anew] = choose.gains(state, anew, self._noise, 1.0 if phase is Phase.SWEEP else OTHERS)
             for row in self._skips.keys() & set(anew.tolist()):
-                self._gains[row, self._left_out(state, row)] = -np.inf
+                self._gains[row, self._left_out(row)] = -np.inf
             self._stale[anew] = False
         return self._gains[rows]
 
     def _away(self, places: FloatArray) -> FloatArray:
         """Return (m,) how far the hand has to go, metres."""
-        if self._hand is None or not np.isfinite(self._hand).all():
+        hand = self._pokes.hand(self._places)
+        if hand is None:
             return np.zeros(len(places))
-        return np.sqrt(np.sum((places - self._hand) ** 2, axis=1))
+        return np.sqrt(np.sum((places - hand) ** 2, axis=1))
 
     def _aim(self, row: int, missing: Sequence[Need]) -> FloatArray:
         """Return (3,) where to press: where nothing but balance is missing, on the side that the taxel's pokes have missed."""
@@ -365,13 +347,13 @@ class Guide:
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
 
-    def _told(self, state: choose.State, row: int, push: int, missing: Sequence[tuple[Need, ...]]) -> Target:
+    def _told(self, state: choose.State, row: int, push: int) -> Target:
         direction = state.pushes[row, push]
         before, after = choose.foretold(state, row, push, self._noise)
         cosine = -float(direction @ state.normals[row])
         return Target(
             channel=int(self.plan.channels[row]),
-            place=self._aim(row, missing[row]),
+            place=self._aim(row, self._needs[row]),
             normal=state.normals[row],
             push=direction,
             tilt=float(np.arccos(np.clip(cosine, -1.0, 1.0))),

@@ -21,6 +21,8 @@ WHOLE = 0.006
 """m, sd of the whole skin beside its plan, each direction: by hand it is put on to a few millimetres."""
 MODULE = 0.002
 """m, sd of a module beside where the whole puts it: turns of the skin, and its bend."""
+SPACING = 0.005
+"""m, of neighbouring taxels where no layout tells it: the iCub's and most others'."""
 TAXEL = 0.001
 """m, sd of a taxel beside where its module puts it: pads are printed to less; the surface is not the part."""
 FLOOR = 0.0005
@@ -48,6 +50,12 @@ def plan_from(layout: Layout, laid: LaidSkin) -> Plan | None:
     if not len(channels):
         return None
     return Plan(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
+
+
+def unplaced(channels: IntArray) -> Plan:
+    """Return a plan that puts none of `channels` (n,) anywhere: there is no layout."""
+    nowhere = np.full((len(channels), 3), np.nan)
+    return Plan(channels, nowhere, nowhere.copy(), np.zeros(len(channels), dtype=np.int64))
 
 
 def believed(plan: Plan, estimates: Sequence[Estimate]) -> FloatArray:

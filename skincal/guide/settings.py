@@ -28,6 +28,10 @@ class GuideSettings:
     sweep: float = 1.5
     """Pokes a taxel until the guide asks for pokes of its own: until then those between taxels tell more, afterwards they
     pull neighbours together."""
+    unanswered: int = 3
+    """A taxel that was poked at so often and never answered is given up: it may be broken, or not where the layout says."""
+    patience: int = 15
+    """Own pokes after which a taxel is given up that is not done: twice as many as one needs in the mean."""
     unknown: float = 0.020
     """m, sd of a taxel's place in each direction before anything is known: keeps one axis finite; never counts as known."""
     poke_s: float = 2.0

@@ -21,6 +21,8 @@ from skincal.readings import FloatArray
 
 _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
+_MISSING = ("still", "link_from_sensor", "after", "force", "moment")
+"""What may be missing; elsewhere null is a float that is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +142,7 @@ def _value(key: str, value: Any) -> Any:
         # As a float, null becomes NaN and "inf" infinity.
         return np.array(value, dtype=np.int64 if key in _INTEGERS else np.float64)
     if value is None:
-        return None if key in ("still", "link_from_sensor", "after") else math.nan
+        return None if key in _MISSING else math.nan
     if value in ("inf", "-inf"):
         return float(value)
     return value

@@ -10,7 +10,8 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.estimate.result import Estimate, Method
 from skincal.guide.choose import directions
-from skincal.guide.guide import Guidance, Guide
+from skincal.guide.guidance import Guidance
+from skincal.guide.guide import Guide
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray
 from skincal.session.session import Session

@@ -12,7 +12,7 @@ from window_support import PLAN, SCENE
 from app.opening import Part
 from skincal.estimate.result import Method
 from skincal.guide.done import Need
-from skincal.guide.guide import Guidance, Phase, Target
+from skincal.guide.guidance import Guidance, Phase, Target
 
 NEEDED = (Need.POKES, Need.ACCURACY)
 
@@ -35,6 +35,8 @@ def guidance(
     method: Method = Method.FREE,
     needs: Mapping[int, tuple[Need, ...]] | None = None,
     rms: float = 0.0124,
+    left: int = 0,
+    seconds: float | None = None,
 ) -> Guidance:
     """What is asked for; all taxels but `done` still need something."""
     channels = PLAN.channels
@@ -43,5 +45,7 @@ def guidance(
     count = len(channels)
     own = np.zeros(count, dtype=np.int64)
     return Guidance(
-        method, phase, asked, channels, laid(PLAN).places[channels], np.full(count, rms), np.zeros(count), own, missing
-    )
+        method=method, phase=phase, target=asked, channels=channels, places=laid(PLAN).places[channels],
+        rms=np.full(count, rms), diversity=np.zeros(count), own=own, needs=missing, given_up={},
+        usable_tilt=float(np.radians(28.0)), pokes_left=left, seconds_left=seconds,
+    )  # fmt: skip

@@ -17,7 +17,7 @@ from app.policies import SETTLE_S, NowMemory, Tone, now_line
 from skincal.contacts.outcome import Phase
 from skincal.estimate.result import Method
 from skincal.guide.done import Need
-from skincal.guide.guide import Guidance
+from skincal.guide.guidance import Guidance
 from skincal.session.session import Session
 
 TILT = float(np.radians(28.0))

@@ -25,7 +25,7 @@ from app.scene3d.target import HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arro
 from app.scene3d.view import View3D
 from app.theme import DARK, Choice
 from skincal.estimate.result import Method
-from skincal.guide.guide import Target
+from skincal.guide.guidance import Target
 
 TILT = float(np.radians(28.0))
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from skincal.estimate.result import Method
-from skincal.guide.guide import SKIPPED, Guide, Phase
+from skincal.guide.guidance import Phase
+from skincal.guide.guide import SKIPPED, Guide
 from skincal.session.actions import Exclude, MarkDead, Restore
 from skincal.session.session import Session
 from skincal.studies.courses import errors_of, looks, run_course
@@ -153,12 +154,12 @@ def test_a_poke_that_is_told_twice_is_asked_for_once():
     followed = Followed(Method.SURFACE, seed=11)
     followed.poke()
     number, contact = next(iter(followed.contacts.items()))
-    asked, target = followed.guide._asked.copy(), followed.guidance.target.channel
+    asked, target = followed.guide._pokes.asked.copy(), followed.guidance.target.channel
     again = replace(contact, tare_change=0.02)
     followed.session.add(again)
     followed.contacts[number] = again
     assert followed.look().target.channel == target
-    np.testing.assert_array_equal(followed.guide._asked, asked)
+    np.testing.assert_array_equal(followed.guide._pokes.asked, asked)
 
 
 def test_a_poke_on_another_taxel_counts_where_it_landed():

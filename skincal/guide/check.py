@@ -1,0 +1,145 @@
+"""Whether the predicted errors may be believed: a poke in six is held out and foretold from all the others.
+
+A held-out poke costs nothing: it counts for the estimates, and is left out only where it is foretold. The taxel that answered
+it most is solved without it; the poke's axis passes it at r = E (p - a), two numbers across the push. Their covariance is
+E S E' + D, with S that of the taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a
+chi-squared of two degrees of freedom, at most 5.99 in 95 of 100 pokes.
+
+That tells errors of which the prediction knows nothing: a wrong frame, a slipped sensor, a part that moved. It does not tell
+what shifts all pokes alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from math import comb
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.evidence import Evidence
+from skincal.estimate.result import Method
+from skincal.estimate.solution import Solution, solve
+from skincal.guide.knowledge import offset_square, row_precision
+from skincal.readings import FloatArray, IntArray
+from skincal.scene import NoiseSettings
+
+if TYPE_CHECKING:
+    from skincal.surface.mesh import Surface
+
+ONE_IN = 6
+"""One poke in so many is held out."""
+INSIDE = 5.991
+"""Chi-squared of two degrees of freedom that 95 % stay below."""
+OUTSIDE_SHARE = 0.05
+BELIEVED = 0.01
+"""Chance below which so many outside are no accident."""
+OTHERS = 2
+"""Other contacts of its taxel that a held-out poke needs: from fewer nothing is foretold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """How many held-out pokes fell where they were foretold."""
+
+    checked: int
+    inside: int
+
+    @property
+    def chance(self) -> float:
+        """Chance, 0 to 1, that as many or more fall outside though the predicted errors are true."""
+        outside, share = self.checked - self.inside, OUTSIDE_SHARE
+        below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
+        return max(0.0, 1.0 - below)
+
+    @property
+    def believed(self) -> bool:
+        """Whether nothing speaks against the predicted errors."""
+        return self.chance >= BELIEVED
+
+
+def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
+    """Return number and strongest channel of every sixth contact, in the order of their numbers."""
+    return [(one.poke, int(one.channels[one.responses.argmax()])) for one in contacts[ONE_IN - 1 :: ONE_IN]]
+
+
+def check(
+    contacts: Sequence[Contact],
+    channels: Collection[int],
+    evidence: Callable[[Collection[int]], Evidence],
+    method: Method,
+    noise: NoiseSettings,
+    surface: Surface | None,
+) -> Check:
+    """Foretell every sixth contact from the others.
+
+    Parameters
+    ----------
+    contacts : those that count, in the order of their numbers
+    channels : taxels that are used
+    evidence : gives what the contacts say of some channels
+    surface : needed by the surface method
+    """
+    used = set(channels)
+    pairs = [(poke, channel) for poke, channel in held_out(contacts) if channel in used]
+    told = evidence(sorted({channel for _, channel in pairs}))
+    cuts = _cuts(told, pairs)
+    if not cuts:
+        return Check(0, 0)
+    others = _joined(told, [others for _, others in cuts])
+    solution = solve(others, [method], noise, surface)
+    distances = _distances(told, np.array([out for out, _ in cuts]), solution, method, noise)
+    known = np.isfinite(distances)
+    return Check(int(known.sum()), int((distances[known] <= INSIDE).sum()))
+
+
+def _cuts(told: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
+    """Return for each pair of poke and channel its own answer, and the answers of the taxel's other pokes."""
+    row = {channel: i for i, channel in enumerate(told.channels.tolist())}
+    cuts: list[tuple[int, list[int]]] = []
+    for poke, channel in pairs:
+        if channel not in row:
+            continue
+        first, after = told.starts[row[channel] : row[channel] + 2].tolist()
+        out = told.pokes[first:after].tolist().index(poke) + first
+        others = [answer for answer in range(first, after) if answer != out]
+        if len(others) >= OTHERS:
+            cuts.append((out, others))
+    return cuts
+
+
+def _joined(told: Evidence, groups: Sequence[Sequence[int]]) -> Evidence:
+    """Return the evidence of as many taxels as there are groups of answers, each of one taxel, whatever its channel."""
+    sizes, every = np.array([len(group) for group in groups]), np.array([answer for group in groups for answer in group])
+    return Evidence(
+        channels=np.arange(len(groups)),
+        starts=np.concatenate([[0], sizes.cumsum()]),
+        taxels=np.arange(len(groups)).repeat(sizes),
+        pokes=told.pokes[every],
+        poses=told.poses[every],
+        columns=np.ascontiguousarray(told.columns[:, every]),
+        weights=told.weights[every],
+        trust=np.ones(len(every)),
+    )
+
+
+def _distances(told: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> FloatArray:
+    """Return (n,) the squared distance of each held-out axis from its taxel, in standard deviations; NaN where unknown."""
+    if method is Method.FREE and solution.free is not None:
+        places, known = solution.factors.solutions, solution.free
+        there = np.isfinite(known.sds)
+    elif solution.surface is not None:
+        places, known = solution.surface.points, solution.surface.uncertain
+        there = solution.surface.triangles >= 0
+    else:
+        raise ValueError(f"the {method.value} method was not solved")
+    covariances = np.where(there[:, None, None], known.covariances, 0.0)
+    places = np.where(there[:, None], places, 0.0)
+    pairs, lever = told.pairs[out], places - told.sensors[out]
+    own = row_precision(pairs, lever, told.forces[out], offset_square(told.weights[out], noise), noise)
+    total = pairs @ covariances @ pairs.transpose(0, 2, 1) + np.asarray(np.linalg.inv(own), dtype=np.float64)
+    off = (pairs @ (places - told.nearest[out])[:, :, None])[:, :, 0]
+    distances = np.sum(off * np.asarray(np.linalg.solve(total, off[:, :, None])[:, :, 0], dtype=np.float64), axis=1)
+    return np.where(there, distances, np.nan)

@@ -1,0 +1,75 @@
+"""What the guide says at one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from skincal.estimate.result import Method
+from skincal.guide.done import Need, Why
+from skincal.readings import FloatArray, IntArray
+
+
+class Phase(Enum):
+    """What the guide is after; the value is its name."""
+
+    COVER = "looking for taxels"
+    SWEEP = "sweep"
+    OWN = "own pokes"
+    ENOUGH = "enough"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """The poke that is asked for, link frame."""
+
+    channel: int | None
+    """None where it is a place on the part at which a taxel may be."""
+    place: FloatArray
+    """(3,) float, metres."""
+    normal: FloatArray
+    """(3,) float, unit, outward."""
+    push: FloatArray
+    """(3,) float, unit: which way the tool pushes."""
+    tilt: float
+    """rad, of the push from the normal."""
+    before: float
+    """m, the taxel's predicted rms error now; infinite without a taxel."""
+    after: float
+    """m, and after the poke."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guidance:
+    """What the guide says at one moment, of n taxels."""
+
+    method: Method
+    """The solver it follows."""
+    phase: Phase
+    target: Target | None
+    channels: IntArray
+    """(n,) ascending."""
+    places: FloatArray
+    """(n, 3) float, metres, believed; NaN where nothing is known."""
+    rms: FloatArray
+    """(n,) float, metres: predicted error; infinite while there is none."""
+    diversity: FloatArray
+    """(n,) float, rad."""
+    own: IntArray
+    """(n,) pokes of their own."""
+    needs: tuple[tuple[Need, ...], ...]
+    """For each taxel what is not met yet; none where it is done."""
+    given_up: Mapping[int, Why]
+    """Channels that need something and are asked for no more, with the reason."""
+    usable_tilt: float
+    """rad: the most that a push is asked to lean, as learnt so far."""
+    pokes_left: int
+    """How many pokes it takes until it is enough, about."""
+    seconds_left: float | None
+    """s, and how long, at the pace of the last pokes; None while that is unknown."""
+
+    @property
+    def done(self) -> int:
+        """How many taxels are done."""
+        return sum(not each for each in self.needs)

@@ -1,0 +1,80 @@
+"""How many pokes are left, foretold from what each taxel still needs: to plan a break by; nothing follows from it."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.guide.settings import GuideSettings
+from skincal.readings import FloatArray, IntArray
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+MOVES = 0.0028
+"""m, sd of what one poke says of a taxel in each direction, hand and sensor together: the n-th moves it by this over n. From
+guided sessions of the standard study."""
+PER_OWN = 1.2
+"""Pokes that are asked for until one more is the taxel's own: the others land on a neighbour that may be done."""
+BALANCING = 2
+"""Own pokes that it takes to balance a taxel's contacts."""
+PAUSE_S = 30.0
+"""s. A longer time between two pokes is a pause, not work."""
+RECENT = 20
+"""Pokes whose pace counts."""
+
+
+def pokes_left(
+    open_: BoolArray, own: IntArray, rms: FloatArray, beside: FloatArray, moved: FloatArray, settings: GuideSettings
+) -> int:
+    """Return how many pokes it takes until nothing is open.
+
+    Parameters
+    ----------
+    open_ : (n,) which taxels need something and are not given up
+    own : (n,) pokes of their own
+    rms : (n,) float, metres, predicted; infinite while unknown
+    beside : (n,) float, metres, of the middle of their contacts
+    moved : (n,) float, metres, by the last poke of their own
+    """
+    pokes, wanted = np.minimum(own, settings.patience - 1), settings.own_pokes - own
+    # The variance falls as one over the pokes.
+    error = np.where(np.isfinite(rms), rms, settings.wanted)
+    exact = np.ceil(np.maximum(pokes, 1) * ((error / settings.wanted) ** 2 - 1.0))
+    balance = np.where((beside > settings.balance) & (pokes > 0), BALANCING, 0)
+    first = np.maximum.reduce([wanted, exact, balance, np.zeros(len(own))])
+    unsettled = (first > 0) | ~(moved <= settings.settled)
+    then = np.minimum(pokes + first, settings.patience).astype(np.int64)
+    each = first + np.where(unsettled, _settling(settings)[then], 0.0)
+    return int(np.ceil(PER_OWN * float(np.minimum(each, settings.patience - pokes)[open_].sum())))
+
+
+def _settling(settings: GuideSettings) -> FloatArray:
+    """Return for each number of own pokes how many more it takes until one of them moves the taxel little enough."""
+    after = np.zeros(settings.patience + 1)
+    for pokes in range(settings.patience - 1, -1, -1):
+        moved = MOVES / (pokes + 1)
+        unsettled = float(np.exp(-0.5 * (settings.settled / moved) ** 2))
+        after[pokes] = unsettled * (1.0 + after[pokes + 1])
+    return after
+
+
+def pace(times: FloatArray) -> float | None:
+    """Return the seconds between two pokes, the median of the last ones without pauses; None before the third poke.
+
+    Parameters
+    ----------
+    times : (n,) float, seconds, ascending: when each poke began
+    """
+    steps = np.diff(times[-RECENT - 1 :])
+    steps = steps[steps <= PAUSE_S]
+    return float(np.median(steps)) if len(steps) >= 2 else None
+
+
+def worked(begins: FloatArray, ends: FloatArray) -> float:
+    """Return how long it took, seconds, from the first poke's begin to the last one's end, without pauses."""
+    if not len(begins):
+        return 0.0
+    waits = begins[1:] - ends[:-1]
+    return float(np.sum(ends - begins) + np.sum(waits[waits <= PAUSE_S]))
