@@ -117,7 +117,7 @@ class Commands(QObject):
             added.append(action)
         return added
 
-    def follow(self, may: Allowed, *, can_keep: bool, can_guide: bool) -> None:
+    def follow(self, may: Allowed, *, can_keep: bool) -> None:
         """Enable what may be done, and name it."""
         actions = self.actions
         _set(actions["undo"], bool(may.undo), f"Undo {may.undo}".strip())
@@ -138,7 +138,6 @@ class Commands(QObject):
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),
-            ("guide", can_guide),
             ("another", may.another),
         ):
             _set(actions[name], enabled, actions[name].text())

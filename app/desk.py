@@ -156,7 +156,7 @@ class Desk(QObject):
         frame, pokes = self.frame, self.workspace.pokes.selected()
         running = self._controller.running
         self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected, frame.target)
-        self._commands.follow(self._allowed, can_keep=self._controller.can_keep, can_guide=self.guiding.possible)
+        self._commands.follow(self._allowed, can_keep=self._controller.can_keep)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""

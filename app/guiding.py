@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 
-import numpy as np
-
 from app.opening import Part
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.estimate.evidence import Evidence
-from skincal.estimate.result import Estimate, Method
+from skincal.estimate.result import Estimate, Method, State
 from skincal.guide.guidance import Guidance
 from skincal.guide.guide import Guide
-from skincal.guide.places import Plan, plan_from
+from skincal.guide.places import SPACING, Plan, plan_from, unplaced
 from skincal.guide.settings import GuideSettings
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.session.snapshot import Snapshot
 
 
 class Guiding:
-    """Follows a session; without a layout that is laid on the part there is nothing to follow, and it costs nothing.
+    """Follows a session, with or without a layout.
 
     Parameters
     ----------
@@ -28,20 +26,15 @@ class Guiding:
 
     def __init__(self, part: Part) -> None:
         self._scene, self._surface = part.scene, part.surface
+        self._cover = part.cover
         self._plan = plan_of(part)
-        self._rows = () if self._plan is None else np.flatnonzero(np.isin(part.channels, self._plan.channels)).tolist()
-        self._all = len(self._rows) == len(part.channels)
+        self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
         self._told: tuple[int, Method] | None = None
         self._guidance: Guidance | None = None
         self.wanted = True
         """The operator wants to be guided."""
-
-    @property
-    def possible(self) -> bool:
-        """Whether this part can be guided on."""
-        return self._plan is not None
 
     def follow(
         self, snapshot: Snapshot, revision: int, method: Method, evidence: Callable[[Collection[int]], Evidence]
@@ -53,11 +46,11 @@ class Guiding:
         revision : another number where pokes, estimates or dead taxels changed
         evidence : what the contacts of this snapshot say of some channels
         """
-        if self._plan is None or not self.wanted:
+        if not self.wanted:
             return None
         if (revision, method) != self._told:
             self._told = revision, method
-            guide = self._guide_of(self._plan, method)
+            guide = self._guide_of(method)
             self._guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence, _rejections(snapshot))
         return self._guidance
 
@@ -78,23 +71,34 @@ class Guiding:
             self._guides[self._told[1]].skip()
             self._told = None
 
-    def _guide_of(self, plan: Plan, method: Method) -> Guide:
+    def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
             layout = self._scene.skin.layout
-            self._guides[method] = Guide(plan, self._scene.noise, method, 0.0 if layout is None else layout.spacing)
+            spacing = SPACING if layout is None else layout.spacing
+            self._guides[method] = Guide(self._plan, self._scene.noise, method, spacing, cover=self._cover)
         return self._guides[method]
 
     def _estimates(self, snapshot: Snapshot) -> Mapping[Method, Sequence[Estimate]]:
-        """Return one estimate for each taxel of the plan, in its order."""
-        if self._all:
-            return snapshot.estimates
-        return {method: [every[row] for row in self._rows] for method, every in snapshot.estimates.items()}
+        """Return one estimate for each channel of the plan, in its order."""
+        return {method: self._planned(method, every) for method, every in snapshot.estimates.items()}
+
+    def _planned(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
+        channels = self._plan.channels.tolist()
+        if [one.channel for one in estimates] == channels:
+            return estimates
+        told = {one.channel: one for one in estimates}
+        return [told.get(channel) or self._unseen(method, channel) for channel in channels]
+
+    def _unseen(self, method: Method, channel: int) -> Estimate:
+        """Return what is said of a channel that the session does not know; the same each time."""
+        return self._nothing.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
 
 
-def plan_of(part: Part) -> Plan | None:
-    """Return where the part's layout puts the taxels; None where there is no layout or it puts none."""
+def plan_of(part: Part) -> Plan:
+    """Return where the part's layout puts the taxels; nowhere where there is no layout or it is not laid."""
     layout, laid = part.scene.skin.layout, part.laid
-    return None if layout is None or laid is None else plan_from(layout, laid)
+    plan = None if layout is None or laid is None else plan_from(layout, laid)
+    return unplaced(part.channels) if plan is None else plan
 
 
 def _contacts(snapshot: Snapshot) -> dict[int, Contact]:

@@ -17,6 +17,7 @@ from skincal.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from skincal.files.reference import Reference
+    from skincal.guide.cover import Cover
     from skincal.session.road import Road
     from skincal.streams.links import LinkSpec
     from skincal.surface.lay import LaidSkin
@@ -36,6 +37,8 @@ class Part:
     """What the mesh loader has to say."""
     plan: Reference | None = None
     """Where the layout places the taxels; None where it does not."""
+    cover: Cover | None = None
+    """Where to look for taxels that no layout places; None where there is nothing to look for, or no surface."""
 
 
 def load_part(path: Path) -> Part:
@@ -58,7 +61,7 @@ def load_part(path: Path) -> Part:
 def _with_layout(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:
     layout = scene.skin.layout
     if layout is None:
-        return Part(scene, surface, None, np.arange(scene.skin.channels), findings)
+        return Part(scene, surface, None, np.arange(scene.skin.channels), findings, cover=_cover(surface))
     from skincal.files.reference import plan_reference
     from skincal.surface.lay import lay
 
@@ -66,7 +69,16 @@ def _with_layout(scene: Scene, surface: Surface | None, findings: tuple[str, ...
     _ = layout.places, layout.module_of, layout.spacing
     laid = lay(layout, scene.skin.anchor, surface)
     plan = None if laid is None else plan_reference(scene.name, laid.places)
-    return Part(scene, surface, laid, layout.channels, findings, plan)
+    return Part(scene, surface, laid, layout.channels, findings, plan, cover=_cover(surface) if laid is None else None)
+
+
+def _cover(surface: Surface | None) -> Cover | None:
+    """Spread places over a surface; only where they are needed, since it takes half a second."""
+    if surface is None:
+        return None
+    from skincal.guide.cover import Cover
+
+    return Cover(surface)
 
 
 def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Road:

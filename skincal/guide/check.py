@@ -20,7 +20,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import Evidence
-from skincal.estimate.result import Method
+from skincal.estimate.result import SD_MAX, Method
 from skincal.estimate.solution import Solution, solve
 from skincal.guide.knowledge import offset_square, row_precision
 from skincal.readings import FloatArray, IntArray
@@ -129,10 +129,10 @@ def _distances(told: Evidence, out: IntArray, solution: Solution, method: Method
     """Return (n,) the squared distance of each held-out axis from its taxel, in standard deviations; NaN where unknown."""
     if method is Method.FREE and solution.free is not None:
         places, known = solution.factors.solutions, solution.free
-        there = np.isfinite(known.sds)
+        there = known.sds <= SD_MAX
     elif solution.surface is not None:
         places, known = solution.surface.points, solution.surface.uncertain
-        there = solution.surface.triangles >= 0
+        there = (solution.surface.triangles >= 0) & (known.sds <= SD_MAX)
     else:
         raise ValueError(f"the {method.value} method was not solved")
     covariances = np.where(there[:, None, None], known.covariances, 0.0)

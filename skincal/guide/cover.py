@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 import numpy as np
 
 from skincal.estimate.evidence import across
@@ -12,6 +15,8 @@ from skincal.surface.nearest import nearest_to_rows
 
 SPACING = 0.008
 """m, between neighbouring places: a tip is felt within it, and taxels are hardly farther apart."""
+APART = 0.8
+"""Share of the spacing that two places are apart at least."""
 AROUND = 2.2 * SPACING
 """m. Places this near to one that answered come first: skin is where skin is."""
 ASTRAY = 0.025
@@ -75,7 +80,7 @@ class Cover:
 
 
 def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
-    """Return places spread over a surface, about one in each cube with sides of `spacing`, and their triangles.
+    """Return places spread over a surface, none nearer than `APART` of `spacing` to another, and their triangles.
 
     Returns
     -------
@@ -92,14 +97,22 @@ def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
         places.append((shares @ corners[rows]).reshape(-1, 3))
         triangles.append(rows.repeat(len(shares)))
     every, owners = np.concatenate(places), np.concatenate(triangles)
-    cubes = np.floor((every - every.min(axis=0)) / spacing).astype(np.int64)
-    # Of each cube the place nearest to its middle.
-    off = np.sum((every - every.min(axis=0) - (cubes + 0.5) * spacing) ** 2, axis=1)
-    order = np.lexsort((off, cubes[:, 2], cubes[:, 1], cubes[:, 0]))
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = (np.diff(cubes[order], axis=0) != 0).any(axis=1)
-    kept = order[first]
+    kept = _thinned(every, APART * spacing)
     return every[kept], owners[kept]
+
+
+def _thinned(places: FloatArray, apart: float) -> IntArray:
+    """Return which of `places` (n, 3) to keep, one after another, so that none is nearer than `apart` to one kept before."""
+    # Only now, and beside the window: a scene with a layout needs none of it.
+    spatial: Any = import_module("scipy.spatial")
+    tree = spatial.cKDTree(places)
+    waiting = np.ones(len(places), dtype=bool)
+    kept = list[int]()
+    for row in np.lexsort(places.T).tolist():
+        if waiting[row]:
+            kept.append(row)
+            waiting[tree.query_ball_point(places[row], apart)] = False
+    return np.array(sorted(kept), dtype=np.int64)
 
 
 def _lattice(count: int) -> FloatArray:

@@ -260,7 +260,8 @@ class Guide:
         if place is not None:
             return Phase.COVER, place
         if not open_.any():
-            return Phase.ENOUGH, None
+            # Where nothing answered yet, and no layout tells of taxels, there is nothing that could be enough.
+            return (Phase.COVER if self._loose.all() and not self._pokes.contacts else Phase.ENOUGH), None
         if self._in_plane or self._loose.all() or len(self._pokes.contacts) >= self.settings.sweep * len(self.plan.channels):
             return Phase.OWN, None
         return Phase.SWEEP, None

@@ -12,11 +12,11 @@ from skincal.readings import FloatArray, IntArray
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-MOVES = 0.0028
+MOVES = 0.0036
 """m, sd of what one poke says of a taxel in each direction, hand and sensor together: the n-th moves it by this over n. From
-guided sessions of the standard study."""
-PER_OWN = 1.2
-"""Pokes that are asked for until one more is the taxel's own: the others land on a neighbour that may be done."""
+guided sessions of the standard study, as the next one."""
+HITS = 0.67
+"""Share of the pokes that are own pokes of the taxel asked for; the others are a neighbour's, which may be done."""
 BALANCING = 2
 """Own pokes that it takes to balance a taxel's contacts."""
 PAUSE_S = 30.0
@@ -47,7 +47,8 @@ def pokes_left(
     unsettled = (first > 0) | ~(moved <= settings.settled)
     then = np.minimum(pokes + first, settings.patience).astype(np.int64)
     each = first + np.where(unsettled, _settling(settings)[then], 0.0)
-    return int(np.ceil(PER_OWN * float(np.minimum(each, settings.patience - pokes)[open_].sum())))
+    share = float(open_.mean()) if len(open_) else 0.0
+    return int(np.ceil(float(np.minimum(each, settings.patience - pokes)[open_].sum()) / (HITS + (1.0 - HITS) * share)))
 
 
 def _settling(settings: GuideSettings) -> FloatArray:

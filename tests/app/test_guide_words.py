@@ -18,6 +18,7 @@ from skincal.contacts.outcome import Phase
 from skincal.estimate.result import Method
 from skincal.guide.done import Need
 from skincal.guide.guidance import Guidance
+from skincal.guide.guidance import Phase as GuidePhase
 from skincal.session.session import Session
 
 TILT = float(np.radians(28.0))
@@ -181,10 +182,19 @@ def test_where_the_plan_leaves_a_taxel_out_the_guide_does():
     assert dict(zip(says.channels.tolist(), says.own.tolist(), strict=True))[23] == 1
 
 
-def test_without_a_layout_on_the_part_nobody_guides():
+def test_without_a_layout_on_the_part_taxels_are_guided_on_once_they_answered():
     bare = scene(None)
     for nowhere in (Part(bare, None, None, np.arange(24), ()), Part(SCENE, None, None, layout().channels, ())):
         guiding = Guiding(nowhere)
-        assert not guiding.possible
         of = Session(nowhere.scene, None)
-        assert guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence) is None
+        says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
+        assert says.phase is GuidePhase.COVER
+        assert says.target is None, "nowhere to look without a surface"
+        assert not len(says.channels)
+        for poke, (x, y) in enumerate([(0.0, 0.0), (3.0, 0.0), (0.0, 3.0)], 1):
+            of.add(touch(poke, (5, 6), (50.0, 20.0), force=(x, y, -10.0)))
+        says = guiding.follow(of.snapshot(), 2, Method.FREE, of.evidence)
+        assert says.phase is GuidePhase.OWN
+        assert says.channels.tolist() == [5, 6]
+        assert says.own.tolist() == [3, 0]
+        assert says.target.channel in (5, 6)

@@ -1,0 +1,219 @@
+"""When a taxel is given up, whether predicted errors are believed, and how a session ends."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import accumulate
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from skincal.estimate.ledger import Ledger
+from skincal.estimate.result import Method
+from skincal.estimate.solve import estimate_taxels
+from skincal.guide.check import INSIDE, ONE_IN, Check, check, held_out
+from skincal.guide.done import Need, Tried, Why, given_up
+from skincal.guide.guide import Guide
+from skincal.guide.left import PAUSE_S, pace, pokes_left, worked
+from skincal.guide.settings import GuideSettings
+from skincal.guide.verdict import verdict_of
+from skincal.scene import NoiseSettings
+from skincal.session.actions import MarkDead
+from skincal.session.session import Session
+from skincal.studies.courses import errors_of
+from skincal.studies.poking import Conditions, Part, poked, tilt_recipe
+
+SETTINGS = GuideSettings()
+TRIED = Tried(own=5, contacts=9, unanswered=0, shut=False, tilt=SETTINGS.usable_tilt)
+
+
+@pytest.mark.parametrize(
+    ("missing", "changes", "why"),
+    [
+        ((Need.SETTLED,), {}, None),
+        ((), {"own": 99}, None),
+        ((Need.SETTLED,), {"own": SETTINGS.patience}, Why.STUBBORN),
+        ((Need.DECISION,), {"own": SETTINGS.patience}, Why.AMBIGUOUS),
+        ((Need.POKES,), {"own": 0, "contacts": 0, "unanswered": SETTINGS.unanswered}, Why.NEVER_FIRED),
+        ((Need.POKES,), {"own": 0, "contacts": 1, "unanswered": SETTINGS.unanswered}, None),
+        ((Need.POKES,), {"own": 0, "contacts": 0, "unanswered": SETTINGS.unanswered - 1}, None),
+        ((Need.POKES,), {"own": 0, "contacts": 0, "shut": True}, Why.OUT_OF_REACH),
+        ((Need.SIDES,), {"tilt": np.radians(12.0)}, Why.TILT),
+        ((Need.SIDES, Need.ACCURACY), {"tilt": np.radians(12.0)}, Why.TILT),
+        ((Need.ACCURACY,), {"tilt": np.radians(12.0)}, None),
+        ((Need.SIDES,), {"tilt": np.radians(12.0), "own": SETTINGS.own_pokes - 1}, None),
+    ],
+)
+def test_a_taxel_is_given_up_only_where_more_pokes_would_not_help(missing, changes, why):
+    assert given_up(missing, replace(TRIED, **changes), SETTINGS) is why
+
+
+# ---- held-out pokes ----
+
+
+@cache
+def part():
+    return Part()
+
+
+@cache
+def poked_session(pokes=240, seed=1, conditions=None):
+    conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
+    rig = part().rig(conditions, seed)
+    contacts, _ = poked(part(), rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
+    session = Session(part().scene, part().surface)
+    for contact in contacts:
+        session.add(contact)
+    session.snapshot()
+    return session, rig
+
+
+def checked(method=Method.FREE, surface=None, **which):
+    session, _ = poked_session(**which)
+    surface = surface or part().surface
+    return check(session.contacts, session.channels, session.evidence, method, part().scene.noise, surface)
+
+
+def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
+    session, _ = poked_session()
+    pairs = held_out(session.contacts)
+    assert [poke for poke, _ in pairs] == [one.poke for one in session.contacts][ONE_IN - 1 :: ONE_IN]
+    by_poke = {one.poke: one for one in session.contacts}
+    for poke, channel in pairs:
+        contact = by_poke[poke]
+        assert contact.responses[contact.channels.tolist().index(channel)] == contact.responses.max()
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_it_is_foretold_by_what_all_the_other_pokes_say_and_nothing_else(method):
+    """By another route: the taxel is solved anew from the other contacts, and the axis's distance summed up in space."""
+    session, _ = poked_session(120)
+    noise, inside, count = part().scene.noise, 0, 0
+    for poke, channel in held_out(session.contacts):
+        others = [one for one in session.contacts if one.poke != poke]
+        if sum(channel in one.channels for one in others) < 2:
+            continue
+        estimate = estimate_taxels(others, [channel], [method], noise, part().surface)[method][channel]
+        if estimate.position is None:
+            continue
+        told = Ledger([one for one in session.contacts if one.poke == poke]).evidence([channel])
+        u, lever, size = told.directions[0], estimate.position - told.sensors[0], told.forces[0]
+        force = noise.force / size
+        spread = (noise.moment / size) ** 2 * np.eye(3) + force**2 * (lever @ lever * np.eye(3) - np.outer(lever, lever))
+        spread += noise.contact**2 * np.eye(3) - noise.reach**2 * np.log(told.weights[0]) * np.eye(3)
+        across = np.linalg.svd(u[None])[2][1:]
+        # The force's noise turns with the push: u x (p - a) is read, of which the part across u counts.
+        turned = np.stack([np.cross(u, e) for e in across])
+        total = turned @ estimate.covariance @ turned.T + across @ spread @ across.T
+        off = across @ np.cross(u, estimate.position - told.nearest[0])
+        inside += bool(off @ np.linalg.solve(total, off) <= INSIDE)
+        count += 1
+    found = checked(method, pokes=120)
+    assert count > 5
+    assert (found.checked, found.inside) == (count, inside)
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_what_is_predicted_truly_is_believed(method):
+    checks = [checked(method, seed=seed) for seed in (1, 2, 3)]
+    total, inside = sum(one.checked for one in checks), sum(one.inside for one in checks)
+    assert total >= 100
+    assert 0.90 <= inside / total <= 0.99
+    assert all(one.believed for one in checks)
+
+
+def test_a_surface_that_is_not_the_parts_is_not_believed():
+    surface = part().surface
+    moved = replace(surface, vertices=surface.vertices + np.array([0.0, 0.0, 0.02]))
+    assert checked(Method.SURFACE).believed
+    assert not checked(Method.SURFACE, surface=moved).believed
+
+
+def test_an_arm_that_tells_a_wrong_pose_is_not_believed():
+    """Half of the pokes are moved by 12 mm: what each half says is of one piece, both together are not."""
+    session, _ = poked_session()
+    shift = np.eye(4)
+    shift[1, 3] = 0.012
+    moved = Session(part().scene, part().surface)
+    for one in session.contacts:
+        moved.add(replace(one, link_from_sensor=shift @ one.link_from_sensor) if one.poke % 2 else one)
+    moved.snapshot()
+    found = check(moved.contacts, moved.channels, moved.evidence, Method.FREE, part().scene.noise, None)
+    assert not found.believed
+
+
+def test_the_chance_is_that_of_a_binomial():
+    for checked_, inside in ((40, 40), (40, 38), (40, 33), (12, 9), (0, 0)):
+        expected = stats.binom.sf(checked_ - inside - 1, checked_, 0.05) if checked_ else 1.0
+        assert Check(checked_, inside).chance == pytest.approx(expected, abs=1e-12)
+
+
+# ---- what is left ----
+
+
+def test_pokes_left_are_none_where_nothing_is_open_and_fewer_the_more_is_known():
+    def left(own, rms=0.002, beside=0.0, moved=0.0, is_open=True):
+        numbers = [np.array([each]) for each in (own, rms, beside, moved)]
+        return pokes_left(np.array([is_open]), *numbers, SETTINGS)
+
+    assert left(0, np.inf, 0.0, np.inf, is_open=False) == 0
+    falling = [left(0, np.inf, 0.0, np.inf), left(2, 0.004, 0.0, 0.001), left(5, 0.002, 0.0, 0.001)]
+    assert falling == sorted(falling, reverse=True)
+    assert falling[-1] >= 1
+    assert left(5, 0.006) > left(5, 0.002)
+    assert left(5, beside=0.002) > left(5)
+    assert left(SETTINGS.patience - 1, 0.02) <= 2, "no taxel gets more than the guide has patience for"
+
+
+def test_the_pace_is_that_of_the_last_pokes_without_pauses():
+    times = np.array(list(accumulate([0.0, 3.0, 3.0, 500.0, 4.0, 3.0])))
+    assert pace(times) == pytest.approx(3.0)
+    assert pace(times[:2]) is None
+    begins, ends = times, times + 0.5
+    assert worked(begins, ends) == pytest.approx(6 * 0.5 + 2.5 + 2.5 + 3.5 + 2.5)
+    assert PAUSE_S < 500.0
+    assert worked(np.empty(0), np.empty(0)) == 0.0
+
+
+# ---- the verdict ----
+
+
+def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
+    session, rig = poked_session(240)
+    dead = int(session.channels[7])
+    mine = Session(part().scene, part().surface)
+    for contact in session.contacts:
+        mine.add(contact)
+    mine.act(MarkDead(dead))
+    snapshot = mine.snapshot()
+    contacts = {one.poke: one for one in mine.contacts}
+    guide = Guide(part().plan, part().scene.noise, Method.FREE, part().spacing)
+    guidance = guide.update(contacts, snapshot.estimates, mine.evidence)
+    estimates = snapshot.estimates[Method.FREE]
+    verdict = verdict_of(guidance, estimates, contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
+    assert verdict.used == 83
+    assert verdict.pokes == len(contacts)
+    assert {one.channel: one.why for one in verdict.left}[dead] is Why.DEAD
+    open_ = [one for one in verdict.left if one.why is not Why.DEAD]
+    assert verdict.done == 83 - len(open_)
+    assert all(one.needs for one in open_)
+    assert not verdict.enough
+    assert verdict.check.believed
+    assert verdict.wanted == SETTINGS.wanted
+    done = set(session.channels) - {one.channel for one in verdict.left}
+    errors = dict(zip([one.channel for one in estimates], errors_of(estimates, rig), strict=True))
+    assert all(errors[channel] < 5.0 / 3.0 * SETTINGS.wanted for channel in done)
+
+
+def test_a_session_without_pokes_has_a_verdict_too():
+    session = Session(part().scene, part().surface)
+    snapshot = session.snapshot()
+    guidance = Guide(part().plan, NoiseSettings(), Method.SURFACE, part().spacing).update(
+        {}, snapshot.estimates, session.evidence
+    )
+    estimates = snapshot.estimates[Method.SURFACE]
+    verdict = verdict_of(guidance, estimates, {}, session.evidence, NoiseSettings(), part().surface, SETTINGS)
+    assert (verdict.done, verdict.used, verdict.pokes, verdict.seconds) == (0, 84, 0, 0.0)
+    assert {one.why for one in verdict.left} == {Why.EARLY}
+    assert verdict.check == Check(0, 0)
+    assert verdict.check.believed
