@@ -12,10 +12,10 @@ from skincal.readings import FloatArray, IntArray
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-MOVES = 0.0036
+MOVES = 0.0042
 """m, sd of what one poke says of a taxel in each direction, hand and sensor together: the n-th moves it by this over n. From
 guided sessions of the standard study, as the next one."""
-HITS = 0.67
+HITS = 0.6
 """Share of the pokes that are own pokes of the taxel asked for; the others are a neighbour's, which may be done."""
 BALANCING = 2
 """Own pokes that it takes to balance a taxel's contacts."""

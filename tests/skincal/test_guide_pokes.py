@@ -1,0 +1,261 @@
+"""What the guide makes of pokes: where they were, whom they were meant for, how they ended."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.estimate.result import Estimate, Method, State
+from skincal.guide import choose
+from skincal.guide.cover import ASTRAY, SPACING, Cover, spread
+from skincal.guide.done import Why
+from skincal.guide.guidance import Phase
+from skincal.guide.guide import Guide
+from skincal.guide.places import SPACING as TAXELS_APART
+from skincal.guide.places import unplaced
+from skincal.guide.pokes import Axis, axis_of
+from skincal.guide.settings import GuideSettings
+from skincal.session.session import Session
+from skincal.studies.poking import Conditions, Part, Wish, poked
+from skincal.surface.nearest import nearest_points
+
+STEADY = Conditions(aim=0.0, hand=0.0)
+PART = Part()
+SETTINGS = GuideSettings()
+
+
+class Bench:
+    """A guide, a rig, and a hand that pokes where the test says."""
+
+    def __init__(self, method=Method.SURFACE, seed=1, conditions=STEADY):
+        self.session, self.conditions = Session(PART.scene, PART.surface), conditions
+        self.guide = Guide(PART.plan, PART.scene.noise, method, PART.spacing)
+        self.rig, self.rng = PART.rig(conditions, seed), np.random.default_rng(seed)
+        self.contacts, self.rejections, self.count = {}, {}, 0
+        self.look()
+
+    def look(self):
+        estimates = self.session.snapshot().estimates
+        self.guidance = self.guide.update(self.contacts, estimates, self.session.evidence, self.rejections)
+        return self.guidance
+
+    def wish(self, place, push):
+        self.count += 1
+        return poked(PART, self.rig, Wish(place[None], push[None]), self.conditions, self.rng, self.count)[0]
+
+    def poke(self, place, push):
+        for contact in self.wish(place, push):
+            self.session.add(contact)
+            self.contacts[contact.poke] = contact
+        return self.look()
+
+    def reject(self, reason, place, push, channels=()):
+        """End a poke as rejected, its force known."""
+        self.count += 1
+        force = 8.0 * push
+        self.rejections[self.count] = Rejection(
+            self.count, 0.0, 1.0, reason, 1.0, 0.5, "", np.array(channels, dtype=np.int64), True,
+            force=force, moment=np.cross(place, force), link_from_sensor=np.eye(4),
+        )  # fmt: skip
+        return self.look()
+
+    def true(self, channel):
+        row = self.rig.row_of(channel)
+        return self.rig.places[row], self.rig.normals[row]
+
+
+def edge_channel():
+    """The taxel whose neighbours lie most on one side."""
+    neighbours = choose.find_neighbours(PART.plan.places, PART.spacing, PART.scene.noise)
+    pulls = choose.pulls(PART.plan.places, neighbours)
+    return int(PART.plan.channels[np.linalg.norm(pulls, axis=1).argmax()])
+
+
+def test_a_taxel_at_the_edge_that_is_poked_right_upon_is_balanced():
+    bench, channel = Bench(), edge_channel()
+    place, normal = bench.true(channel)
+    for _ in range(4):
+        bench.poke(place, -normal)
+    row = int(np.searchsorted(PART.plan.channels, channel))
+    assert bench.guidance.own[row] == 4
+    beside = float(np.linalg.norm(bench.guide._knowledge.beside[row]))
+    assert beside < SETTINGS.balance
+    # The middle of those that answer lies well inside.
+    assert np.linalg.norm(bench.guide._pulls[row]) > SETTINGS.balance
+
+
+def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
+    bench = Bench()
+    channel = int(PART.plan.channels[40])
+    place, normal = bench.true(channel)
+    aside = np.cross(normal, [1.0, 0.0, 0.0])
+    aside /= np.linalg.norm(aside)
+    for _ in range(4):
+        bench.poke(place + 0.002 * aside, -normal)
+    beside = bench.guide._knowledge.beside[40]
+    assert beside @ aside > 0.0007
+    assert abs(beside @ aside) > np.linalg.norm(beside - (beside @ aside) * aside)
+
+
+def test_a_poke_early_on_is_not_taken_to_lie_aside_when_the_whole_skin_is_found_to():
+    """The skin lies 4 mm beside its plan: pokes made before that was known are told from their taxels."""
+    bench = Bench(seed=2)
+    for row in range(0, 84, 4):
+        place, normal = bench.true(int(PART.plan.channels[row]))
+        for _ in range(2):
+            bench.poke(place, -normal)
+    beside = np.linalg.norm(bench.guide._knowledge.beside[0:84:4], axis=1)
+    assert np.median(beside) < 0.0008
+
+
+def test_an_axis_is_that_of_the_wrench_in_the_link_frame():
+    bench = Bench()
+    contact = bench.wish(*(lambda p, n: (p, -n))(*bench.true(int(PART.plan.channels[10]))))[0]
+    axis = axis_of(contact)
+    place, normal = bench.true(int(PART.plan.channels[10]))
+    assert axis.away(place) < 0.006
+    assert axis.tilt(normal) < np.radians(5.0)
+    assert axis_of(replace(bench_rejection(), force=None)) is None
+    assert axis_of(bench_rejection(force=np.zeros(3))) is None
+
+
+def bench_rejection(force=None):
+    force = np.array([0.0, 0.0, -5.0]) if force is None else force
+    return Rejection(
+        1, 0.0, 1.0, Reason.SLID, 1.0, 0.5, "", np.empty(0, dtype=np.int64), True, force, np.zeros(3), np.eye(4)
+    )  # fmt: skip
+
+
+def test_a_taxel_that_never_answers_is_given_up_after_three_pokes_at_it():
+    bench = Bench()
+    silent = bench.guidance.target.channel
+    place, normal = bench.guidance.target.place, bench.guidance.target.normal
+    for count in range(SETTINGS.unanswered):
+        assert silent not in bench.guidance.given_up
+        assert bench.guidance.target.channel == silent, f"given up after {count}"
+        bench.reject(Reason.NO_TAXEL, place, -normal)
+    assert bench.guidance.given_up == {silent: Why.NEVER_FIRED}
+    assert bench.guidance.target.channel != silent
+    # It answers after all: it is a taxel like the others.
+    bench.poke(*(lambda p, n: (p, -n))(*bench.true(silent)))
+    assert not bench.guidance.given_up
+
+
+def test_pokes_elsewhere_do_not_count_as_tries():
+    bench = Bench()
+    target = bench.guidance.target
+    for _ in range(2 * SETTINGS.unanswered):
+        bench.reject(Reason.NO_TAXEL, target.place + np.array([0.05, 0.0, 0.0]), -target.normal)
+        bench.reject(Reason.TOO_SOFT, target.place, -target.normal)
+    assert not bench.guidance.given_up
+    assert bench.guidance.target.channel == target.channel
+
+
+def test_pokes_that_slide_lower_the_tilt_that_is_asked_for():
+    bench = Bench(Method.FREE)
+    for _ in range(6):
+        target = bench.guidance.target
+        lean = np.cross(target.normal, [1.0, 0.0, 0.0])
+        lean /= np.linalg.norm(lean)
+        push = np.sin(np.radians(24.0)) * lean - np.cos(np.radians(24.0)) * target.normal
+        bench.reject(Reason.SLID, target.place, push, [target.channel])
+    assert bench.guidance.usable_tilt < np.radians(22.0)
+    assert bench.guidance.target.tilt <= bench.guidance.usable_tilt + 1e-9
+
+
+def test_whoever_pokes_straight_where_a_tilt_is_wanted_is_asked_for_less():
+    bench = Bench(Method.FREE)
+    while bench.guidance.target.tilt < np.radians(25.0):
+        bench.guide.skip()
+        bench.look()
+    for _ in range(2):
+        target = bench.guidance.target
+        bench.poke(target.place, -target.normal)
+    assert bench.guidance.usable_tilt < SETTINGS.usable_tilt
+
+
+def test_without_enough_tilt_the_free_method_says_so():
+    bench = Bench(Method.FREE)
+    channel = int(PART.plan.channels[40])
+    place, normal = bench.true(channel)
+    for _ in range(SETTINGS.own_pokes):
+        bench.poke(place, -normal)
+    assert channel not in bench.guidance.given_up
+    bench.guide._usable = bench.guide._pokes.tilt._demand = np.radians(10.0)
+    assert bench.look().given_up[channel] is Why.TILT
+
+
+# ---- where no layout tells of taxels ----
+
+
+def test_a_spread_is_even_and_leaves_no_hole():
+    places, triangles = spread(PART.surface, SPACING)
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    assert apart.min() >= 0.8 * SPACING
+    # Any vertex of the part has a place near it, so no hole is larger than a tip feels.
+    gaps = np.linalg.norm(PART.surface.vertices[:, None] - places[None], axis=2).min(axis=1)
+    assert gaps.max() < SPACING
+    on, _ = nearest_points(PART.surface, places)
+    np.testing.assert_allclose(on, places, atol=1e-9)
+    np.testing.assert_array_equal(PART.surface.normals[triangles].shape, places.shape)
+
+
+def test_a_cover_goes_around_what_answered_and_then_where_nobody_poked():
+    cover = Cover(PART.surface)
+    first = cover.next(None)
+
+    def straight(index):
+        return Axis(-cover.normals[index], cover.places[index])
+
+    cover.poked(straight(first), answered=False)
+    second = cover.next(cover.places[first])
+    assert np.linalg.norm(cover.places[second] - cover.places[first]) > ASTRAY
+    cover.poked(straight(second), answered=True)
+    third = cover.next(cover.places[second])
+    assert SPACING * 0.8 <= np.linalg.norm(cover.places[third] - cover.places[second]) < 2.5 * SPACING
+    cover.leave_out(third)
+    assert cover.next(cover.places[second]) != third
+
+
+def bare(method):
+    """A session and a guide that know the surface and nothing of the skin."""
+    scene = replace(PART.scene, skin=replace(PART.scene.skin, layout=None, anchor=None))
+    channels = np.arange(scene.skin.channels)
+    guide = Guide(unplaced(channels), scene.noise, method, TAXELS_APART, cover=Cover(PART.surface))
+    return Session(scene, PART.surface), guide
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
+    session, guide = bare(method)
+    rig, rng = PART.rig(Conditions(), 1), np.random.default_rng(5)
+    contacts, rejections, seen, phases = {}, {}, set(), []
+    for poke in range(1, 181):
+        told = {m: {one.channel: one for one in every} for m, every in session.snapshot().estimates.items()}
+        estimates = {
+            m: [of.get(c) or Estimate(c, m, State.UNSEEN, 0) for c in range(len(guide.plan.channels))] for m, of in told.items()
+        }
+        guidance = guide.update(contacts, estimates, session.evidence, rejections)
+        phases.append(guidance.phase)
+        target = guidance.target
+        made, pokes = poked(PART, rig, Wish(target.place[None], target.push[None]), Conditions(), rng, poke)
+        for contact in made:
+            session.add(contact)
+            contacts[poke] = contact
+            seen |= set(contact.channels.tolist())
+        if not made:
+            force = 8.0 * pokes.directions[0]
+            rejections[poke] = Rejection(
+                poke, 0.0, 1.0, Reason.NO_TAXEL, 0.0, 1.0, "", np.empty(0, dtype=np.int64), True,
+                force, np.cross(pokes.points[0], force), np.eye(4),
+            )  # fmt: skip
+    assert phases[0] is Phase.COVER
+    assert phases[-1] in (Phase.OWN, Phase.SWEEP)
+    assert set(guidance.channels.tolist()) <= seen
+    assert len(seen) > 70
+    assert all(isinstance(one, Contact) for one in contacts.values())
+    assert len(guidance.needs) == len(guidance.channels) == len(guidance.places)
+    # Half of the first pokes find nothing: then the skin is known, and hardly any miss it.
+    assert len(contacts) > 110
