@@ -10,7 +10,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.estimate.result import Estimate, Method
 from skincal.guide.choose import directions
-from skincal.guide.guidance import Guidance
+from skincal.guide.guidance import Guidance, Phase
 from skincal.guide.guide import Guide
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray
@@ -43,6 +43,14 @@ class Course:
     """Taxels that the guide calls done at the end."""
     falsely: int
     """Of these, how many are not."""
+    enough: float
+    """After how many pokes the guide had nothing more to ask for; infinite if it always had, or nobody followed it."""
+    given_up: int
+    """Taxels that it had given up by then, or by the end."""
+
+    def mean_at(self, pokes: float) -> float:
+        """Return the mean error after so many pokes, metres, between two looks along a line."""
+        return float(np.interp(pokes, self.pokes, self.mean))
 
     def pokes_to(self, error: float, of_p95: bool = False) -> float:
         """Return how many pokes it takes until the error is and stays at most `error`, metres; infinite if it never does."""
@@ -68,8 +76,12 @@ def run_course(part: Part, way: str, method: Method, conditions: Conditions, see
     at = set(looks(limit).tolist())
     rows: list[tuple[int, float, float, float]] = []
     last: tuple[Session, Guidance | None] | None = None
+    enough, given_up = float("inf"), 0
     for count, seconds, session, guidance in steps(part, rig, way, method, conditions, rng, limit):
         last = session, guidance
+        if guidance is not None and not np.isfinite(enough):
+            given_up = len(guidance.given_up)
+            enough = float(count) if guidance.phase is Phase.ENOUGH else enough
         if count in at:
             errors = errors_of(session.snapshot().estimates[method], rig)
             rows.append((count, float(errors.mean()), float(np.percentile(errors, 95)), seconds))
@@ -80,7 +92,7 @@ def run_course(part: Part, way: str, method: Method, conditions: Conditions, see
         guidance = _guide(part, method).update(_numbered(session), session.snapshot().estimates, session.evidence)
     done, falsely = _judged(guidance, session.snapshot().estimates[method], rig)
     pokes, mean, p95, spent = (np.array(column) for column in zip(*rows, strict=True))
-    return Course(pokes.astype(np.int64), mean, p95, spent, done, falsely)
+    return Course(pokes.astype(np.int64), mean, p95, spent, done, falsely, enough, given_up)
 
 
 def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:

@@ -35,6 +35,10 @@ DRIFT_MAX = 1.15
 """Error with 0.25 N of drift over that without."""
 FALSE_MAX = 0.02
 """Share of the taxels that are called done and are not."""
+COMPARED = (
+    ("guided", Method.FREE), ("tilt_recipe", Method.FREE), ("guided", Method.SURFACE), ("round_robin", Method.SURFACE),
+)  # fmt: skip
+"""What is compared in the cases beside the standard one: the guide with the best that needs no program."""
 _TAXELS = 84
 
 
@@ -60,8 +64,10 @@ class Sizes:
     """Of the ways that the guide is compared with."""
     case_seeds: int = 10
     """Of the other cases."""
+    guided_limit: int = 756
+    """Pokes of the guide in the standard case, free method: somewhat more than it has to ask for."""
     free_limit: int = 252
-    """Pokes of a way that follows, free method; unguided ones go on to `long`."""
+    """Pokes of the others that follow, and of the other cases, free method; unguided ones go on to `long`."""
     surface_limit: int = 1008
     long: int = 4032
     cases: Mapping[str, Conditions] = field(default_factory=dict[str, Conditions])
@@ -78,7 +84,7 @@ def _cases() -> dict[str, Conditions]:
 
 FULL = Sizes(cases=_cases())
 QUICK = Sizes(
-    seeds=6, other_seeds=2, case_seeds=2, free_limit=220, surface_limit=252, long=1008,
+    seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252, long=1008,
     cases={"drift 0.25 N": replace(Conditions(), drift=0.25)},
 )  # fmt: skip
 
@@ -120,15 +126,15 @@ def _tasks(sizes: Sizes) -> Iterator[Task]:
     standard = Conditions()
     for way in ("guided", *WAYS, "diversity", "optimal"):
         seeds = sizes.seeds if way == "guided" else sizes.other_seeds
-        limit = sizes.free_limit if way in FOLLOWED else sizes.long
+        limit = sizes.guided_limit if way == "guided" else sizes.free_limit if way in FOLLOWED else sizes.long
         yield from (Task(way, Method.FREE, STANDARD, standard, seed, limit) for seed in range(1, seeds + 1))
     for way in ("guided", "round_robin", "random", "clumped"):
         seeds = range(1, sizes.other_seeds + 1)
         yield from (Task(way, Method.SURFACE, STANDARD, standard, seed, sizes.surface_limit) for seed in seeds)
     for case, conditions in sizes.cases.items():
-        for way in ("guided", "tilt_recipe"):
+        for way, method in COMPARED:
             seeds = range(1, sizes.case_seeds + 1)
-            yield from (Task(way, Method.FREE, case, conditions, seed, sizes.free_limit) for seed in seeds)
+            yield from (Task(way, method, case, conditions, seed, sizes.free_limit) for seed in seeds)
 
 
 def _key(task: Task) -> tuple[str, str, str]:
@@ -154,6 +160,8 @@ def _row(task: Task, courses: Sequence[Course]) -> dict[str, Any]:
         "pokes": courses[0].pokes.tolist(),
         "mean_mm": (1e3 * _over(courses, "mean")).round(4).tolist(),
         "p95_mm": (1e3 * _over(courses, "p95")).round(4).tolist(),
+        "pokes_to_enough": _interval([one.enough for one in courses]),
+        "given_up": float(np.mean([one.given_up for one in courses])),
         "done": float(np.mean([one.done for one in courses])),
         "falsely_done_share": float(np.sum([one.falsely for one in courses]) / (len(courses) * _TAXELS)),
     }
@@ -214,10 +222,12 @@ def _surface_ratio(kept: Mapping[tuple[str, str, str], list[Course]]) -> float:
 
 
 def _drift_ratio(kept: Mapping[tuple[str, str, str], list[Course]]) -> float:
-    """Return the ratio of the errors at the last poke, over the seeds that both cases have."""
+    """Return the ratio of the errors at the last poke with drift, over the seeds that both cases have."""
     drifting = kept["drift 0.25 N", "free", "guided"]
     still = kept[STANDARD, "free", "guided"][: len(drifting)]
-    return float(np.mean([one.mean[-1] for one in drifting]) / np.mean([one.mean[-1] for one in still]))
+    end = drifting[0].pokes[-1]
+    without = [one.mean_at(end) for one in still]
+    return float(np.mean([one.mean[-1] for one in drifting]) / np.mean(without))
 
 
 def _told(row: Mapping[str, Any]) -> str:
@@ -225,9 +235,10 @@ def _told(row: Mapping[str, Any]) -> str:
         told = row[name]
         return f"over {row['limit']}" if told["median"] is None else f"{told['median']:.0f}"
 
+    enough = "" if row["pokes_to_enough"]["median"] is None else f"enough after {row['pokes_to_enough']['median']:.0f}, "
     return (
         f"{row['case']}, {row['method']}, {row['way'].replace('_', ' ')}: {pokes('pokes_to_5mm')} pokes to 5 mm, "
-        f"{pokes('pokes_to_3mm')} to 3 mm; {row['mean_mm'][-1]:.2f} mm after {row['pokes'][-1]} ({row['seeds']} seeds)"
+        f"{pokes('pokes_to_3mm')} to 3 mm; {enough}{row['mean_mm'][-1]:.2f} mm after {row['pokes'][-1]} ({row['seeds']} seeds)"
     )
 
 

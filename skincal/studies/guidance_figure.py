@@ -24,13 +24,14 @@ STANDARD = "standard"
 
 def draw_guidance(result: dict[str, Any], figure: Figure) -> None:
     """Draw the standard case of both methods side by side, and the other cases below."""
-    figure.set_size_inches(13.0, 9.5)
+    figure.set_size_inches(13.0, 10.0)
     figure.suptitle("Mean error of 84 taxels against pokes: the lower left is reached by few pokes")
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.5, 1.0])
     for method, axes in zip(("free", "surface"), top.subplots(1, 2), strict=True):
         rows = [row for row in result["table"] if (row["case"], row["method"]) == (STANDARD, method)]
         _draw_courses(axes, rows, f"{method} method, standard case")
-    _draw_cases(bottom.subplots(), [row for row in result["table"] if row["method"] == "free"])
+    for method, axes in zip(("free", "surface"), bottom.subplots(1, 2), strict=True):
+        _draw_cases(axes, [row for row in result["table"] if row["method"] == method], method)
 
 
 def _draw_courses(axes: Axes, rows: Sequence[Mapping[str, Any]], title: str) -> None:
@@ -56,18 +57,19 @@ def _draw_courses(axes: Axes, rows: Sequence[Mapping[str, Any]], title: str) -> 
     axes.legend(fontsize=8.5)
 
 
-def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the errors after as many pokes as the guide's courses have."""
+def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> None:
+    """Draw the errors after as many pokes as all courses have."""
     cases = list(dict.fromkeys(row["case"] for row in rows))
     pokes = min(row["pokes"][-1] for row in rows)
-    for offset, way in ((-0.15, "guided"), (0.15, "tilt_recipe")):
+    baseline = "tilt_recipe" if method == "free" else "round_robin"
+    for offset, way in ((-0.15, "guided"), (0.15, baseline)):
         colour, _, words = LOOKS[way]
         own = {row["case"]: row for row in rows if row["way"] == way}
         places = [place + offset for place, case in enumerate(cases) if case in own]
         errors = [own[case]["mean_mm"][own[case]["pokes"].index(pokes)] for case in cases if case in own]
         axes.bar(places, errors, width=0.28, color=colour, label=f"{words}, after {pokes} pokes")
-    axes.set_xticks(range(len(cases)), cases)
+    axes.set_xticks(range(len(cases)), cases, rotation=20, ha="right", fontsize=8.5)
     axes.set_ylabel("mean error (mm)")
-    axes.set_title("free method in other cases")
+    axes.set_title(f"{method} method in other cases")
     axes.grid(visible=True, axis="y")
     axes.legend(fontsize=8.5)

@@ -12,7 +12,7 @@ from skincal.studies.figure import write_figure
 from skincal.studies.guidance import QUICK, Conditions
 from skincal.studies.poking import WAYS
 
-TINY = replace(QUICK, seeds=2, other_seeds=1, case_seeds=1, free_limit=24, surface_limit=90, long=40)
+TINY = replace(QUICK, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, long=40)
 
 
 @cache
