@@ -33,6 +33,7 @@ class Command:
 
 
 SEPARATOR = Command("", "", "")
+SOUNDS = "Sounds"
 
 COMMANDS: tuple[Command, ...] = (
     Command("new", "Session", "New session\N{HORIZONTAL ELLIPSIS}", ("Ctrl+N",), "Choose a scene, the devices and a folder"),
@@ -61,6 +62,8 @@ COMMANDS: tuple[Command, ...] = (
     Command("method", "View", "Next method", ("V",), "Show the estimates of the other method"),
     Command("difference", "View", "Lines to the other method", ("X",), "Join the estimates of both methods", checkable=True),
     Command("guide", "View", "Guide", ("G",), "Say and show what to poke next", checkable=True),
+    Command("sounds", "View", SOUNDS, ("M",), "Hear contact, enough, verdict, taxel done, device lost", checkable=True),
+    Command("speech", "View", "Say why a poke is rejected", ("Shift+M",), "With the voice of the system", checkable=True),
     Command("camera", "View", "Whole part", ("Home",), "Bring the whole part into the 3D view"),
     Command("none", "View", "Select nothing", ("Esc",), "Dismiss the message, or the selection"),
     Command("full", "View", "Full screen", ("F11",), "", checkable=True),
@@ -116,6 +119,11 @@ class Commands(QObject):
             action.triggered.connect(lambda _checked=False, index=index: show(index))
             added.append(action)
         return added
+
+    def follow_sound(self, *, found: bool, can_speak: bool) -> None:
+        """Enable what is heard where there is a device for it, and say so where there is none."""
+        _set(self.actions["sounds"], found, SOUNDS if found else f"{SOUNDS} (no sound device)")
+        _set(self.actions["speech"], found and can_speak, self.actions["speech"].text())
 
     def follow(self, may: Allowed, *, can_keep: bool) -> None:
         """Enable what may be done, and name it."""

@@ -20,6 +20,7 @@ from app.dialogs.export import ExportDialog
 from app.error_tracker import ErrorTracker
 from app.frame import Frame, same_results
 from app.guiding import Guiding
+from app.heard import Ear, heard
 from app.opening import Part
 from app.panels.devices import LinkChips
 from app.panels.message_bar import Message
@@ -34,6 +35,9 @@ from skincal.session.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from skincal.files.reference import Reference
+
+LATE_S = 0.3
+"""s. What happened longer ago is not heard any more: by now the hand does something else."""
 
 
 class Desk(QObject):
@@ -50,6 +54,8 @@ class Desk(QObject):
 
     said = Signal(object)
     """`Message`."""
+    heard = Signal(object)
+    """`Heard`: a sound that is due."""
 
     def __init__(
         self,
@@ -68,6 +74,7 @@ class Desk(QObject):
         self._revision = 0
         self._clock_offset = time.time() - time.monotonic()
         self._allowed: Allowed | None = None
+        self._ear = Ear()
         self.frame: Frame | None = None
         self.selected: int | None = None
         self.workspace = Workspace(part, make_view)
@@ -105,6 +112,7 @@ class Desk(QObject):
     def session_opened(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
         self.set_addresses()
+        self._ear = Ear.of(snapshot)
         self.workspace.session_opened(snapshot)
 
     # What is shown
@@ -128,11 +136,18 @@ class Desk(QObject):
             links=link_lines(picture.live.links, picture.now_ns, self._clock_offset, self._controller.running),
             guidance=self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence),
         )
+        self._hear(self.frame, picture.behind_s)
         self.workspace.show_frame(self.frame)
         self.chips.show_frame(self.frame)
         self.chips.show_behind(picture.behind_s)
         if before is None or _allows_other(before, self.frame):
             self.refresh_allowed()
+
+    def _hear(self, frame: Frame, behind_s: float) -> None:
+        """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""
+        due, self._ear = heard(self._ear, frame)
+        if due is not None and behind_s <= LATE_S:
+            self.heard.emit(due)
 
     def show_again(self) -> None:
         """Show the same moment again, after the selection, the method or the colours changed."""

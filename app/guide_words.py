@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,8 @@ ASIDE = float(np.cos(np.radians(35.0)))
 """Cosine. A neighbour lies where the tool leans if it is off by less: the six around a taxel are 60 degrees apart."""
 FARTHEST = 0.020
 """m. A neighbour farther away tells no direction to somebody who looks at the taxel."""
+DONE_NAMED = 3
+"""So many taxels that became done with one poke are named."""
 BETWEEN = "  \N{MIDDLE DOT}  "
 WHAT: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "place"}
 """What a poke is to tell: nearly all of the free method's error is depth; the surface method's lies along the skin."""
@@ -139,6 +141,22 @@ def done_channels(guidance: Guidance | None) -> frozenset[int]:
     if guidance is None:
         return frozenset()
     return frozenset(c for c, missing in zip(guidance.channels.tolist(), guidance.needs, strict=True) if not missing)
+
+
+def newly_done(before: Guidance | None, now: Guidance | None) -> frozenset[int]:
+    """Return the channels that became done between two moments; none where they follow different methods."""
+    if before is None or now is None or before is now or before.method is not now.method:
+        return frozenset()
+    return done_channels(now) - done_channels(before)
+
+
+def done_words(channels: Sequence[int], names: ChannelNames) -> str:
+    """Return which taxels became done: `"17-04, 17-05 done"`; empty where none did."""
+    if not channels:
+        return ""
+    named = ", ".join(names.short(channel) for channel in channels[:DONE_NAMED])
+    more = len(channels) - DONE_NAMED
+    return f"{named} and {more} more done" if more > 0 else f"{named} done"
 
 
 def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:

@@ -15,13 +15,13 @@ import numpy as np
 
 from app.display_units import newtons, number
 from app.frame import Frame
-from app.guide_words import BETWEEN, asked_words, end_words, enough_words, target_words, why_words
+from app.guide_words import BETWEEN, asked_words, done_words, end_words, enough_words, newly_done, target_words, why_words
 from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
 from skincal.estimate.result import Estimate, State
+from skincal.guide.guidance import Guidance, Target
 from skincal.guide.guidance import Phase as GuidePhase
-from skincal.guide.guidance import Target
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray, LinkHealth, Stream
 from skincal.scene import ContactSettings, Scene
@@ -72,11 +72,15 @@ class NowMemory:
     """Channel that the frame before asked to poke."""
     meant: int | None = None
     """Channel that was asked for when the newest poke was made."""
+    guidance: Guidance | None = None
+    """The frame's before."""
+    done: tuple[int, ...] = ()
+    """Channels that became done with the newest poke, ascending."""
 
     @staticmethod
     def of(snapshot: Snapshot) -> NowMemory:
         """Return a memory that does not announce the pokes that are there already."""
-        return NowMemory(outcome=snapshot.pokes[-1].outcome if snapshot.pokes else None)
+        return NowMemory(outcome=newest_outcome(snapshot))
 
 
 PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
@@ -89,32 +93,48 @@ def now_line(memory: NowMemory, at: Frame) -> tuple[Now, NowMemory]:
     Trouble goes before everything. A poke in progress is said at once; a
     verdict stays `VERDICT_S`; a calm phase is said once it lasted `SETTLE_S`.
     """
-    memory = _settle(_see_target(_see_outcome(memory, at), at), at)
+    memory = _settle(_see_guidance(_see_outcome(memory, at), at), at)
     trouble = _trouble(at)
     if trouble is not None:
         return trouble, memory
     if memory.phase in PRESSING:
         return _pressing(memory.phase, at), memory
     if at.now_s < memory.verdict_until_s and memory.outcome is not None:
-        return _verdict(memory.outcome, memory.meant, at), memory
+        return _verdict(memory.outcome, memory, at), memory
     return _calm(memory.phase, at), memory
 
 
+def newest_outcome(snapshot: Snapshot) -> Outcome | None:
+    """Return what the newest poke ended as; None before the first."""
+    return snapshot.pokes[-1].outcome if snapshot.pokes else None
+
+
+def is_news(told: Outcome | None, newest: Outcome) -> bool:
+    """Return whether a poke's verdict is another than what was told last; none where a poke was only taken back."""
+    if told is None or newest.poke != told.poke:
+        return told is None or newest.poke > told.poke
+    return _kind(told) != _kind(newest)
+
+
 def _see_outcome(memory: NowMemory, at: Frame) -> NowMemory:
-    newest = at.snapshot.pokes[-1].outcome if at.snapshot.pokes else None
+    newest = newest_outcome(at.snapshot)
     if newest is None or newest is memory.outcome:
         return memory
-    told = memory.outcome
-    same = told is not None and told.poke == newest.poke and _kind(told) == _kind(newest)
-    older = told is not None and newest.poke < told.poke
-    if same or older:
-        return replace(memory, outcome=newest)
-    return replace(memory, outcome=newest, verdict_until_s=at.now_s + VERDICT_S, meant=memory.asked)
+    grown = newly_done(memory.guidance, at.guidance)
+    if is_news(memory.outcome, newest):
+        until_s = at.now_s + VERDICT_S
+        return replace(memory, outcome=newest, verdict_until_s=until_s, meant=memory.asked, done=tuple(sorted(grown)))
+    if memory.outcome is None or newest.poke < memory.outcome.poke:
+        return replace(memory, outcome=newest, done=())
+    # The same poke again, with the tare after it: that may be what a taxel lacked.
+    return replace(memory, outcome=newest, done=tuple(sorted(grown.union(memory.done))))
 
 
-def _see_target(memory: NowMemory, at: Frame) -> NowMemory:
+def _see_guidance(memory: NowMemory, at: Frame) -> NowMemory:
     asked = None if at.target is None else at.target.channel
-    return memory if asked == memory.asked else replace(memory, asked=asked)
+    if asked == memory.asked and at.guidance is memory.guidance:
+        return memory
+    return replace(memory, asked=asked, guidance=at.guidance)
 
 
 def _kind(outcome: Outcome) -> object:
@@ -156,15 +176,15 @@ def _pressing(phase: Phase, at: Frame) -> Now:
     return Now(Tone.HOLD, "hold still", f"{newtons(force)}, keep the tip where it is")
 
 
-def _verdict(outcome: Outcome, meant: int | None, at: Frame) -> Now:
+def _verdict(outcome: Outcome, memory: NowMemory, at: Frame) -> Now:
     detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
     if isinstance(outcome, Rejection):
         return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
     words = verdict_words(outcome, at.names)
-    if meant is not None and meant != peak_channel(outcome):
-        words, detail = counted_words(outcome, at.names), asked_words(outcome, meant, at.names)
+    if memory.meant is not None and memory.meant != peak_channel(outcome):
+        words, detail = counted_words(outcome, at.names), asked_words(outcome, memory.meant, at.names)
     # Whoever is quick pokes again while this is still said.
-    return Now(Tone.GOOD, words, BETWEEN.join(filter(None, (_next(at), detail))))
+    return Now(Tone.GOOD, words, BETWEEN.join(filter(None, (done_words(memory.done, at.names), _next(at), detail))))
 
 
 def _calm(phase: Phase, at: Frame) -> Now:
@@ -182,7 +202,9 @@ def _calm(phase: Phase, at: Frame) -> Now:
 
 
 def _next(at: Frame) -> str:
-    """Return what to do next; empty where nobody guides."""
+    """Return what to do next, or that it is enough; empty where nobody guides."""
+    if at.guidance is not None and at.guidance.phase is GuidePhase.ENOUGH:
+        return enough_words(at.guidance, GOOD_RMS, at.snapshot.dead)
     if at.guidance is None or at.target is None:
         return ""
     return f"Next: {target_words(at.guidance, at.target, at.names)}"

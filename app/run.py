@@ -21,6 +21,7 @@ from app.controller import Controller
 from app.panels.message_bar import Message
 from app.plan import Addresses, Plan, check_addresses, dated_folder, find_scene, server_command
 from app.scene3d.probe import best_canvas
+from app.sound import Player
 from app.theme import Choice, Theme
 from app.window import Window
 from skincal.errors import InputError
@@ -110,8 +111,13 @@ def start_log() -> Path:
     return path
 
 
-def run_window(plan: Plan) -> int:
-    """Open the window and return the exit code once it is closed: 1 where a fault of the program happened."""
+def run_window(plan: Plan, player: Player | None = None) -> int:
+    """Open the window and return the exit code once it is closed: 1 where a fault of the program happened.
+
+    Parameters
+    ----------
+    player : plays the sounds; on the desktop's sound device if None
+    """
     sys.setswitchinterval(SWITCH_S)
     gc.set_threshold(*GARBAGE)
     application = QApplication.instance() or QApplication(sys.argv[:1])
@@ -123,7 +129,8 @@ def run_window(plan: Plan) -> int:
     theme = Theme(Choice(settings.value("theme", Choice.SYSTEM.value)))
     documents = documents_folder()
     controller = Controller(documents)
-    window = Window(controller, theme, settings, documents)
+    player = player or Player()
+    window = Window(controller, theme, settings, documents, player)
     faults.happened.connect(lambda text: window.tell(Message(text, error=True)))
     for number in (signal.SIGINT, signal.SIGTERM):
         # Python runs a handler between any two steps of the program, in the middle of a write, too: it only posts the wish.
@@ -135,6 +142,7 @@ def run_window(plan: Plan) -> int:
         application.exec()
     finally:
         remove()
+        player.close()
     return 1 if faults.count else 0
 
 

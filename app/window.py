@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from PySide6.QtCore import QByteArray, QSettings, QSize, Qt, QTimer
+from PySide6.QtCore import QByteArray, QSettings, QSize, Qt, QTimer, Signal
 from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QFileDialog, QLabel, QMainWindow, QMessageBox, QStackedWidget, QVBoxLayout, QWhatsThis, QWidget
 
@@ -21,11 +21,13 @@ from app.panels.message_bar import Message, MessageBar
 from app.panels.texts import ElidedLabel
 from app.plan import Plan, dated_folder
 from app.running import Running
+from app.sound import Player
 from app.theme import GAP, Choice, Colours, Theme
 
 if TYPE_CHECKING:
     from app.controller import Picture
     from app.desk import Desk
+    from app.heard import Heard
     from app.opening import Part
     from skincal.files.reference import Reference
     from skincal.session.snapshot import Snapshot
@@ -44,15 +46,20 @@ class Window(QMainWindow):
     theme : colours
     settings : size, splitters, theme
     documents : where sessions and files go unless the operator says otherwise
+    player : plays the sounds
     """
 
-    def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path) -> None:
+    _sound_found = Signal(bool)
+    """Told by the player's thread: there is a sound device."""
+
+    def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path, player: Player) -> None:
         super().__init__()
         self.setWindowTitle("skincal")
         self.controller = controller
         self._theme = theme
         self._settings = settings
         self._documents = documents
+        self._player = player
         self.desk: Desk | None = None
         self.messages = MessageBar()
         self.stack = QStackedWidget()
@@ -81,6 +88,8 @@ class Window(QMainWindow):
             "method": self._of_desk(lambda desk: desk.next_method()),
             "difference": self._of_desk(lambda desk: desk.show_difference()),
             "guide": self._of_desk(lambda desk: desk.show_guide()),
+            "sounds": self._switch_sounds,
+            "speech": self._switch_sounds,
             "camera": self._of_desk(lambda desk: desk.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,
@@ -99,6 +108,10 @@ class Window(QMainWindow):
 
     def _arrange(self) -> None:
         self.commands.add_themes(self._theme.choice, self._choose_theme)
+        for name, wanted in (("sounds", True), ("speech", False)):
+            self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
+        self.commands.follow_sound(found=True, can_speak=self._player.can_speak)
+        self._switch_sounds()
         self.opening.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.opening.setProperty("quiet", True)
         self.stack.addWidget(self.opening)
@@ -129,6 +142,8 @@ class Window(QMainWindow):
         controller.truth_found.connect(self._take_truth)
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._set_colours)
+        self._sound_found.connect(self._follow_sound)
+        self._player.found = self._sound_found.emit
 
     # What the controller says
 
@@ -139,6 +154,7 @@ class Window(QMainWindow):
         desk = Desk(part, self.controller, self.commands, self._documents, parent=self)
         self.desk = desk
         desk.said.connect(self.tell)
+        desk.heard.connect(self._play)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
         # Making the panels, laying them out and showing them each take half of what a window may stand still.
         QTimer.singleShot(0, desk, lambda: self._arrange_desk(desk))
@@ -160,6 +176,7 @@ class Window(QMainWindow):
     def _take_session(self, snapshot: Snapshot) -> None:
         if self.desk is not None:
             self.desk.session_opened(snapshot)
+            self._player.get_ready()
 
     def _take_truth(self, truth: Reference) -> None:
         if self.desk is not None:
@@ -181,6 +198,12 @@ class Window(QMainWindow):
         opening = self.controller.running is Running.OPENING
         nothing = "Nothing is open.\nCtrl+N begins a new session, Ctrl+O opens a recorded one."
         self.opening.setText("Opening \N{HORIZONTAL ELLIPSIS}" if opening else nothing)
+
+    def _play(self, heard: Heard) -> None:
+        self._player.play(heard.sound, heard.word)
+
+    def _follow_sound(self, found: bool) -> None:
+        self.commands.follow_sound(found=found, can_speak=self._player.can_speak)
 
     def _say_where(self, words: str) -> None:
         self.where.setText(words)
@@ -209,6 +232,13 @@ class Window(QMainWindow):
             self.messages.dismiss()
         elif self.desk is not None:
             self.desk.select_nothing()
+
+    def _switch_sounds(self) -> None:
+        """Play sounds, and say words, as the menu has it."""
+        player, actions = self._player, self.commands.actions
+        player.on, player.speaks = actions["sounds"].isChecked(), actions["speech"].isChecked()
+        if self.desk is not None:
+            player.get_ready()
 
     def _toggle_full(self) -> None:
         self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
@@ -255,6 +285,8 @@ class Window(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """Ask nothing: everything that was recorded is on the disk. Stop the timers, close the 3D view, then the journal."""
         self._settings.setValue("window/geometry", self.saveGeometry())
+        self._settings.setValue("window/sounds", self._player.on)
+        self._settings.setValue("window/speech", self._player.speaks)
         self.hide()
         self.messages.stop()
         self.controller.stop()
@@ -262,4 +294,5 @@ class Window(QMainWindow):
             self.desk.save(self._settings)
             self.desk.close()
         self.controller.close()
+        self._player.close()
         super().closeEvent(event)

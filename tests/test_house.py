@@ -89,8 +89,18 @@ def test_every_dependency_is_locked() -> None:
                 assert requirement.specifier.contains(version), requirement
 
 
+def test_what_has_no_wheel_for_a_platform_is_not_wanted_there() -> None:
+    """There the window is silent; it would otherwise not be installed at all."""
+    markers = {pin.name: pin.marker for lock in LOCKS for pin in pins(lock) if pin.name in {"miniaudio", "cffi"}}
+    for marker in markers.values():
+        assert marker is not None
+        for platform, machine, wanted in (("linux", "aarch64", False), ("linux", "x86_64", True), ("darwin", "arm64", True)):
+            assert marker.evaluate({"sys_platform": platform, "platform_machine": machine}) is wanted
+    assert len(markers) == 2
+
+
 def test_markers_of_the_lock_are_about_python_and_platform_only() -> None:
-    known = {"python_full_version", "python_version", "sys_platform"}
+    known = {"python_full_version", "python_version", "implementation_name", "sys_platform", "platform_machine"}
     markers = [str(pin.marker) for lock in LOCKS for pin in pins(lock) if pin.marker is not None]
     names = {name for marker in markers for name in re.findall(r"[a-z_]+(?= *[<>=!])", str(Marker(marker)))}
     assert names <= known

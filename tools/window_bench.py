@@ -6,6 +6,8 @@ that ships poke, and measures, without changing anything that the window does:
 - first paint and first 3D picture, from the start of this program;
 - pictures of the 3D view a second while the tool presses;
 - from the arrival of the reading that ends a poke to the end of the picture that shows its outcome;
+- from the arrival of the reading that fills a poke's still window to the first sample of its sound in the hands of the sound
+  device; where there is none, of the library's own that nobody hears;
 - how long the window does not answer: the lateness of a timer of 5 ms; and what of it its own thread works, by processor
   time, which other programs on the machine do not change.
 """
@@ -33,6 +35,8 @@ from app.preflight import no_display, objection
 
 if TYPE_CHECKING:
     from app.controller import Picture
+    from app.earcons import Sound
+    from app.sound import Output
     from app.window import Window
 
 BEAT_MS = 5
@@ -47,7 +51,7 @@ SHORT_S = 0.3
 class Measure(QObject):
     """Times of what happens to a window."""
 
-    def __init__(self, window: Window) -> None:
+    def __init__(self, window: Window, sounds: Sounds) -> None:
         super().__init__()
         self.window = window
         self.first_paint: float | None = None
@@ -60,6 +64,7 @@ class Measure(QObject):
         self._canvas: QWidget | None = None
         self._pressing_since: float | None = None
         self._released: list[float] = []
+        self.sounds = sounds
         self._last_beat, self._worked = time.monotonic(), time.thread_time()
         self._beat = QTimer(self)
         self._beat.setInterval(BEAT_MS)
@@ -67,8 +72,8 @@ class Measure(QObject):
         self._beat.start()
         window.installEventFilter(self)
 
-    def watch(self) -> bool:
-        """Watch the session and the 3D view; return whether both are there."""
+    def watch(self, tab: str) -> bool:
+        """Watch the session and the 3D view, with this tab open; return whether both are there."""
         desk = self.window.desk
         if desk is None or not desk.workspace.view.list_layers():
             return False
@@ -80,7 +85,9 @@ class Measure(QObject):
         self._canvas = canvas
         canvas.installEventFilter(self)
         _around_feed(Road, self._released)
+        self.sounds.watch(Road)
         desk.workspace.view.update()
+        desk.workspace.show_tab(tab)
         return True
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
@@ -137,6 +144,11 @@ class Measure(QObject):
             "releases": len(self.latencies),
             "release_to_painted_p50_s": percentile(self.latencies, 50),
             "release_to_painted_p95_s": percentile(self.latencies, 95),
+            "sounds": len(self.sounds.latencies),
+            "sound_device": self.sounds.device,
+            "dwell_to_sound_p50_s": percentile(self.sounds.latencies, 50),
+            "dwell_to_sound_p95_s": percentile(self.sounds.latencies, 95),
+            "dwell_to_sound_max_s": max(self.sounds.latencies, default=None),
             "longest_stall_starting_s": max((late for _, late, _ in early), default=None),
             "longest_work_starting_s": max((work for _, _, work in early), default=None),
             "longest_stall_s": max((late for _, late, _ in later), default=None),
@@ -145,6 +157,75 @@ class Measure(QObject):
             "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
             "cpu_share": time.process_time() / (time.monotonic() - STARTED),
         }
+
+
+class Sounds:
+    """Times from the end of a poke's dwell to its sound."""
+
+    def __init__(self) -> None:
+        self.latencies: list[float] = []
+        self.device: str | None = None
+        self._full = False
+        """The still window was filled in this call of the road."""
+        self._since: float | None = None
+        """When the reading came that filled it, until its sound is on its way."""
+        self._asked: float | None = None
+        """The same, while the sound is on its way."""
+
+    def open(self) -> Output:
+        """Open the sound device, or one that nobody hears where there is none."""
+        from app.sound import NoSoundError, open_output
+
+        try:
+            output = open_output()
+        except NoSoundError:
+            output = open_output(real=False)
+        self.device = getattr(output, "backend", "")
+        return output
+
+    def watch(self, road: type[Any]) -> None:
+        """Watch the road of the readings, the press on it, and the player."""
+        from app.sound import Line, Player
+        from skincal.contacts.press import Press
+
+        self._watch_readings(Press, road)
+        self._watch_sounds(Player, Line)
+
+    def _watch_readings(self, press: type[Any], road: type[Any]) -> None:
+        add, feed = press.add, road.feed
+
+        def watched_add(its: Any, *arguments: Any) -> None:
+            before = its.held
+            add(its, *arguments)
+            self._full = self._full or (its.held and not before)
+
+        def watched_feed(its: Any, item: Any) -> None:
+            self._full = False
+            feed(its, item)
+            if self._full:
+                self._since = item.host_ns * 1e-9
+
+        press.add, road.feed = watched_add, watched_feed
+
+    def _watch_sounds(self, player: type[Any], line: type[Any]) -> None:
+        from app.earcons import Sound
+
+        play, take = player.play, line.take
+
+        def watched_play(its: Any, sound: Sound, word: str = "") -> None:
+            if sound is Sound.HELD:
+                self._asked, self._since = self._since, None
+            play(its, sound, word)
+
+        def watched_take(its: Any, frames: int) -> bytes:
+            begins = not its.taken
+            part = take(its, frames)
+            if begins and part and self._asked is not None:
+                self.latencies.append(time.monotonic() - self._asked)
+                self._asked = None
+            return part
+
+        player.play, line.take = watched_play, watched_take
 
 
 def percentile(values: list[float], share: float) -> float | None:
@@ -170,27 +251,27 @@ def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str)
     """Run the window for so long and return its figures."""
     from app.plan import Plan, find_scene, server_command
     from app.run import run_window
+    from app.sound import Player
     from app.window import Window
 
     application = QApplication(sys.argv[:1])
     found: list[Measure] = []
+    sounds = Sounds()
     watching = QTimer()
     watching.setInterval(10)
 
     def attach() -> None:
         window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window))
         window.resize(*size)
-        found.append(Measure(window))
+        found.append(Measure(window, sounds))
         window.controller.ticked.connect(found[0].take)
         watching.timeout.connect(watch)
         watching.start()
         QTimer.singleShot(round(seconds * 1e3), end)
 
     def watch() -> None:
-        if found[0].watch():
+        if found[0].watch(tab):
             watching.stop()
-            if found[0].window.desk is not None:
-                found[0].window.desk.workspace.show_tab(tab)
 
     results: list[dict[str, Any]] = []
 
@@ -201,7 +282,7 @@ def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str)
 
     QTimer.singleShot(0, attach)
     path = None if scene is None else find_scene(scene)
-    run_window(Plan(scene=path, server=server_command(path)))
+    run_window(Plan(scene=path, server=server_command(path)), Player(sounds.open))
     return results[0]
 
 
@@ -219,6 +300,8 @@ def table(result: dict[str, Any]) -> str:
         ("pictures a second while pressing", "-" if rate is None else f"{rate:.1f}  ({result['pressing_s']:.1f} s)"),
         ("release to painted, median", f"{ms('release_to_painted_p50_s')}  ({result['releases']} pokes)"),
         ("release to painted, p95", ms("release_to_painted_p95_s")),
+        ("end of dwell to sound, median", f"{ms('dwell_to_sound_p50_s')}  ({result['sounds']} by {result['sound_device']})"),
+        ("end of dwell to sound, p95", f"{ms('dwell_to_sound_p95_s')}  (longest {ms('dwell_to_sound_max_s')})"),
         (
             f"longest stall in the first {SETTLED_S:.0f} s",
             f"{ms('longest_stall_starting_s')}  (own work {ms('longest_work_starting_s')})",

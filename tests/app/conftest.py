@@ -16,7 +16,7 @@ from skincal.scene import resource
 
 WAIT_S = 5.0
 """s. A thread that was told to stop has so long on a busy machine."""
-ENDING = ("reader ", "skincal-background", "scene3d")
+ENDING = ("reader ", "skincal-background", "skincal-sound", "scene3d")
 """Names of the program's threads that must end with the window."""
 
 

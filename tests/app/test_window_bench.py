@@ -26,4 +26,6 @@ def test_the_window_is_measured():
     assert result["longest_work_starting_s"] > 0.0
     assert result["first_picture_s"] is None or result["first_picture_s"] > result["first_paint_s"]
     assert result["stalls_above_100_ms"] >= 0
+    assert result["sound_device"]
+    assert result["dwell_to_sound_p95_s"] is None or 0.0 < result["dwell_to_sound_p95_s"] < 5.0
     assert "first paint" in table(result)

@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QWidget
 from app.controller import Controller
 from app.panels.message_bar import Message
 from app.plan import Plan, server_command
+from app.sound import Player
 from app.theme import Choice, Theme
 from app.window import Window
 from skincal.contacts.outcome import Contact
@@ -21,17 +22,33 @@ POKE_MS = 60_000
 OPEN_MS = 40_000
 
 
+class Listener(Player):
+    """Writes down what is to be heard, and plays nothing."""
+
+    def __init__(self) -> None:
+        super().__init__(speech=("true",))
+        self.played: list[tuple[str, str]] = []
+
+    def get_ready(self) -> None:
+        self.found(True)
+
+    def play(self, sound, word="") -> None:
+        if self.on:
+            self.played.append((sound.name, word))
+
+
 class Bench:
     """A window with what it needs, on the screen."""
 
-    def __init__(self, qtbot, folder: Path) -> None:
+    def __init__(self, qtbot, folder: Path, player: Player | None = None) -> None:
         self.qtbot = qtbot
         self.documents = folder / "documents"
         self.controller = Controller(self.documents)
         self.theme = Theme(Choice.DARK)
         self.messages: list[Message] = []
         self.controller.said.connect(self.messages.append)
-        self.window = Window(self.controller, self.theme, QSettings("skincal", "test"), self.documents)
+        self.player = player or Listener()
+        self.window = Window(self.controller, self.theme, QSettings("skincal", "test"), self.documents, self.player)
         self.window.resize(1280, 720)
         qtbot.addWidget(self.window)
         with qtbot.waitExposed(self.window):
