@@ -76,11 +76,11 @@ def open_output(*, real: bool = True) -> Output:
         import miniaudio
     except (ImportError, OSError) as error:
         raise NoSoundError(f"the sound library cannot be loaded ({error})") from error
-    null = miniaudio.Backend.NULL
-    # Listed, since otherwise it would fall back to one that nobody hears. By their number the likeliest comes first.
-    found = sorted(miniaudio.get_enabled_backends() - {null, miniaudio.Backend.CUSTOM}, key=lambda each: each.value)
-    if not _has_cards():
-        found = [each for each in found if each is not miniaudio.Backend.ALSA]
+    kinds = miniaudio.Backend
+    # Listed, or it would fall back to one that nobody hears. JACK and ALSA fill stderr to say that they are not there.
+    unwanted = {kinds.NULL, kinds.CUSTOM, kinds.JACK} | (set() if _has_cards() else {kinds.ALSA})
+    # By their number the likeliest comes first.
+    found = sorted(miniaudio.get_enabled_backends() - unwanted, key=lambda each: each.value)
     try:
         return miniaudio.PlaybackDevice(
             miniaudio.SampleFormat.SIGNED16,
@@ -88,7 +88,7 @@ def open_output(*, real: bool = True) -> Output:
             sample_rate=RATE,
             buffersize_msec=PERIOD_MS,
             callback_periods=PERIODS,
-            backends=found if real else [null],
+            backends=found if real else [kinds.NULL],
             app_name="skincal",
         )
     except miniaudio.MiniaudioError as error:
@@ -96,7 +96,7 @@ def open_output(*, real: bool = True) -> Output:
 
 
 def _has_cards() -> bool:
-    """Return whether Linux knows a sound card; where it does not, ALSA fills stderr with 60 lines to say so."""
+    """Return whether there may be a sound card: on Linux those are listed."""
     return not sys.platform.startswith("linux") or any(Path("/dev/snd").glob("pcmC*D*p"))
 
 
@@ -147,6 +147,8 @@ class _Outlet:
         self._line = Line(samples)
         try:
             self._start()
+        except NoSoundError:
+            raise
         except Exception as error:  # noqa: BLE001 - a device that vanished says so in many ways
             LOG.info("the sound device stopped: %s", error)
             self.close()
