@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from skincal.session.actions import Action
     from skincal.session.road import Road
     from skincal.session.snapshot import LiveView, Snapshot
+    from skincal.simulate.orders import Wish
     from skincal.streams.links import LinkSpec
 
 TICK_MS = 33
@@ -92,6 +93,8 @@ class Controller(QObject):
         self._server: LinkServer | None = None
         self._links: tuple[LinkSpec, ...] = ()
         self._truth = b""
+        self._wish = ""
+        """Line that a simulated operator was told last."""
         self._storage: Storage | None = None
         self._part: Part | None = None
         self._recording: Recording | None = None
@@ -135,7 +138,7 @@ class Controller(QObject):
         recording, self._recording = self._recording, None
         storage, self._storage = self._storage, None
         self._part = self._shown = None
-        self._links, self._truth = (), b""
+        self._links, self._truth, self._wish = (), b"", ""
         if recording is not None:
             self._run(recording.end, _nothing)
         elif storage is not None:
@@ -176,7 +179,22 @@ class Controller(QObject):
 
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._links = links
+        from skincal.simulate.orders import NoTarget
+
+        # Nothing is recorded before the session is open.
+        self.ask(NoTarget.WAIT)
         self._make_road()
+
+    def ask(self, wish: Wish) -> None:
+        """Tell a simulated operator what the guide shows, where that changed; real devices are told nothing."""
+        if self._server is None:
+            return
+        from skincal.simulate.orders import write_wish
+
+        line = write_wish(wish)
+        if line != self._wish:
+            self._wish = line
+            self._server.tell(line)
 
     def _take_part(self, part: Part, *, make_road: bool = True) -> None:
         self._part = part

@@ -27,6 +27,7 @@ from app.panels.message_bar import Message
 from app.policies import Allowed, allowed, link_lines
 from app.scene3d.view import View3D
 from app.theme import Colours
+from app.wishes import wish_of
 from app.workspace import Workspace
 from skincal.errors import InputError
 from skincal.estimate.result import Method
@@ -137,6 +138,7 @@ class Desk(QObject):
             guidance=self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence),
         )
         self._hear(self.frame, picture.behind_s)
+        self._controller.ask(wish_of(self.frame.guidance, self.frame.running))
         self.workspace.show_frame(self.frame)
         self.chips.show_frame(self.frame)
         self.chips.show_behind(picture.behind_s)

@@ -1,7 +1,7 @@
 """A process that serves links: started and read without ever blocking the window.
 
 It prints one line of JSON that names its links, and, where it simulates them, its taxels; it runs until its standard input
-closes.
+closes. On that input a simulated operator is told what the guide shows (`skincal/simulate/orders.py`).
 """
 
 from __future__ import annotations
@@ -52,6 +52,11 @@ class LinkServer(QObject):
     def running(self) -> bool:
         """Whether the process runs or starts."""
         return self._process.state() is not QProcess.ProcessState.NotRunning
+
+    def tell(self, line: str) -> None:
+        """Write a line to the process, without waiting for it to be read; nothing where it has ended."""
+        if self.running and not self._stopping:
+            self._process.write(f"{line}\n".encode())
 
     def release(self) -> None:
         """Ask the process to end, without waiting; this object goes when it has."""

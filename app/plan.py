@@ -56,9 +56,13 @@ def find_scene(scene: Path | None) -> Path:
 
 
 def server_command(scene: Path | None) -> tuple[str, ...]:
-    """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP."""
+    """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP.
+
+    Its operator follows the target that the window tells it (`LinkServer.tell`).
+    """
     name = DEFAULT_SCENE if scene is None else str(scene)
-    return (sys.executable, "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--scene", name, "--json")
+    simulate = (sys.executable, "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
+    return (*simulate, "--scene", name, "--json")
 
 
 def check_addresses(addresses: Addresses) -> None:

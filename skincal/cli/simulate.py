@@ -21,6 +21,7 @@ from skincal.errors import InputError
 if TYPE_CHECKING:
     from skincal.scene import Scene
     from skincal.simulate.device import DeviceSettings
+    from skincal.simulate.follow import Guided
     from skincal.simulate.operator import Habits, Told
     from skincal.simulate.rig import RigErrors
     from skincal.simulate.serve import Server
@@ -44,6 +45,7 @@ class OperatorKind(Enum):
 
     AUTO = "auto"
     TOLD = "told"
+    GUIDED = "guided"
 
 
 class Wire(Enum):
@@ -72,15 +74,26 @@ def simulate(
         Errors, typer.Option(help="What is wrong with the rig: nothing, sensor noise, or what the paper's had.")
     ] = Errors.NOISE,
     poses: Annotated[str, typer.Option(help="Arm poses that share the pokes, by name, separated by commas.")] = "",
-    operator: Annotated[OperatorKind, typer.Option(help="auto pokes by itself; told obeys stdin.")] = OperatorKind.AUTO,
+    operator: Annotated[
+        OperatorKind,
+        typer.Option(
+            help="auto pokes by itself; told obeys stdin; guided follows the targets on stdin, and sometimes ignores them."
+        ),
+    ] = OperatorKind.AUTO,
     careful: Annotated[bool, typer.Option("--careful", help="An operator who neither slides nor touches two places.")] = False,
+    pace: Annotated[
+        float,
+        typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
+    ] = 1.0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
     wire: Annotated[Wire, typer.Option(help="What the boards speak: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
     as_json: Json = False,
 ) -> None:
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
 
-    Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME.
+    Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME. With --operator guided:
+    target CHANNEL X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame), wait (nothing is to be poked), or any
+    (nobody guides); until the first of them it pokes as auto does.
     """
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.operator import Habits
@@ -88,8 +101,9 @@ def simulate(
     loaded = find_scene(scene)
     if serve == (out is not None):
         raise InputError("simulate needs either --out FOLDER, to record a session, or --serve, to be the devices.")
-    if not serve and (operator is OperatorKind.TOLD or tcp):
-        raise InputError("--operator told and --tcp are for --serve: a session is recorded at once, by an operator of its own.")
+    if not serve and (operator is not OperatorKind.AUTO or tcp):
+        name = "--tcp" if operator is OperatorKind.AUTO else f"--operator {operator.value}"
+        raise InputError(f"{name} is for --serve: a session is recorded at once, by an operator of its own.")
     play = _Play(
         scene=loaded,
         surface=_surface(loaded),
@@ -97,7 +111,7 @@ def simulate(
         seed=seed,
         errors=_errors(errors),
         poses=tuple(name.strip() for name in poses.split(",") if name.strip()),
-        habits=Habits.careful() if careful else Habits(),
+        habits=(Habits.careful() if careful else Habits()).at_pace(pace),
         settings=DeviceSettings(format=wire.value),
     )
     if out is not None:
@@ -162,6 +176,7 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
     import numpy as np
 
     from skincal.simulate.device import Timeline
+    from skincal.simulate.follow import Guided
     from skincal.simulate.operator import Auto, Told
     from skincal.simulate.rig import Rig
     from skincal.simulate.serve import Server
@@ -172,11 +187,12 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
     if operator is OperatorKind.TOLD:
         someone: Auto | Told = Told(rig, play.habits, operator_rng)
     else:
-        someone = Auto(rig, play.habits, operator_rng, play.pokes, play.poses)
+        kind = Guided if operator is OperatorKind.GUIDED else Auto
+        someone = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
     line = Timeline(rig, someone, device_rng, play.settings)
     with Server(line, tcp=tcp) as server:
         _print_links(server, truth(rig) if with_truth else {})
-        _run(server, someone if isinstance(someone, Told) else None)
+        _run(server, someone if isinstance(someone, Told | Guided) else None)
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
@@ -189,7 +205,7 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def _run(server: Server, told: Told | None) -> None:
+def _run(server: Server, told: Told | Guided | None) -> None:
     """Serve until stdin closes, Ctrl-C or a termination signal."""
     stop = threading.Event()
 
@@ -204,9 +220,9 @@ def _run(server: Server, told: Told | None) -> None:
         typer.echo("stopped", err=True)
 
 
-def _listen(told: Told | None, stop: threading.Event) -> None:
+def _listen(told: Told | Guided | None, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
-    from skincal.simulate.operator import read_order
+    from skincal.simulate.orders import read_order
 
     for line in sys.stdin:
         try:

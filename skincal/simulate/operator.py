@@ -1,6 +1,7 @@
 """A person who pokes: where, which way, how hard and for how long.
 
-Two operators: `Auto` goes round the taxels by itself, unguided; `Told` does what a queue says.
+Two operators: `Auto` goes round the taxels by itself, unguided; `Told` does what a queue says. A third one follows a target:
+`skincal/simulate/follow.py`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from skincal.errors import InputError
 from skincal.readings import FloatArray, IntArray
+from skincal.simulate.orders import Order, PokeOrder, PoseOrder
 from skincal.simulate.poke import Pokes, cone_tilts, join, push_directions, tangents
 from skincal.simulate.rig import Rig, Stance
 from skincal.surface.nearest import nearest_points
@@ -55,11 +57,22 @@ class Habits:
     """m, uniform: how far beside the first place another finger or a sleeve touches (`touches_beside`). Assumed."""
     move_s: float = 2.0
     """s, for the arm to go to another pose."""
+    hand: float = float(np.radians(6.0))
+    """rad, sd of the push about the one that is asked for, in each direction. Assumed."""
+    ignores: float = 1.0 / 12.0
+    """Share of the pokes in which somebody who is shown a target pokes a taxel of their own choice. Assumed."""
+    reaction_s: float = 0.25
+    """s before the touch: another target that is shown later comes too late. A simple visual reaction."""
 
     @classmethod
     def careful(cls) -> Habits:
         """Return the habits of somebody who never slides and never touches twice."""
         return cls(slide_rate=0.0, double_rate=0.0)
+
+    def at_pace(self, pace: float) -> Habits:
+        """Return the habits of somebody whose hand is `pace` times as quick between pokes; presses take as long as they do."""
+        approach, rest = (tuple(s / pace for s in times) for times in (self.approach_s, self.rest_s))
+        return replace(self, approach_s=approach, rest_s=rest, reaction_s=self.reaction_s / pace)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,63 +295,16 @@ class Auto:
         if wanted is not self._stance:
             self._stance = wanted
             return Move(now, now + self._habits.move_s, wanted)
+        return self._poke(now)
+
+    def _poke(self, now: float) -> Press | None:
+        """Return the next poke; None where there is none yet."""
         if not self._round:
             order = self._rng.permutation(self._channels)
             pokes = aim(self._rig, order, self._habits, self._rng)
             self._round = [pokes.take(slice(i, i + 1)) for i in range(len(order) - 1, -1, -1)]
         self.begun += 1
         return press(self._rig, self._round.pop(), now, self._habits, self._rng)
-
-
-@dataclass(frozen=True, slots=True)
-class PokeOrder:
-    """Poke this taxel; what is None is as the habits have it."""
-
-    channel: int
-    tilt: float | None = None
-    """rad, from the inward normal."""
-    azimuth: float | None = None
-    """rad, from e1 to e2 of `tangents`."""
-    force: float | None = None
-    """N."""
-
-
-@dataclass(frozen=True, slots=True)
-class PoseOrder:
-    """Bring the arm to this pose."""
-
-    name: str
-
-
-Order: TypeAlias = PokeOrder | PoseOrder
-
-ORDER_HELP = "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME"
-
-
-def read_order(line: str) -> Order | None:
-    """Read one line of orders; None for an empty one.
-
-    Raises
-    ------
-    InputError
-        The line is neither a poke nor a pose.
-    """
-    words = line.split()
-    if not words:
-        return None
-    if words[0] == "pose" and len(words) == 2:
-        return PoseOrder(words[1])
-    try:
-        if words[0] == "poke" and len(words) in (2, 5):
-            numbers = [float(w) for w in words[2:]]
-            if not numbers:
-                return PokeOrder(int(words[1]))
-            tilt, azimuth, force = numbers
-            if 0 <= tilt < 90 and 0 < force < 1000 and np.isfinite(azimuth):
-                return PokeOrder(int(words[1]), float(np.radians(tilt)), float(np.radians(azimuth)), force)
-    except ValueError:
-        pass
-    raise InputError(f"{line.strip()!r} is not an order; expected {ORDER_HELP}, with 0 <= tilt < 90 and force above 0.")
 
 
 class Told:
@@ -349,7 +315,7 @@ class Told:
 
     def __init__(self, rig: Rig, habits: Habits, rng: np.random.Generator) -> None:
         self._rig, self._habits, self._rng = rig, habits, rng
-        self._orders: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
+        self._orders: queue.SimpleQueue[PokeOrder | PoseOrder | None] = queue.SimpleQueue()
         self.done = False
 
     def accept(self, order: Order | None) -> None:
@@ -358,12 +324,14 @@ class Told:
         Raises
         ------
         InputError
-            There is no such taxel or pose.
+            There is no such taxel or pose, or the order is a guide's.
         """
         if isinstance(order, PokeOrder):
             self._rig.row_of(order.channel)
         elif isinstance(order, PoseOrder):
             self._rig.stance(order.name)
+        elif order is not None:
+            raise InputError("target, any and wait are for --operator guided; expected poke or pose.")
         self._orders.put(order)
 
     def next(self, now: float) -> Action | None:

@@ -93,3 +93,33 @@ def tip_axes(pokes: Pokes) -> tuple[FloatArray, FloatArray]:
     e1, e2 = tangents(pokes.normals)
     c, s = np.cos(pokes.turns)[:, None], np.sin(pokes.turns)[:, None]
     return c * e1 + s * e2, c * e2 - s * e1
+
+
+def by_hand(pushes: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
+    """Return the pushes that a hand makes of those it means.
+
+    Parameters
+    ----------
+    pushes : (n, 3) float, unit
+    sd : rad, about the push that is meant, in each direction
+    """
+    one, two = tangents(pushes)
+    lean = np.tan(sd * rng.standard_normal((len(pushes), 2)))
+    off = pushes + lean[:, :1] * one + lean[:, 1:] * two
+    return off / np.linalg.norm(off, axis=1, keepdims=True)
+
+
+def held(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatArray:
+    """Return the pushes, each that leans more taken back to `usable` from its inward normal: it would slide off.
+
+    Parameters
+    ----------
+    pushes : (n, 3) float, unit
+    normals : (n, 3) float, unit, outward
+    usable : rad
+    """
+    inward = -np.sum(pushes * normals, axis=1, keepdims=True)
+    aside = pushes + inward * normals
+    length = np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
+    leaning = np.sin(usable) * aside / length - np.cos(usable) * normals
+    return np.where(inward < np.cos(usable), leaning, pushes)

@@ -21,7 +21,7 @@ from skincal.scene import Scene, load_scene, resource
 from skincal.simulate.contacts import Tare, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.poke import Pokes, cone_tilts, push_directions, tangents
+from skincal.simulate.poke import Pokes, by_hand, cone_tilts, held, push_directions, tangents
 from skincal.simulate.rig import Rig
 from skincal.surface.lay import lay
 from skincal.surface.mesh import Surface, load_surface
@@ -119,28 +119,12 @@ def poked(
     beside = conditions.aim * rng.standard_normal((count, 2))
     points, triangles = nearest_points(part.surface, on + beside[:, :1] * e1 + beside[:, 1:] * e2)
     normals = part.surface.normals[triangles]
-    pushes = _held(_by_hand(wish.pushes, conditions.hand, rng), normals, conditions.usable)
+    pushes = held(by_hand(wish.pushes, conditions.hand, rng), normals, conditions.usable)
     pokes = Pokes(
         np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
     )
     habits = replace(Habits.careful(), double_rate=conditions.doubled)
     return simulate_contacts(rig, pokes, rng, POSE, first, Tare.POKE, habits), pokes
-
-
-def _by_hand(pushes: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
-    one, two = tangents(pushes)
-    lean = np.tan(sd * rng.standard_normal((len(pushes), 2)))
-    off = pushes + lean[:, :1] * one + lean[:, 1:] * two
-    return off / np.linalg.norm(off, axis=1, keepdims=True)
-
-
-def _held(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatArray:
-    """Return the pushes, none of which leans more than `usable` from its normal."""
-    inward = -np.sum(pushes * normals, axis=1, keepdims=True)
-    aside = pushes + inward * normals
-    length = np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-    leaning = np.sin(usable) * aside / length - np.cos(usable) * normals
-    return np.where(inward < np.cos(usable), leaning, pushes)
 
 
 # ---- ways that follow no measurement ----

@@ -205,11 +205,11 @@ def test_a_reference_that_is_none_is_said(run, session, tmp_path, taxel):
     assert "not a reference; expected JSON" in err
 
 
-@pytest.mark.parametrize("options", [["--operator", "told"], ["--tcp"]])
+@pytest.mark.parametrize("options", [["--operator", "told"], ["--operator", "guided"], ["--tcp"]])
 def test_what_only_serving_can_do_is_refused_for_a_session(run, tmp_path, options):
     code, _, err = run("simulate", *SCENE, "--out", tmp_path / "s", *options)
     assert code == 2
-    assert "are for --serve" in err
+    assert f"{' '.join(options)} is for --serve" in err
     assert not (tmp_path / "s").exists()
 
 

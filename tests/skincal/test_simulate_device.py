@@ -10,7 +10,8 @@ from skincal.errors import InputError
 from skincal.readings import Loss, Stream
 from skincal.simulate.device import DeviceSettings, Timeline, timeline
 from skincal.simulate.encode import About, Skb, Skt, cobs, make_encoder
-from skincal.simulate.operator import Auto, Habits, Move, PokeOrder, PoseOrder, Press, Told
+from skincal.simulate.operator import Auto, Habits, Move, Press, Told
+from skincal.simulate.orders import PokeOrder, PoseOrder
 from skincal.simulate.rig import Rig, RigErrors
 from skincal.streams.formats import make_format
 from tests.skincal.sim_support import make_rig, scene_and_surface

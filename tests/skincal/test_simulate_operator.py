@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from skincal.errors import InputError
-from skincal.simulate.operator import Auto, Habits, Move, PokeOrder, PoseOrder, Press, Told, press, read_order
+from skincal.simulate.operator import Auto, Habits, Move, Press, Told, press
+from skincal.simulate.orders import PokeOrder, PoseOrder, read_order
 from skincal.simulate.poke import push_directions, tangents
 from skincal.simulate.rig import RigErrors
 from tests.skincal.sim_support import make_rig

@@ -1,0 +1,22 @@
+"""What somebody who looks at the window pokes: told to a simulated operator."""
+
+from __future__ import annotations
+
+from app.running import Running
+from skincal.guide.guidance import Guidance
+from skincal.simulate.orders import NoTarget, TargetOrder, Wish
+
+
+def wish_of(guidance: Guidance | None, running: Running) -> Wish:
+    """Return what is shown to the operator.
+
+    Parameters
+    ----------
+    guidance : None where nobody guides
+    """
+    if running is not Running.STREAMING:
+        return NoTarget.WAIT
+    if guidance is None:
+        return NoTarget.ANY
+    target = guidance.target
+    return NoTarget.WAIT if target is None else TargetOrder(target.channel, target.place, target.push)

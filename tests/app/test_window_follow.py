@@ -1,0 +1,133 @@
+"""The simulated operator is told what the window shows: the lines, who sends them and when, and what comes of them."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from guide_support import guidance, target
+from PySide6.QtCore import Qt
+from whole_window import OPEN_MS
+
+from app.controller import Controller
+from app.link_server import LinkServer
+from app.plan import server_command
+from app.running import Running
+from app.wishes import wish_of
+from app.words import peak_channel
+from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
+
+LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
+
+
+def test_the_wish_is_what_the_window_shows():
+    asked = target(3, 0.4)
+    wish = wish_of(guidance(asked), Running.STREAMING)
+    assert isinstance(wish, TargetOrder)
+    assert (wish.channel, wish.place.tolist(), wish.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
+    assert wish_of(None, Running.STREAMING) is NoTarget.ANY, "nobody guides"
+    assert wish_of(guidance(None), Running.STREAMING) is NoTarget.WAIT, "it is enough"
+    for running in (Running.OPENING, Running.PAUSED, Running.OFFLINE):
+        assert wish_of(guidance(asked), running) is NoTarget.WAIT
+        assert wish_of(None, running) is NoTarget.WAIT
+
+
+def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
+    heard = tmp_path / "heard"
+    server = LinkServer()
+    listen = f"import sys; print('{LINKS}', flush=True); open({str(heard)!r}, 'w').write(sys.stdin.read())"
+    with qtbot.waitSignal(server.served, timeout=OPEN_MS):
+        server.start((sys.executable, "-c", listen))
+    for line in ("wait", "any"):
+        server.tell(line)
+    server.stop()
+    assert heard.read_text() == "wait\nany\n"
+    server.tell("wait")  # nobody is there any more: nothing happens
+
+
+def test_a_process_that_never_reads_holds_nothing_up(qtbot):
+    server = LinkServer()
+    with qtbot.waitSignal(server.served, timeout=OPEN_MS):
+        server.start((sys.executable, "-c", f"import time; print('{LINKS}', flush=True); time.sleep(60)"))
+    for _ in range(5000):
+        server.tell("x" * 100)  # eight times what a pipe holds
+    server.stop()
+    assert not server.running
+
+
+class Told:
+    """Stands for the process."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def tell(self, line: str) -> None:
+        self.lines.append(line)
+
+    def stop(self) -> None:
+        pass
+
+    release = stop
+
+
+def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
+    controller = Controller(tmp_path)
+    controller.ask(NoTarget.WAIT)  # real devices: nobody to tell
+    told = Told()
+    controller._server = told
+    shown = wish_of(guidance(target(3)), Running.STREAMING)
+    for wish in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
+        controller.ask(wish)
+    assert told.lines == [write_wish(shown), "wait", write_wish(shown)]
+    controller.close()
+
+
+def test_the_rig_that_opens_by_default_follows():
+    command = server_command(None)
+    assert command[command.index("--operator") + 1] == "guided"
+
+
+@pytest.fixture
+def said():
+    """What the window's process was told, in order."""
+    lines: list[str] = []
+    tell = LinkServer.tell
+
+    def record(server, line):
+        lines.append(line)
+        tell(server, line)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(LinkServer, "tell", record)
+        yield lines
+
+
+def test_pokes_come_where_the_window_asks_for_them(bench, said):
+    bench.open_served("flat-patch")
+    assert said[0] == "wait", "nobody pokes before the session is open"
+    asked: dict[int, int] = {}
+
+    def poked(count: int) -> bool:
+        shown = bench.window.desk.frame.target
+        asked.setdefault(len(bench.accepted()), shown.channel)
+        return len(bench.accepted()) >= count
+
+    bench.until(lambda: poked(6))
+    contacts = bench.accepted()
+    hits = [peak_channel(contact) == asked[i] for i, contact in enumerate(contacts[:6])]
+    # With an aim of 2 mm among taxels 6 mm apart; by itself it would be one of 64.
+    assert sum(hits) >= 2
+    assert read_order(said[-1]).channel == bench.window.desk.frame.target.channel
+
+    bench.key(Qt.Key.Key_N)
+    assert read_order(said[-1]).channel == bench.window.desk.frame.target.channel
+    bench.key(Qt.Key.Key_G)
+    assert said[-1] == "any"
+    bench.key(Qt.Key.Key_G)
+    assert said[-1].startswith("target ")
+    bench.key(Qt.Key.Key_Space)
+    assert said[-1] == "wait"
+    bench.key(Qt.Key.Key_Space)
+    bench.until(lambda: said[-1].startswith("target "), 5000)
+    known = len(bench.snapshot.pokes)
+    bench.until(lambda: len(bench.snapshot.pokes) > known)
