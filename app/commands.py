@@ -59,6 +59,9 @@ COMMANDS: tuple[Command, ...] = (
     Command(
         "dead", "Poke", "Do not use selected taxel", ("D",), "Leave a taxel out that is stuck or always on, or use it again"
     ),
+    Command(
+        "pedals", "Poke", "Pedals\N{HORIZONTAL ELLIPSIS}", ("F3",), "Learn the keys of foot pedals for Space, Backspace and N"
+    ),
     Command("method", "View", "Next method", ("V",), "Show the estimates of the other method"),
     Command("difference", "View", "Lines to the other method", ("X",), "Join the estimates of both methods", checkable=True),
     Command("guide", "View", "Guide", ("G",), "Say and show what to poke next", checkable=True),
@@ -72,7 +75,11 @@ COMMANDS: tuple[Command, ...] = (
 )
 
 
-_THEME_WORDS = {Choice.SYSTEM: "Colours of the desktop", Choice.LIGHT: "Light colours", Choice.DARK: "Dark colours"}
+_THEMES = {
+    Choice.SYSTEM: ("Colours of the desktop", "F7"),
+    Choice.LIGHT: ("Light colours", "F8"),
+    Choice.DARK: ("Dark colours", "F9"),
+}
 
 
 class Commands(QObject):
@@ -103,7 +110,9 @@ class Commands(QObject):
         self.menus["View"].addSeparator()
         group = QActionGroup(self)
         for choice in Choice:
-            action = self.menus["View"].addAction(_THEME_WORDS[choice])
+            words, key = _THEMES[choice]
+            action = self.menus["View"].addAction(words)
+            action.setShortcut(QKeySequence(key))
             action.setCheckable(True)
             action.setChecked(choice is chosen)
             action.triggered.connect(lambda _checked=False, choice=choice: choose(choice))
@@ -124,6 +133,16 @@ class Commands(QObject):
         """Enable what is heard where there is a device for it, and say so where there is none."""
         _set(self.actions["sounds"], found, SOUNDS if found else f"{SOUNDS} (no sound device)")
         _set(self.actions["speech"], found and can_speak, self.actions["speech"].text())
+
+    def taken(self) -> dict[str, str]:
+        """Return what each key of the menus means, by its portable name."""
+        portable = QKeySequence.SequenceFormat.PortableText
+        return {
+            key.toString(portable): action.text().rstrip("\N{HORIZONTAL ELLIPSIS}")
+            for menu in self.menus.values()
+            for action in menu.actions()
+            for key in action.shortcuts()
+        }
 
     def follow(self, may: Allowed, *, can_keep: bool) -> None:
         """Enable what may be done, and name it."""
@@ -167,6 +186,7 @@ def key_words() -> str:
     )
     more = (
         "<tr><td><b>1 to 6</b></td><td>Tabs</td></tr>"
+        "<tr><td><b>F7, F8, F9</b></td><td>Colours of the desktop, light, dark</td></tr>"
         "<tr><td><b>Arrows</b></td><td>On the map: the next taxel. In a list: the next row</td></tr>"
         "<tr><td><b>Tab</b></td><td>The next part of the window</td></tr>"
     )

@@ -19,6 +19,7 @@ from app.commands import Commands, key_words
 from app.controller import Controller
 from app.panels.message_bar import Message, MessageBar
 from app.panels.texts import ElidedLabel
+from app.pedal import Pedals
 from app.plan import Plan, dated_folder
 from app.running import Running
 from app.sound import Player
@@ -66,6 +67,7 @@ class Window(QMainWindow):
         self.opening = QLabel()
         self.where = ElidedLabel()
         self.commands = Commands(self.menuBar(), self._slots(), self)
+        self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
         self._arrange()
         self._connect()
         self._set_colours(theme.colours)
@@ -95,6 +97,7 @@ class Window(QMainWindow):
             "full": self._toggle_full,
             "what": QWhatsThis.enterWhatsThisMode,
             "keys": self._show_keys,
+            "pedals": self.ask_pedals,
         }
 
     def _of_desk(self, do: Callable[[Desk], Any]) -> Callable[[], None]:
@@ -246,6 +249,7 @@ class Window(QMainWindow):
     def _show_keys(self) -> None:
         box = QMessageBox(QMessageBox.Icon.NoIcon, "Keys", key_words(), QMessageBox.StandardButton.Close, self)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        box.button(QMessageBox.StandardButton.Close).setFocus()
         box.open()
 
     def ask_new(self) -> None:
@@ -257,6 +261,12 @@ class Window(QMainWindow):
         dialog = NewSessionDialog(scene, folder, self)
         dialog.plan_chosen.connect(self.open)
         dialog.open()
+
+    def ask_pedals(self) -> None:
+        """Learn the keys of foot pedals."""
+        from app.dialogs.pedals import PedalsDialog
+
+        PedalsDialog(self.pedals, self).open()
 
     def ask_session(self) -> None:
         """Ask for a recorded session and open it."""
@@ -288,6 +298,7 @@ class Window(QMainWindow):
         self._settings.setValue("window/sounds", self._player.on)
         self._settings.setValue("window/speech", self._player.speaks)
         self.hide()
+        self.pedals.stop()
         self.messages.stop()
         self.controller.stop()
         if self.desk is not None:

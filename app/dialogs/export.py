@@ -87,6 +87,8 @@ class ExportDialog(QDialog):
         self.write.setDefault(True)
         plain_buttons(self.buttons)
         self.setMinimumWidth(560)
+        # Space and Enter go on: they write what is proposed, and then close.
+        self.write.setFocus()
 
     def _connect(self) -> None:
         self.format.currentIndexChanged.connect(self._format_chosen)
@@ -109,6 +111,12 @@ class ExportDialog(QDialog):
         """Say why there is no file."""
         self.write.setEnabled(True)
         put(self.outcome, f"\N{BALLOT X} {sentence}")
+        self.path.setFocus()
+
+    def reject(self) -> None:
+        """Close, but not before it is said what became of the file."""
+        if self.write.isEnabled():
+            super().reject()
 
     def _row(self) -> tuple[str, str, str, str]:
         return FORMATS[self.format.currentIndex()]
@@ -139,6 +147,7 @@ class ExportDialog(QDialog):
             self.path.setText(path)
 
     def _write(self) -> None:
+        self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
         self.write.setEnabled(False)
         put(self.outcome, "Writing \N{HORIZONTAL ELLIPSIS}")
         self.write_requested.emit(self._row()[0], Path(self.path.text()), self.method.currentData())

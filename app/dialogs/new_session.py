@@ -83,6 +83,7 @@ class NewSessionDialog(QDialog):
         column.addWidget(self.objection)
         column.addWidget(self.buttons)
         self.setMinimumWidth(560)
+        self.buttons.button(QDialogButtonBox.StandardButton.Ok).setFocus()
 
     def plan(self) -> Plan:
         """Return what was chosen.
