@@ -60,7 +60,7 @@ class Guided(Auto):
             return
         if not isinstance(order, TargetOrder | NoTarget):
             raise InputError("poke and pose are for --operator told; expected target, any or wait.")
-        if isinstance(order, TargetOrder):
+        if isinstance(order, TargetOrder) and order.channel is not None:
             self._rig.row_of(order.channel)
         self._told = order
 
@@ -90,19 +90,26 @@ class Guided(Auto):
         habits, rng = self._habits, self._rng
         if rng.uniform() < habits.ignores:
             return aim(self._rig, rng.choice(self._channels, 1), habits, rng)
-        place, normal = self._on_part(target, target.place)
+        row = self._row(target)
+        place, normal = self._on_part(row, target.place)
         e1, e2 = tangents(normal[None])
         beside = habits.aim * rng.standard_normal(2)
-        place, normal = self._on_part(target, place + beside[0] * e1[0] + beside[1] * e2[0])
+        place, normal = self._on_part(row, place + beside[0] * e1[0] + beside[1] * e2[0])
         push = held(by_hand(target.push[None], habits.hand, rng), normal[None], habits.cone)
-        channel = np.array([target.channel], dtype=np.int64)
+        channel = self._rig.channels[row : row + 1]
         return Pokes(
             channel, place[None], normal[None], push, rng.uniform(*habits.force, 1), rng.uniform(0.0, np.pi / 2, 1)
         )  # fmt: skip
 
-    def _on_part(self, target: TargetOrder, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the place on the part that is nearest, and its normal; without a surface, in the taxel's plane."""
-        rig, row = self._rig, self._rig.row_of(target.channel)
+    def _row(self, target: TargetOrder) -> int:
+        """Return the index of the taxel that is shown, or of the one that is nearest to the place that is."""
+        if target.channel is not None:
+            return self._rig.row_of(target.channel)
+        return int(np.sum((self._rig.places - target.place) ** 2, axis=1).argmin())
+
+    def _on_part(self, row: int, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the nearest place on the part, and its normal; where there is no surface, in the plane of a taxel."""
+        rig = self._rig
         if rig.surface is None:
             normal = rig.normals[row]
             return place - ((place - rig.places[row]) @ normal) * normal, normal

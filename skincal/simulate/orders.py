@@ -14,6 +14,8 @@ import numpy as np
 from skincal.errors import InputError
 from skincal.readings import FloatArray
 
+NO_TAXEL = "-"
+"""Stands for the channel of a target that is a place."""
 FAR = 10.0
 """m. No part reaches so far from its frame's origin: coordinates beyond are a mistake."""
 
@@ -42,7 +44,8 @@ class PoseOrder:
 class TargetOrder:
     """What a guide's ring and arrow show."""
 
-    channel: int
+    channel: int | None
+    """None where it is a place at which a taxel may be."""
     place: FloatArray
     """(3,) float, metres, link frame: where the guide believes the taxel to be, which may be beside it."""
     push: FloatArray
@@ -62,7 +65,7 @@ Wish: TypeAlias = TargetOrder | NoTarget
 Order: TypeAlias = PokeOrder | PoseOrder | TargetOrder | NoTarget
 
 ORDER_HELP = (
-    "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME, target CHANNEL X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z, any or wait"
+    "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME, target CHANNEL|- X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z, any or wait"
 )
 
 
@@ -91,7 +94,7 @@ def write_wish(wish: Wish) -> str:
     if isinstance(wish, NoTarget):
         return wish.value
     place, push = (" ".join(f"{v:.{d}f}" for v in vs) for vs, d in ((wish.place * 1e3, 2), (wish.push, 4)))
-    return f"target {wish.channel} {place} {push}"
+    return f"target {NO_TAXEL if wish.channel is None else wish.channel} {place} {push}"
 
 
 def _poke(words: list[str]) -> PokeOrder | None:
@@ -118,7 +121,7 @@ def _target(words: list[str]) -> TargetOrder | None:
     # NaN fails every comparison.
     if not (np.abs(place) < FAR).all() or not 0.5 < size < 2.0:
         return None
-    return TargetOrder(int(words[1]), place, push / size)
+    return TargetOrder(None if words[1] == NO_TAXEL else int(words[1]), place, push / size)
 
 
 def _no_target(words: list[str]) -> NoTarget | None:

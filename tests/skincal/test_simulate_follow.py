@@ -92,6 +92,15 @@ def test_it_pokes_where_the_ring_is_and_not_where_the_taxel_is(name):
     assert np.degrees(np.arccos(-np.sum(pushes * normals, axis=1))).max() <= 30.0 + 1e-6
 
 
+def test_a_place_without_a_taxel_is_poked_too(rig):
+    guided = Guided(rig, FOLLOWS, np.random.default_rng(1))
+    shown = replace(target_at(rig, 204, beside=0.003), channel=None)
+    guided.accept(shown)
+    done = presses(guided, 100)
+    off = np.concatenate([p.pokes.points for p in done]) - nearest_points(rig.surface, shown.place[None])[0]
+    assert np.linalg.norm(off.mean(axis=0)) < 0.001
+
+
 def test_it_goes_where_it_likes_in_one_poke_of_twelve(rig):
     guided = Guided(rig, Habits.careful(), np.random.default_rng(2))
     guided.accept(target_at(rig, 204))
@@ -110,7 +119,7 @@ def test_a_target_counts_until_a_reaction_before_the_touch(rig):
         one = presses(guided, 1, lambda now, at=late, other=second, hand=guided: now >= at and hand.accept(other))[0]
         assert one.begin == pytest.approx(0.6, abs=STEP)
         assert one.pokes.targets[0] == expected
-        # What came too late is for the next poke.
+        guided.accept(second)  # too late for the one, in time for the next
         assert presses(guided, 1)[0].pokes.targets[0] == 288
 
 
@@ -178,6 +187,7 @@ def test_a_target_survives_its_line():
     assert read.channel == 204
     np.testing.assert_allclose(read.place, shown.place, atol=6e-6)
     np.testing.assert_allclose(read.push, shown.push, atol=1e-4)
+    assert read_order(write_wish(replace(shown, channel=None))).channel is None
     assert np.linalg.norm(read.push) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -191,7 +201,7 @@ def test_a_target_survives_its_line():
     ],
 )  # fmt: skip
 def test_a_line_that_is_no_target_is_named(line):
-    with pytest.raises(InputError, match=r"is not an order; expected poke .*target CHANNEL"):
+    with pytest.raises(InputError, match=r"is not an order; expected poke .*target CHANNEL\|- X_MM"):
         read_order(line)
 
 
