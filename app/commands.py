@@ -49,9 +49,11 @@ COMMANDS: tuple[Command, ...] = (
         ("Ctrl+R",),
         "Show the error against a truth.json or an iCub position file",
     ),
+    Command("verdict", "Session", "Verdict\N{HORIZONTAL ELLIPSIS}", ("F",), "What is done, what is not and why; then export"),
     Command("picture", "Session", "Save 3D picture\N{HORIZONTAL ELLIPSIS}", ("Ctrl+P",), "Write the 3D view as it stands"),
     Command("quit", "Session", "Quit", ("Ctrl+Q",), "Everything recorded is on the disk already"),
-    Command("space", "Poke", "Pause", ("Space",), "Do the obvious thing: pause, or go on"),
+    Command("space", "Poke", "Pause", ("Space",), "Do the obvious thing: pause, go on, or show the verdict once it is enough"),
+    Command("pause", "Poke", "Pause", ("P",), "Pause or go on, whatever the guide says"),
     Command("another", "Poke", "Another target", ("N",), "Ask for another poke; a side that is skipped twice is left out"),
     Command("undo", "Poke", "Undo", ("Backspace", "Ctrl+Z"), "Take back the last poke or action"),
     Command("exclude", "Poke", "Exclude selected pokes", ("E",), "Selected pokes count no more, or count again"),
@@ -160,12 +162,14 @@ class Commands(QObject):
             "Use selected taxel again" if may.revive else "Do not use selected taxel",
         )
         _set(actions["space"], bool(may.space), may.space or "Pause")
+        _set(actions["pause"], bool(may.pause), may.pause or "Pause")
         for name, enabled in (
             ("export", may.export),
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),
             ("another", may.another),
+            ("verdict", may.verdict),
         ):
             _set(actions[name], enabled, actions[name].text())
 

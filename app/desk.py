@@ -17,6 +17,7 @@ from PySide6.QtWidgets import QFileDialog, QSplitter, QWidget
 from app.commands import Commands
 from app.controller import Controller, Picture
 from app.dialogs.export import ExportDialog
+from app.dialogs.verdict import VerdictDialog
 from app.error_tracker import ErrorTracker
 from app.frame import Frame, same_results
 from app.guiding import Guiding
@@ -172,7 +173,7 @@ class Desk(QObject):
             return
         frame, pokes = self.frame, self.workspace.pokes.selected()
         running = self._controller.running
-        self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected, frame.target)
+        self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected, frame.guidance)
         self._commands.follow(self._allowed, can_keep=self._controller.can_keep)
 
     def set_colours(self, colours: Colours) -> None:
@@ -239,6 +240,22 @@ class Desk(QObject):
         if self.selected is not None and self._allowed is not None:
             self._controller.act(Revive(self.selected) if self._allowed.revive else MarkDead(self.selected))
             self.refresh_allowed()
+
+    @property
+    def ends(self) -> bool:
+        """Whether it is enough, so that the next thing to do is to look at the verdict."""
+        return self._allowed is not None and self._allowed.ends
+
+    def ask_verdict(self, parent: QWidget) -> None:
+        """Show what the session has come to, and lead on to the file."""
+        if self.frame is None or self._picture is None or self.frame.guidance is None:
+            return
+        verdict = self.guiding.verdict(self.frame.guidance, self.frame.snapshot, self._picture.evidence)
+        can_export = self._allowed is not None and self._allowed.export
+        dialog = VerdictDialog(verdict, self.workspace.names, parent, can_export=can_export)
+        dialog.taxel_wanted.connect(self.select_taxel)
+        dialog.export_wanted.connect(lambda: self.ask_export(parent))
+        dialog.open()
 
     def ask_export(self, parent: QWidget) -> None:
         """Ask what to write, write it and show what was found."""

@@ -126,7 +126,7 @@ def end_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Return what comes after enough, and what was left out."""
     unused = len(guidance.channels) - _done(guidance, dead)[1]
     left_out = f"{unused} not used{BETWEEN}" if unused else ""
-    return f"{left_out}Session > Export (Ctrl+E) writes the calibration."
+    return f"{left_out}The space bar shows the verdict, then writes the calibration."
 
 
 def needs_words(guidance: Guidance, channel: int) -> str:

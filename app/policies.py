@@ -21,6 +21,7 @@ from app.words import LinkLook, LinkWords, counted_words, link_words, peak_chann
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
 from skincal.estimate.result import Estimate, State
 from skincal.guide.guidance import Guidance, Target
+from skincal.guide.guidance import Guidance
 from skincal.guide.guidance import Phase as GuidePhase
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray, IntArray, LinkHealth, Stream
@@ -262,8 +263,14 @@ class Allowed:
     choose_pose: bool
     space: str
     """What the space bar does; empty where it does nothing."""
+    pause: str
+    """What the entry beside the space bar's does, which never shows the verdict."""
     another: bool = False
     """A target may be left for another."""
+    verdict: bool = False
+    """There is a guide, so the session has come to something."""
+    ends: bool = False
+    """The space bar shows the verdict."""
 
 
 def allowed(
@@ -273,7 +280,7 @@ def allowed(
     running: Running,
     pokes: Sequence[int],
     taxel: int | None,
-    target: Target | None = None,
+    guidance: Guidance | None = None,
 ) -> Allowed:
     """Return what may be done with the selection in this state.
 
@@ -281,8 +288,10 @@ def allowed(
     ----------
     pokes : numbers of the selected pokes
     taxel : the selected channel
-    target : the poke that is asked for
+    guidance : None where nobody guides
     """
+    pause = {Running.STREAMING: "Pause", Running.PAUSED: "Go on", Running.OFFLINE: "Connect"}.get(running, "")
+    ends = running is Running.STREAMING and guidance is not None and guidance.phase is GuidePhase.ENOUGH
     chosen = _selected(snapshot.pokes, pokes)
     streamed = any(Stream.JOINTS in link.carries for link in links)
     return Allowed(
@@ -294,8 +303,11 @@ def allowed(
         export=any(e.state is State.ESTIMATED for es in snapshot.estimates.values() for e in es),
         switch_method=len(snapshot.estimates) > 1,
         choose_pose=scene.arm is not None and bool(scene.arm.poses) and not streamed,
-        space={Running.STREAMING: "Pause", Running.PAUSED: "Go on", Running.OFFLINE: "Connect"}.get(running, ""),
-        another=target is not None,
+        space="Verdict" if ends else pause,
+        pause=pause,
+        another=guidance is not None and guidance.target is not None,
+        verdict=guidance is not None,
+        ends=ends,
     )
 
 

@@ -81,7 +81,9 @@ class Window(QMainWindow):
             "reference": self._of_desk(lambda desk: desk.ask_reference(self)),
             "picture": self._of_desk(lambda desk: desk.ask_picture(self)),
             "quit": self.close,
-            "space": self.controller.toggle,
+            "space": self._do_obvious,
+            "pause": self.controller.toggle,
+            "verdict": self._of_desk(lambda desk: desk.ask_verdict(self)),
             "another": self._of_desk(lambda desk: desk.skip_target()),
             "undo": self._of_desk(lambda desk: desk.undo()),
             "exclude": self._of_desk(lambda desk: desk.exclude_or_restore()),
@@ -229,6 +231,12 @@ class Window(QMainWindow):
         self._theme.choose(choice)
 
     # What the operator wants
+
+    def _do_obvious(self) -> None:
+        if self.desk is not None and self.desk.ends:
+            self.desk.ask_verdict(self)
+        else:
+            self.controller.toggle()
 
     def _escape(self) -> None:
         if self.messages.isVisible():

@@ -66,7 +66,7 @@ def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
 def test_enough_names_how_many_meet_what():
     every = guidance(done=range(24))
     assert enough_words(every, 0.003, ()) == "enough: 24 of 24 taxels meet 3 mm"
-    assert end_words(every, ()) == "Session > Export (Ctrl+E) writes the calibration."
+    assert end_words(every, ()) == "The space bar shows the verdict, then writes the calibration."
     assert enough_words(every, 0.003, {4: "stuck"}) == "enough: 23 of 23 taxels meet 3 mm"
     assert end_words(every, {4: "stuck"}).startswith(f"1 not used{BETWEEN}")
 

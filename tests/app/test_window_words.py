@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from guide_support import target
+from guide_support import guidance, target
 from hypothesis import given
 from hypothesis import strategies as st
 from scene3d_support import estimate
-from window_support import NAMES, SCENE, arm_scene, frame, link, reading, session, slip, touch
+from window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, session, slip, touch
 
 from app.display_units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from app.envelope import envelope
@@ -211,9 +211,27 @@ def test_what_may_be_done_follows_the_selection():
     assert (may.exclude, may.restore, may.revive, may.mark_dead) == ((1,), (3,), True, False)
     assert (may.export, may.switch_method, may.undo, may.space) == (True, True, "poke 4", "Pause")
     assert not may.another
-    assert allowed(at, SCENE, (), Running.STREAMING, [], None, target(3)).another
+    assert not may.verdict
+    guided = allowed(at, SCENE, (), Running.STREAMING, [], None, guidance(target(3)))
+    assert (guided.another, guided.verdict, guided.ends, guided.space) == (True, True, False, "Pause")
     empty = allowed(session(), SCENE, (), Running.OFFLINE, [], None)
     assert (empty.export, empty.exclude, empty.mark_dead, empty.undo, empty.space) == (False, (), False, "", "Connect")
+
+
+@pytest.mark.parametrize(
+    ("running", "space", "pause"),
+    [
+        (Running.STREAMING, "Verdict", "Pause"),
+        (Running.PAUSED, "Go on", "Go on"),
+        (Running.OFFLINE, "Connect", "Connect"),
+        (Running.OPENING, "", ""),
+    ],
+)
+def test_the_space_bar_shows_the_verdict_once_it_is_enough_and_p_still_pauses(running, space, pause):
+    enough = guidance(None, done=PLAN.channels.tolist())
+    may = allowed(session(), SCENE, (), running, [], None, enough)
+    assert (may.space, may.pause, may.ends) == (space, pause, space == "Verdict")
+    assert may.verdict
 
 
 def test_a_pose_is_chosen_only_where_the_arm_does_not_stream_it():

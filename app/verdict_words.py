@@ -1,0 +1,54 @@
+"""How a session ends, put into words; pure functions of the verdict, without Qt."""
+
+from __future__ import annotations
+
+from app.display_units import count, millimetres, minutes
+from app.words import METHOD_NAMES
+from skincal.guide.done import Why
+from skincal.guide.verdict import Left, Verdict
+
+
+def sentence(verdict: Verdict) -> str:
+    """Return what the session has come to: `"All 84 taxels are known to 3 mm, and the held-out pokes agree."`."""
+    wanted = millimetres(verdict.wanted, 0)
+    if verdict.used and verdict.done == verdict.used:
+        used = "used " if any(one.why is Why.DEAD for one in verdict.left) else ""
+        known = f"All {count(verdict.used, used + 'taxel')} are known to {wanted}"
+    else:
+        known = f"{verdict.done} of {count(verdict.used, 'taxel')} are known to {wanted}"
+    early = "" if verdict.enough else "Not enough yet: "
+    return f"{early}{known}{_agreement(verdict)}."
+
+
+def _agreement(verdict: Verdict) -> str:
+    if not verdict.check.checked:
+        return ""
+    return ", and the held-out pokes agree" if verdict.check.believed else ", but the held-out pokes speak against it"
+
+
+def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
+    """Return the numbers behind the sentence, each with its name."""
+    return (
+        ("Done", f"{verdict.done} of {count(verdict.used, 'taxel')}, {METHOD_NAMES[verdict.method]} method"),
+        ("Check", check_words(verdict)),
+        ("Work", f"{count(verdict.pokes, 'poke')} in {minutes(verdict.seconds)}"),
+    )
+
+
+def check_words(verdict: Verdict) -> str:
+    """Return how many held-out pokes fell where they were foretold, and what it means where these are too few."""
+    check = verdict.check
+    if not check.checked:
+        return "no poke could be held out yet"
+    words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others foretold"
+    if check.believed:
+        return words
+    return (
+        f"{words}: the errors are larger than predicted. Look whether the part or the sensor moved, and at the scene's frames."
+    )
+
+
+def left_words(left: Left) -> str:
+    """Return why a taxel is not done: `"not poked enough yet: needs pokes of its own"`."""
+    needs = ", ".join(need.value for need in left.needs)
+    return f"{left.why.value}: needs {needs}" if needs else left.why.value

@@ -1,0 +1,159 @@
+"""How a session ends: what is said of it, and the dialog that leads to the file, by keys alone."""
+
+from __future__ import annotations
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+from window_support import NAMES, changed, pixels
+
+from app.dialogs.export import ExportDialog
+from app.dialogs.verdict import VerdictDialog
+from app.plan import Plan
+from app.verdict_words import check_words, figures, left_words, sentence
+from skincal.estimate.result import Method
+from skincal.guide.check import Check
+from skincal.guide.done import Need, Why
+from skincal.guide.verdict import Left, Verdict
+
+Key = Qt.Key
+UNUSED = Left(4, Why.DEAD, ())
+GIVEN_UP = Left(7, Why.NEVER_FIRED, (Need.POKES, Need.ACCURACY))
+EARLY = Left(9, Why.EARLY, (Need.BALANCE,))
+
+
+AGREES = Check(14, 13)
+
+
+def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
+    done = used - sum(one.why is not Why.DEAD for one in left)
+    return Verdict(Method.SURFACE, 0.003, done, used, left, checked, 252, 552.0)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        (verdict(), "All 24 taxels are known to 3 mm, and the held-out pokes agree."),
+        (verdict(UNUSED), "All 24 used taxels are known to 3 mm, and the held-out pokes agree."),
+        (verdict(UNUSED, GIVEN_UP), "23 of 24 taxels are known to 3 mm, and the held-out pokes agree."),
+        (verdict(EARLY), "Not enough yet: 23 of 24 taxels are known to 3 mm, and the held-out pokes agree."),
+        (verdict(checked=Check(14, 7)), "All 24 taxels are known to 3 mm, but the held-out pokes speak against it."),
+        (verdict(checked=Check(0, 0)), "All 24 taxels are known to 3 mm."),
+        (verdict(UNUSED, used=0), "0 of 0 taxels are known to 3 mm, and the held-out pokes agree."),
+    ],
+)
+def test_one_sentence_says_what_the_session_has_come_to(what, said):
+    assert sentence(what) == said
+
+
+def test_the_figures_are_those_of_the_verdict():
+    assert figures(verdict(GIVEN_UP)) == (
+        ("Done", "23 of 24 taxels, surface method"),
+        ("Check", "13 of 14 held-out pokes fell where the others foretold"),
+        ("Work", "252 pokes in 9 min"),
+    )
+    assert "the errors are larger than predicted" in check_words(verdict(checked=Check(14, 7)))
+    assert check_words(verdict(checked=Check(0, 0))) == "no poke could be held out yet"
+
+
+@pytest.mark.parametrize("why", list(Why))
+def test_every_reason_is_said(why):
+    assert left_words(Left(1, why, ())) == why.value
+    assert left_words(Left(1, why, (Need.POKES, Need.SIDES))) == f"{why.value}: needs pokes of its own, pokes from other sides"
+
+
+def shown(qtbot, *left: Left, **changes) -> VerdictDialog:
+    dialog = VerdictDialog(verdict(*left), NAMES, **changes)
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
+    qtbot.addWidget(dialog)
+    with qtbot.waitExposed(dialog):
+        dialog.show()
+    dialog.activateWindow()
+    qtbot.waitUntil(lambda: dialog.isActiveWindow() and dialog.focusWidget() is not None)
+    return dialog
+
+
+def tap(qtbot, key) -> None:
+    QTest.keyClick(QApplication.activeWindow().windowHandle(), key)
+    qtbot.wait(20)
+
+
+@pytest.mark.parametrize("key", [Key.Key_Space, Key.Key_Return])
+def test_the_space_bar_and_enter_go_on_to_the_file(qtbot, key):
+    dialog = shown(qtbot, GIVEN_UP)
+    assert dialog.focusWidget() is dialog.export
+    with qtbot.waitSignal(dialog.export_wanted):
+        tap(qtbot, key)
+    assert not dialog.isVisible()
+
+
+def test_escape_goes_on_with_the_session(qtbot):
+    dialog = shown(qtbot)
+    with qtbot.assertNotEmitted(dialog.export_wanted):
+        tap(qtbot, Key.Key_Escape)
+    assert not dialog.isVisible()
+
+
+def test_where_nothing_can_be_written_the_space_bar_goes_on(qtbot):
+    dialog = shown(qtbot, EARLY, can_export=False)
+    assert not dialog.export.isEnabled()
+    assert dialog.focusWidget() is dialog.go_on
+    tap(qtbot, Key.Key_Space)
+    assert not dialog.isVisible()
+
+
+def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
+    dialog = shown(qtbot, UNUSED, GIVEN_UP, EARLY)
+    assert "3 taxels not done" in dialog.heading.text()
+    wanted: list[int] = []
+    dialog.taxel_wanted.connect(wanted.append)
+    for _ in range(6):
+        if dialog.focusWidget() is dialog.left:
+            break
+        tap(qtbot, Key.Key_Tab)
+    assert dialog.focusWidget() is dialog.left
+    before = pixels(dialog.left)
+    for key in (Key.Key_Home, Key.Key_Down, Key.Key_Return, Key.Key_Down, Key.Key_Enter):
+        tap(qtbot, key)
+    assert changed(before, pixels(dialog.left)) > 50
+    assert wanted == [7, 9]
+    assert dialog.isVisible(), "Enter in the table presses no button"
+    model = dialog.left.model()
+    texts = [[model.index(row, column).data() for column in (0, 1)] for row in range(3)]
+    assert texts[1] == [
+        NAMES.short(7),
+        "never answered where it is expected: needs pokes of its own, a smaller predicted error",
+    ]
+    assert texts[0] == [NAMES.short(4), "not used"]
+
+
+def test_nothing_is_listed_where_nothing_is_left(qtbot):
+    dialog = shown(qtbot)
+    assert not dialog.left.isVisible()
+    assert not dialog.heading.isVisible()
+
+
+def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
+    bench.open(Plan(session=recorded))
+    bench.until_all_is_there()
+    desk = bench.window.desk
+    bench.key(Key.Key_F)
+    bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
+    dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
+    assert dialog.sentence.text().startswith("Not enough yet: 0 of 84 taxels")
+    assert dialog.figures[2][1].text() == "3 pokes in 1 min"
+    assert dialog.left.model().rowCount() == 84
+    on_map = pixels(desk.workspace.map)
+    dialog.left.setFocus()
+    for key in (Key.Key_Home, Key.Key_Down, Key.Key_Return):
+        tap(bench.qtbot, key)
+    assert desk.selected == desk.frame.guidance.channels[1]
+    assert changed(on_map, pixels(desk.workspace.map)) > 20
+    dialog.export.setFocus()
+    tap(bench.qtbot, Key.Key_Space)
+    bench.until(lambda: any(isinstance(w, ExportDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
+    tap(bench.qtbot, Key.Key_Escape)
+
+    bench.key(Key.Key_G)
+    assert not bench.window.commands.actions["verdict"].isEnabled(), "nobody guides, so nothing was wanted"
