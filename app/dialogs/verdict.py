@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 
 from app.display_units import ChannelNames, count
 from app.panels.texts import plain_buttons, quiet
-from app.theme import HEADLINE_PT
+from app.theme import GAP, HEADLINE_PT
 from app.verdict_words import figures, left_words, sentence
 from skincal.guide.verdict import Left, Verdict
 
@@ -75,6 +75,7 @@ class LeftView(QTableView):
         self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         self.horizontalHeader().setStretchLastSection(True)
         self.horizontalHeader().setHighlightSections(False)
+        self.horizontalHeader().setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self.setShowGrid(False)
         self.doubleClicked.connect(self._ask)
 
@@ -127,6 +128,7 @@ class VerdictDialog(QDialog):
             value.setWordWrap(True)
             form.addRow(quiet(name), value)
         column = QVBoxLayout(self)
+        column.setSpacing(2 * GAP)
         column.addWidget(self.sentence)
         column.addLayout(form)
         column.addWidget(self.heading)

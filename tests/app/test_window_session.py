@@ -1,0 +1,263 @@
+"""A whole guided session in the real window, by keys alone: from the first target to the verdict and the file.
+
+A real process simulates the rig over TCP; its operator follows the target that the window shows, and sometimes ignores it.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QDialog
+from whole_window import OPEN_MS
+from window_support import changed, pixels
+
+from app.commands import COMMANDS
+from app.dialogs.export import ExportDialog
+from app.dialogs.pedals import PedalsDialog
+from app.dialogs.verdict import VerdictDialog
+from app.link_server import LinkServer
+from app.plan import Plan, server_command
+from app.running import Running
+from app.words import peak_channel
+from skincal.contacts.outcome import Contact
+from skincal.estimate.result import Method, State
+from skincal.files.reference import load_reference
+from skincal.guide.guidance import Phase
+from skincal.session.replay import replay
+
+Key = Qt.Key
+ENOUGH_MS = 240_000
+"""On an idle machine it takes a minute."""
+
+SCENE = """
+name = "little-plate"
+link = "plate"
+[skin]
+channels = 8
+polarity = "up"
+range = [0, 4095]
+modules = "modules.toml"
+[skin.anchor]
+at_mm = [0.0, 0.0]
+point_mm = [0.0, 0.0, 0.0]
+x = [1.0, 0.0, 0.0]
+normal = [0.0, 0.0, 1.0]
+[surface]
+mesh = "plate.obj"
+unit = "mm"
+[sensor]
+pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.045], [0, 0, 0, 1]]
+[contacts]
+response_min = 160.0
+[noise]
+radius = 1.0
+"""
+MODULES = """
+[kinds.square_4]
+pads_mm = [[-4.0, -4.0], [4.0, -4.0], [-4.0, 4.0], [4.0, 4.0]]
+outline_mm = [[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]]
+centre_pad = 0
+[[modules]]
+id = 1
+kind = "square_4"
+first_channel = 0
+place_mm = [-8.0, 0.0]
+[[modules]]
+id = 2
+kind = "square_4"
+first_channel = 4
+place_mm = [8.0, 0.0]
+"""
+
+
+@pytest.fixture
+def plate(tmp_path) -> Path:
+    """Eight taxels on a flat plate above a sensor."""
+    folder = tmp_path / "plate"
+    folder.mkdir()
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "modules.toml").write_text(MODULES)
+    corners = [(x, y) for y in (-25, 25) for x in (-35, 35)]
+    lines = [f"v {x} {y} 0" for x, y in corners] + ["f 1 2 4", "f 1 4 3"]
+    (folder / "plate.obj").write_text("\n".join(lines) + "\n")
+    return folder / "scene.toml"
+
+
+class Keys:
+    """Somebody who has a keyboard and eyes, and no mouse."""
+
+    def __init__(self, bench, plate: Path, recording: Path) -> None:
+        self.bench, self.qtbot = bench, bench.qtbot
+        hasty = ("--careful", "--pace", "2", "--seed", "3")
+        bench.open(Plan(scene=plate, server=(*server_command(plate), *hasty), folder=recording))
+        bench.until_all_is_there()
+        self.desk = bench.window.desk
+        self.workspace = self.desk.workspace
+        self.back_in_the_window()
+
+    @property
+    def guidance(self):
+        return self.desk.frame.guidance
+
+    @property
+    def headline(self) -> str:
+        return self.workspace.now.headline.text()
+
+    def tap(self, *keys) -> None:
+        """Press keys as the desktop brings them: to whatever window has them now."""
+        for key in keys:
+            QTest.keyClick(QApplication.activeWindow().windowHandle(), key)
+            self.qtbot.wait(40)
+
+    def dialog(self, kind: type[QDialog]):
+        """Wait for a dialog to have the keys."""
+        self.bench.until(lambda: isinstance(QApplication.activeWindow(), kind), 5000)
+        return QApplication.activeWindow()
+
+    def back_in_the_window(self) -> None:
+        """Wait until the window has the keys again; the test's display has no window manager to hand them on."""
+        self.bench.window.activateWindow()
+        self.bench.until(self.bench.window.isActiveWindow, 5000)
+
+
+@pytest.fixture
+def said():
+    """What the operator was told, in order."""
+    lines: list[str] = []
+    tell = LinkServer.tell
+
+    def record(server, line):
+        lines.append(line)
+        tell(server, line)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(LinkServer, "tell", record)
+        yield lines
+
+
+@pytest.mark.timeout(400)
+def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate, tmp_path, said):
+    keys = Keys(bench, plate, tmp_path / "recording")
+    first_look(keys)
+    meant = follow_until_enough(keys)
+    hits = sum(peak == asked for asked, peak in meant)
+    assert hits >= 0.6 * len(meant), "it mostly follows"
+    assert hits < len(meant), "and not always"
+    assert said[-1] == "wait"
+    pokes = len(bench.snapshot.pokes)
+    bench.until(lambda: keys.headline == "enough: 8 of 8 taxels meet 3 mm", 10_000)
+    keys.qtbot.wait(1000)
+    assert len(bench.snapshot.pokes) <= pokes + 1, "whoever sees that it is enough stops"
+    path = to_the_file(keys)
+    the_file_is_right(keys, path, tmp_path / "recording")
+
+
+def first_look(keys: Keys) -> None:
+    """Pause and go on, another target, undo, the other method, a look at the verdict, a pedal."""
+    bench = keys.bench
+    shown = pixels(keys.workspace.map)
+    target = keys.guidance.target.channel
+    keys.tap(Key.Key_N)
+    assert keys.guidance.target.channel != target
+    assert changed(shown, pixels(keys.workspace.map)) > 60
+
+    bench.until(lambda: len(bench.accepted()) >= 3 and all(p.outcome.final for p in bench.snapshot.pokes))
+    keys.tap(Key.Key_Space)
+    assert bench.controller.running is Running.PAUSED
+    assert keys.headline == "paused"
+    counted, last, shown = len(bench.accepted()), bench.accepted()[-1].poke, pixels(keys.workspace.map)
+    keys.tap(Key.Key_Backspace)
+    assert last not in [contact.poke for contact in bench.accepted()]
+    assert len(bench.accepted()) == counted - 1
+    assert changed(shown, pixels(keys.workspace.map)) > 20
+
+    method = keys.guidance.method
+    keys.tap(Key.Key_V)
+    assert keys.guidance.method is not method
+    keys.tap(Key.Key_V)
+    assert keys.guidance.method is method is Method.SURFACE
+
+    keys.tap(Key.Key_F)
+    dialog = keys.dialog(VerdictDialog)
+    assert dialog.sentence.text().startswith("Not enough yet: 0 of 8 taxels")
+    keys.tap(Key.Key_Escape)
+    keys.back_in_the_window()
+
+    keys.tap(Key.Key_F3)
+    keys.dialog(PedalsDialog)
+    keys.tap(Key.Key_Space, Key.Key_F13, Key.Key_Space)
+    keys.back_in_the_window()
+    keys.tap(Key.Key_F13)
+    assert bench.controller.running is Running.STREAMING
+    if any(command.keys == ("M",) for command in COMMANDS):
+        keys.tap(Key.Key_M)
+
+
+def follow_until_enough(keys: Keys) -> list[tuple[int, int]]:
+    """Wait until the guide says enough; return which taxel was asked for and which answered most, poke by poke."""
+    bench, meant, begun = keys.bench, dict[int, tuple[int, int]](), time.monotonic()
+    asked = [keys.guidance.target.channel]
+    empty = pixels(keys.workspace.view)
+    done = [keys.guidance.done]
+
+    def enough() -> bool:
+        for record in bench.snapshot.pokes:
+            contact = record.outcome
+            if isinstance(contact, Contact) and contact.poke not in meant:
+                meant[contact.poke] = asked[0], peak_channel(contact)
+        if keys.guidance.target is not None:
+            asked[0] = keys.guidance.target.channel
+        done.append(keys.guidance.done)
+        return keys.guidance.phase is Phase.ENOUGH
+
+    bench.until(enough, ENOUGH_MS)
+    print(f"{len(meant)} pokes in {time.monotonic() - begun:.0f} s")  # noqa: T201
+    assert done[-1] == 8
+    assert changed(empty, pixels(keys.workspace.view)) > 100
+    return list(meant.values())
+
+
+def to_the_file(keys: Keys) -> Path:
+    """Press the pedal, which is the space bar, until there is a file."""
+    bench = keys.bench
+    keys.tap(Key.Key_F13)
+    verdict = keys.dialog(VerdictDialog)
+    assert verdict.sentence.text().startswith("All 8 taxels are known to 3 mm")
+    assert bench.controller.running is Running.STREAMING, "the verdict did not pause"
+    keys.tap(Key.Key_Space)
+    export = keys.dialog(ExportDialog)
+    keys.tap(Key.Key_Space)
+    bench.until(lambda: "Written" in export.outcome.text(), OPEN_MS)
+    path = Path(export.path.text())
+    keys.tap(Key.Key_Space)
+    keys.back_in_the_window()
+    keys.tap(Key.Key_P)
+    assert bench.controller.running is Running.PAUSED, "P pauses, whatever the guide says"
+    return path
+
+
+def the_file_is_right(keys: Keys, path: Path, recording: Path) -> None:
+    """The file says what the window shows, near the truth; the recording says the same once more."""
+    estimates = keys.bench.snapshot.estimates[Method.SURFACE]
+    written = load_reference(path, "plate", list(range(8)))
+    truth = {each["channel"]: each["position_m"] for each in json.loads((recording / "truth.json").read_text())["taxels"]}
+    off = []
+    for estimate in estimates:
+        assert estimate.state is State.ESTIMATED
+        np.testing.assert_allclose(written.places[estimate.channel], estimate.position, atol=2e-6)
+        off.append(np.linalg.norm(estimate.position - truth[estimate.channel]))
+    assert np.mean(off) < 0.003, "what was wanted"
+    assert max(off) < 0.005
+    bench = keys.bench
+    pokes = len(bench.snapshot.pokes)
+    bench.key(Key.Key_Q, Qt.KeyboardModifier.ControlModifier)
+    again = replay(recording).snapshot()
+    assert len(again.pokes) == pokes
+    for before, after in zip(estimates, again.estimates[Method.SURFACE], strict=True):
+        np.testing.assert_array_equal(before.position, after.position)
