@@ -20,7 +20,6 @@ from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
 from skincal.estimate.result import Estimate, State
-from skincal.guide.guidance import Guidance, Target
 from skincal.guide.guidance import Guidance
 from skincal.guide.guidance import Phase as GuidePhase
 from skincal.guide.settings import GuideSettings
