@@ -1,0 +1,98 @@
+"""How the poke in progress differs from the one that is asked for, told by the F/T sensor alone.
+
+While a tool presses, its wrench is an axis: where that meets the skin is the tip, the way it runs is how the tool is held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.contacts.outcome import Phase, Progress
+from skincal.estimate.result import Method
+from skincal.guide.guide import Target
+from skincal.guide.settings import GuideSettings
+from skincal.readings import FloatArray
+
+PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
+"""Phases in which a tool presses."""
+FELT = 1.5
+"""N. Below it a single reading tells the axis to no better than 5 degrees (0.1 N across)."""
+FLAT = float(np.cos(np.radians(75.0)))
+"""Cosine. A push this far off the normal is no push of a tool upon this skin, and its axis meets the skin far away."""
+NO_WAY = 1e-3
+"""Sine. Two pushes that differ by less along the skin tell no direction between them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coaching:
+    """A poke in progress beside its target, link frame."""
+
+    contact: FloatArray
+    """(3,) float, metres: where the axis meets the skin, taken as flat around the target."""
+    push: FloatArray
+    """(3,) float, unit: which way the tool pushes."""
+    tilt: float
+    """rad, of the push from the normal."""
+    off: FloatArray
+    """(3,) float, metres, along the skin: from the contact to the target."""
+    error: float
+    """rad, between the push and the wanted one."""
+    lean: FloatArray
+    """(3,) float, unit, along the skin: where the tool's upper end has to go; zeros where there is no way to tell."""
+    landed: int | None
+    """Channel that answers most; None while none does."""
+
+    @property
+    def away(self) -> float:
+        """How far the tip is from the target, metres."""
+        return float(np.sqrt(self.off @ self.off))
+
+
+def coach(progress: Progress, target: Target, skin: FloatArray) -> Coaching | None:
+    """Compare a poke in progress with the one that is asked for; None while nothing presses hard enough to tell.
+
+    Parameters
+    ----------
+    progress : with its force and axis in the link frame
+    skin : (3,) float, metres: the target on the skin, which a believed place may lie above or below
+    """
+    size = float(np.sqrt(progress.force @ progress.force))
+    if progress.phase not in PRESSING or not size >= FELT:
+        return None
+    push, normal = progress.force / size, target.normal
+    cosine = -float(push @ normal)
+    if not cosine > FLAT:
+        return None
+    reach = float((progress.axis_point - skin) @ normal) / cosine
+    contact = progress.axis_point + reach * push
+    return Coaching(
+        contact=contact,
+        push=push,
+        tilt=float(np.arccos(min(1.0, cosine))),
+        off=_along(skin - contact, normal),
+        error=_angle(push, target.push),
+        lean=_way(_along(push - target.push, normal)),
+        landed=int(progress.channels[progress.responses.argmax()]) if len(progress.channels) else None,
+    )
+
+
+def leeway(method: Method, settings: GuideSettings) -> float:
+    """Return how far a push may be off the wanted one, rad: the surface method takes any that does not slide."""
+    return settings.tolerance if method is Method.FREE else settings.usable_tilt
+
+
+def _along(vector: FloatArray, normal: FloatArray) -> FloatArray:
+    return vector - float(vector @ normal) * normal
+
+
+def _way(along: FloatArray) -> FloatArray:
+    size = float(np.sqrt(along @ along))
+    return along / size if size > NO_WAY else np.zeros(3)
+
+
+def _angle(one: FloatArray, other: FloatArray) -> float:
+    """Return the angle between two unit vectors, rad, to all digits also where it is small."""
+    across = np.cross(one, other)
+    return float(np.arctan2(np.sqrt(across @ across), one @ other))

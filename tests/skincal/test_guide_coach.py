@@ -1,0 +1,153 @@
+"""The coach against pokes whose tip and tool are known: their wrench is all it gets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Phase, Progress
+from skincal.estimate.result import Method
+from skincal.guide.coach import FELT, coach, leeway
+from skincal.guide.guide import Target
+from skincal.guide.settings import GuideSettings
+from skincal.wrench import axis_point, move_wrench
+
+SOME_WAY = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+"""A rotation."""
+
+
+def tool(tilt: float, azimuth: float) -> np.ndarray:
+    """The push of a tool on a skin with the normal z, its upper end leaning to `azimuth`; degrees."""
+    tilt, azimuth = np.radians([tilt, azimuth])
+    return -np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
+
+
+def asked(push, place=(0.0, 0.0, 0.0), turn=None) -> Target:
+    turn = np.eye(3) if turn is None else turn
+    place, normal = turn @ np.array(place), turn[:, 2]
+    return Target(7, place, normal, turn @ push, float(np.arccos(-push[2])), 0.01, 0.005)
+
+
+def pressing(tip, push, newtons=8.0, turn=None, channels=(7,), responses=(60.0,), phase=Phase.PRESSING) -> Progress:
+    """What the sensor says of a tip that pushes: wrench in a frame of its own, carried into the link frame."""
+    turn = np.eye(3) if turn is None else turn
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = SOME_WAY, (0.01, -0.18, 0.05)
+    force, point = turn @ push * newtons, turn @ np.array(tip, dtype=float)
+    at = SOME_WAY.T @ (point - pose[:3, 3])
+    f_s = SOME_WAY.T @ force
+    force, moment = move_wrench(pose, f_s, np.cross(at, f_s))
+    k, t = np.array(channels, dtype=np.int64), np.array(responses, dtype=float)
+    return Progress(phase, force, axis_point(force, moment), k, t, 0.0)
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), SOME_WAY])
+@pytest.mark.parametrize(("tilt", "azimuth"), [(0.0, 0.0), (28.0, 40.0), (45.0, -100.0)])
+def test_tip_and_tilt_come_out_as_they_were(turn, tilt, azimuth):
+    target = asked(tool(28.0, 40.0), (0.02, 0.01, 0.0), turn)
+    tip = np.array([0.023, 0.006, 0.0])
+    seen = coach(pressing(tip, tool(tilt, azimuth), turn=turn), target, target.place)
+    assert seen is not None
+    np.testing.assert_allclose(turn.T @ seen.contact, tip, atol=1e-12)
+    np.testing.assert_allclose(turn.T @ seen.off, [-0.003, 0.004, 0.0], atol=1e-12)
+    assert seen.away == pytest.approx(0.005)
+    np.testing.assert_allclose(turn.T @ seen.push, tool(tilt, azimuth), atol=1e-12)
+    assert np.degrees(seen.tilt) == pytest.approx(tilt, abs=1e-5)
+    cosine = tool(tilt, azimuth) @ tool(28.0, 40.0)
+    assert np.cos(seen.error) == pytest.approx(cosine)
+    assert seen.landed == 7
+
+
+@pytest.mark.parametrize(
+    ("wanted", "held", "error", "towards"),
+    [
+        ((28.0, 0.0), (20.0, 0.0), 8.0, (1.0, 0.0)),
+        ((28.0, 0.0), (36.0, 0.0), 8.0, (-1.0, 0.0)),
+        ((0.0, 0.0), (12.0, 90.0), 12.0, (0.0, -1.0)),
+        ((28.0, 90.0), (0.0, 0.0), 28.0, (0.0, 1.0)),
+        ((28.0, 0.0), (28.0, 180.0), 56.0, (1.0, 0.0)),
+    ],
+)
+def test_the_way_to_the_wanted_tilt_is_where_the_upper_end_has_to_go(wanted, held, error, towards):
+    target = asked(tool(*wanted))
+    seen = coach(pressing((0, 0, 0), tool(*held)), target, target.place)
+    assert seen is not None
+    assert np.degrees(seen.error) == pytest.approx(error)
+    np.testing.assert_allclose(seen.lean, [*towards, 0.0], atol=1e-9)
+    # Half the way in that direction is nearer.
+    mean = tool(*held) / 2 + tool(*wanted) / 2
+    better = coach(pressing((0, 0, 0), mean / np.linalg.norm(mean)), target, target.place)
+    assert better is not None
+    assert better.error < 0.6 * seen.error
+
+
+def test_a_push_as_it_was_asked_for_has_no_error_and_no_way():
+    target = asked(tool(28.0, 40.0))
+    seen = coach(pressing((0, 0, 0), tool(28.0, 40.0)), target, target.place)
+    assert seen is not None
+    assert seen.error < 1e-9
+    np.testing.assert_array_equal(seen.lean, np.zeros(3))
+    assert seen.away < 1e-12
+
+
+def test_the_skin_tells_the_tip_where_the_believed_place_lies_too_deep():
+    # A tool that leans by 45 degrees meets a place 4 mm below the skin 4 mm beside the tip.
+    target = asked(tool(45.0, 0.0), (0.0, 0.0, -0.004))
+    right = coach(pressing((0, 0, 0), tool(45.0, 0.0)), target, np.zeros(3))
+    wrong = coach(pressing((0, 0, 0), tool(45.0, 0.0)), target, target.place)
+    assert right is not None
+    assert wrong is not None
+    assert right.away < 1e-12
+    assert wrong.away == pytest.approx(0.004)
+
+
+def test_who_answers_most_is_where_it_landed():
+    target = asked(tool(0.0, 0.0))
+    seen = coach(pressing((0, 0, 0), tool(0, 0), channels=(3, 7, 9), responses=(12.0, 30.0, 55.0)), target, np.zeros(3))
+    assert seen is not None
+    assert seen.landed == 9
+    none = coach(pressing((0, 0, 0), tool(0, 0), channels=(), responses=()), target, np.zeros(3))
+    assert none is not None
+    assert none.landed is None
+
+
+@pytest.mark.parametrize("phase", [Phase.NO_DATA, Phase.TARING, Phase.READY])
+def test_nothing_is_said_while_nothing_presses(phase):
+    target = asked(tool(0.0, 0.0))
+    assert coach(pressing((0, 0, 0), tool(0, 0), phase=phase), target, np.zeros(3)) is None
+
+
+@pytest.mark.parametrize(
+    "progress",
+    [
+        pressing((0, 0, 0), tool(0, 0), newtons=0.95 * FELT),
+        Progress(Phase.PRESSING, np.zeros(3), np.zeros(3), np.empty(0, np.int64), np.empty(0), 0.0),
+        Progress(Phase.PRESSING, np.full(3, np.nan), np.full(3, np.nan), np.empty(0, np.int64), np.empty(0), 0.0),
+        pressing((0, 0, 0), tool(80.0, 0.0)),
+        pressing((0, 0, 0), -tool(10.0, 0.0)),
+    ],
+    ids=["too soft to tell", "no force", "no number", "along the skin", "pulls"],
+)
+def test_nothing_is_said_of_what_cannot_be_told(progress):
+    assert coach(progress, asked(tool(0.0, 0.0)), np.zeros(3)) is None
+
+
+def test_noise_of_the_sensor_moves_the_coach_by_no_more_than_the_hand_errs():
+    """One reading, not averaged: at the least force that counts and 0.1 N, 10 N mm, the tilt is told to 2 degrees (sd)."""
+    rng = np.random.default_rng(5)
+    target = asked(tool(28.0, 0.0))
+    errors = []
+    for _ in range(400):
+        one = pressing((0, 0, 0), tool(28.0, 0.0), newtons=4.0)
+        force = one.force + rng.normal(0.0, 0.1, 3)
+        noisy = Progress(one.phase, force, one.axis_point, one.channels, one.responses, 0.0)
+        seen = coach(noisy, target, np.zeros(3))
+        assert seen is not None
+        errors.append(seen.error)
+    assert np.degrees(np.sqrt(np.mean(np.square(errors)) / 2.0)) < 2.0
+
+
+def test_the_surface_method_asks_for_no_care_in_tilt():
+    settings = GuideSettings()
+    assert leeway(Method.FREE, settings) == pytest.approx(np.radians(10.0))
+    assert leeway(Method.SURFACE, settings) == pytest.approx(np.radians(28.0))
