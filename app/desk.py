@@ -125,6 +125,7 @@ class Desk(QObject):
         if before is None or not same_results(before.snapshot, picture.snapshot):
             self._revision += 1
         self._picture = picture
+        guidance = self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence)
         self.frame = Frame(
             snapshot=picture.snapshot,
             live=picture.live,
@@ -136,7 +137,8 @@ class Desk(QObject):
             now_ns=picture.now_ns,
             revision=self._revision,
             links=link_lines(picture.live.links, picture.now_ns, self._clock_offset, self._controller.running),
-            guidance=self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence),
+            guidance=guidance,
+            coaching=self.guiding.coach(picture.live.progress),
         )
         self._hear(self.frame, picture.behind_s)
         self._controller.ask(wish_of(self.frame.guidance, self.frame.running))

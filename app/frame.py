@@ -9,6 +9,7 @@ from app.display_units import ChannelNames
 from app.running import Running
 from app.words import LinkWords
 from skincal.estimate.result import Estimate, Method
+from skincal.guide.coach import Coaching
 from skincal.guide.guidance import Guidance, Target
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
@@ -33,6 +34,8 @@ class Frame:
     links: tuple[LinkWords, ...] = ()
     guidance: Guidance | None = None
     """What to poke next and what each taxel still needs; None where nobody guides."""
+    coaching: Coaching | None = None
+    """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
 
     @property
     def now_s(self) -> float:

@@ -35,6 +35,10 @@ class Lean:
     away: bool
     """It leans away from that neighbour: there is none on the other side."""
 
+    def words(self, names: ChannelNames) -> str:
+        """Return `"toward 17-05"`."""
+        return f"{'away from' if self.away else 'toward'} {names.short(self.channel)}"
+
 
 def lean_of(guidance: Guidance, target: Target) -> Lean | None:
     """Return where the tool leans; None where it stands straight, or where no neighbour tells."""
@@ -42,7 +46,11 @@ def lean_of(guidance: Guidance, target: Target) -> Lean | None:
         return None
     up = -target.push
     along = up - (up @ target.normal) * target.normal
-    along /= np.linalg.norm(along)
+    return lean_along(guidance, target, along / np.linalg.norm(along))
+
+
+def lean_along(guidance: Guidance, target: Target, along: FloatArray) -> Lean | None:
+    """Return which neighbour tells a direction `along` the skin, (3,) float, unit; None where none does."""
     for away in (False, True):
         channel = _neighbour(guidance, target, -along if away else along)
         if channel is not None:
@@ -67,7 +75,7 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
     if target.tilt < STRAIGHT:
         return f"{poke} straight"
     lean = lean_of(guidance, target)
-    side = "" if lean is None else f" {'away from' if lean.away else 'toward'} {names.short(lean.channel)}"
+    side = "" if lean is None else f" {lean.words(names)}"
     return f"{poke}, tilt {degrees(target.tilt)}{side}"
 
 

@@ -13,6 +13,7 @@ from enum import Enum
 
 import numpy as np
 
+from app.coaching import SILENT, CoachMemory, Force, follow, force_words, hint_words, pressing_words
 from app.display_units import newtons, number
 from app.frame import Frame
 from app.guide_words import BETWEEN, asked_words, done_words, end_words, enough_words, newly_done, target_words, why_words
@@ -20,6 +21,7 @@ from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
 from skincal.estimate.result import Estimate, State
+from skincal.guide.coach import PRESSING
 from skincal.guide.guidance import Guidance
 from skincal.guide.guidance import Phase as GuidePhase
 from skincal.guide.settings import GuideSettings
@@ -76,15 +78,12 @@ class NowMemory:
     """The frame's before."""
     done: tuple[int, ...] = ()
     """Channels that became done with the newest poke, ascending."""
+    coach: CoachMemory = SILENT
 
     @staticmethod
     def of(snapshot: Snapshot) -> NowMemory:
         """Return a memory that does not announce the pokes that are there already."""
         return NowMemory(outcome=newest_outcome(snapshot))
-
-
-PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
-"""Phases in which a tool presses."""
 
 
 def now_line(memory: NowMemory, at: Frame) -> tuple[Now, NowMemory]:
@@ -94,11 +93,12 @@ def now_line(memory: NowMemory, at: Frame) -> tuple[Now, NowMemory]:
     verdict stays `VERDICT_S`; a calm phase is said once it lasted `SETTLE_S`.
     """
     memory = _settle(_see_guidance(_see_outcome(memory, at), at), at)
+    memory = replace(memory, coach=follow(memory.coach, at))
     trouble = _trouble(at)
     if trouble is not None:
         return trouble, memory
     if memory.phase in PRESSING:
-        return _pressing(memory.phase, at), memory
+        return _pressing(memory, at), memory
     if at.now_s < memory.verdict_until_s and memory.outcome is not None:
         return _verdict(memory.outcome, memory, at), memory
     return _calm(memory.phase, at), memory
@@ -164,16 +164,17 @@ def _trouble(at: Frame) -> Now | None:
     return None
 
 
-def _pressing(phase: Phase, at: Frame) -> Now:
-    force = float(np.linalg.norm(at.live.progress.force))
-    limits = at.scene.contacts
-    if phase is Phase.HELD:
-        return Now(Tone.GOOD, "enough, release", "The still window is full.")
-    if force < limits.force_min:
-        return Now(Tone.HOLD, "press harder", f"{newtons(force)} of at least {newtons(limits.force_min)}")
-    if force > limits.force_max:
-        return Now(Tone.BAD, "press less", f"{newtons(force)} of at most {newtons(limits.force_max)}")
-    return Now(Tone.HOLD, "hold still", f"{newtons(force)}, keep the tip where it is")
+def _pressing(memory: NowMemory, at: Frame) -> Now:
+    how = pressing_words(at.coaching, at.target, at.names)
+    if memory.phase is Phase.HELD:
+        return Now(Tone.GOOD, "enough, release", how or "The still window is full.")
+    hint = memory.coach.hint
+    asked = hint_words(hint, at.target, at.names) if hint is not None and at.target is not None else ""
+    force, detail = force_words(memory.coach, at)
+    if force:
+        tone = Tone.HOLD if memory.coach.force is Force.LOW else Tone.BAD
+        return Now(tone, force, BETWEEN.join(filter(None, (detail, asked or how))))
+    return Now(Tone.HOLD, asked or "hold still", f"{detail}{BETWEEN}{how}" if how else f"{detail}, keep the tip where it is")
 
 
 def _verdict(outcome: Outcome, memory: NowMemory, at: Frame) -> Now:
@@ -196,8 +197,6 @@ def _calm(phase: Phase, at: Frame) -> Now:
             f"Taring.  {following}" if following else "Taring: the sensor's offset is taken while nothing touches the part."
         )
         return Now(Tone.WAIT, "keep hands off", taring)
-    if phase in PRESSING:
-        return _pressing(phase, at)
     return _guided(at) or _ready(at)
 
 

@@ -9,7 +9,8 @@ from app.scene3d.entry import contact_point
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import ColourArray, Look
 from app.scene3d.shapes import Balls, Segments
-from skincal.contacts.outcome import Contact, Phase, Progress
+from skincal.contacts.outcome import Contact, Progress
+from skincal.guide.coach import PRESSING
 from skincal.readings import FloatArray
 from skincal.session.snapshot import Snapshot
 from skincal.wrench import axis_point, move_wrench
@@ -18,7 +19,6 @@ MOST_AXES = 30
 """Axes of the selected taxel: more are a tangle, and the newest tell most."""
 OUTSIDE, INSIDE = 0.035, 0.012
 """m. Length of an axis before and beyond the contact: a tool's tip, and enough depth to see where axes cross."""
-PRESSING = (Phase.PRESSING, Phase.STILL, Phase.HELD)
 
 
 class AxesLayer:

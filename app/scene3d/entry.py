@@ -67,3 +67,8 @@ def contact_point(surface: Surface | None, point: FloatArray, direction: FloatAr
     if len(entries):
         return entries[np.argmin(np.linalg.norm(entries - near, axis=1))]
     return point + direction * float(direction @ (near - point))
+
+
+def skin_point(surface: Surface | None, place: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return the skin's point over or under a believed place, (3,) float, metres; the place itself without a surface."""
+    return contact_point(surface, place, -normal, place)

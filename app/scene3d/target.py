@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
-from app.scene3d.entry import contact_point
+from app.scene3d.entry import skin_point
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import Look
 from app.scene3d.shapes import Segments, rings, tangents
@@ -68,7 +68,7 @@ class TargetLayer:
         self._key, self._target = key, target
         if target is not None:
             # A believed place lies above or below the skin; seen from outside, the ring must not.
-            self._at = contact_point(self.ground.surface, target.place, -target.normal, target.place)
+            self._at = skin_point(self.ground.surface, target.place, target.normal)
         self._draw()
         return True
 

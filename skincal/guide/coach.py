@@ -11,7 +11,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Phase, Progress
 from skincal.estimate.result import Method
-from skincal.guide.guide import Target
+from skincal.guide.guidance import Target
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray
 

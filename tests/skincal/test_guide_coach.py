@@ -8,7 +8,7 @@ import pytest
 from skincal.contacts.outcome import Phase, Progress
 from skincal.estimate.result import Method
 from skincal.guide.coach import FELT, coach, leeway
-from skincal.guide.guide import Target
+from skincal.guide.guidance import Target
 from skincal.guide.settings import GuideSettings
 from skincal.wrench import axis_point, move_wrench
 
