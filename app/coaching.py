@@ -30,6 +30,8 @@ AIM_BACK = 0.003
 """m. It is told until it is this near."""
 TILT_BACK = float(np.radians(2.0))
 """rad. A tilt is told until it is inside what is asked for by so much."""
+ELSEWHERE = 0.015
+"""m. A tip this far off, three taxels, is on another one on purpose: it counts there, and there is nothing to say."""
 SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
 """rad and m. A number that changes by less is not said anew."""
 
@@ -103,7 +105,7 @@ def _force(said: Force, at: Frame) -> Force:
 def _hint(said: Hint | None, at: Frame) -> Hint | None:
     """Return what this moment alone asks for; what is said already is let go a little later than it began."""
     told, target, guidance = at.coaching, at.target, at.guidance
-    if told is None or target is None or guidance is None:
+    if told is None or target is None or guidance is None or told.away > ELSEWHERE:
         return None
     aimed = said is not None and said.ask is Ask.AIM
     if _beside(told, target) and told.away > (AIM_BACK if aimed else AIM_FAR):
@@ -150,7 +152,10 @@ def pressing_words(told: Coaching | None, target: Target | None, names: ChannelN
     """Return how a poke goes beside the one that is asked for: `"aim 1.4 mm · tilt 26° of 28°"`; empty where nothing tells."""
     if told is None or target is None:
         return ""
-    tilt = f"tilt {degrees(told.tilt)} of {degrees(target.tilt)}"
+    if told.away > ELSEWHERE:
+        return "" if told.landed is None else f"on {names.short(told.landed)}, it counts there"
+    asked = "" if target.tilt < STRAIGHT else f" of {degrees(target.tilt)}"
+    tilt = f"tilt {degrees(told.tilt)}{asked}"
     if told.landed is not None and _beside(told, target):
         return f"on {names.short(told.landed)}, it counts there{BETWEEN}{tilt}"
     return f"aim {millimetres(told.away)}{BETWEEN}{tilt}"

@@ -139,6 +139,7 @@ class Desk(QObject):
             links=link_lines(picture.live.links, picture.now_ns, self._clock_offset, self._controller.running),
             guidance=guidance,
             coaching=self.guiding.coach(picture.live.progress),
+            eye=self.workspace.view.eye(),
         )
         self._hear(self.frame, picture.behind_s)
         self._controller.ask(wish_of(self.frame.guidance, self.frame.running))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from app.display_units import ChannelNames
 from app.running import Running
+from app.scene3d.camera import PLAIN, Eye
 from app.words import LinkWords
 from skincal.estimate.result import Estimate, Method
 from skincal.guide.coach import Coaching
@@ -36,6 +37,9 @@ class Frame:
     """What to poke next and what each taxel still needs; None where nobody guides."""
     coaching: Coaching | None = None
     """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
+
+    eye: Eye = PLAIN
+    """How the 3D view's camera stands: small pictures stand upright beside it."""
 
     @property
     def now_s(self) -> float:

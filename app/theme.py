@@ -81,8 +81,8 @@ LIGHT = Colours(
 
 GAP = 8
 """Pixels between things that belong together."""
-HEADLINE_PT = 21
-"""The line that says what happens: readable from two metres on a 24 inch screen."""
+HEADLINE_PT = 28
+"""The line that says what happens: readable from two metres on a 24 inch screen, where a small letter is 5 mm high."""
 
 
 def system_colours() -> Colours:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.display_units import ChannelNames
 from app.frame import Frame
@@ -47,7 +47,7 @@ class Panel(Protocol):
 
 
 class Workspace(QWidget):
-    """3D view and the line that says what happens on the left, map and tabs on the right."""
+    """3D view on the left, map and tabs on the right, and below all of it the line that says what happens."""
 
     taxel_selected = Signal(int)
     method_chosen = Signal(object)
@@ -83,23 +83,24 @@ class Workspace(QWidget):
         self.tabs.setUsesScrollButtons(False)
         self.tabs.tabBar().setExpanding(True)
         self.tabs.tabBar().setDrawBase(False)
-        left = _column(self.view, self.now)
-        left.setMinimumWidth(420)
+        self.view.setMinimumWidth(420)
         self.right.addWidget(self._map_card())
         self.right.addWidget(_card(self.tabs))
         self.right.setStretchFactor(0, 1)
         self.right.setStretchFactor(1, 1)
         self.right.setMinimumWidth(360)
-        self.across.addWidget(left)
+        self.across.addWidget(self.view)
         self.across.addWidget(self.right)
         self.across.setStretchFactor(0, 1)
         self.across.setSizes([10_000, RIGHT_PX])
         for splitter in (self.right, self.across):
             splitter.setHandleWidth(GAP)
             splitter.setChildrenCollapsible(False)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(GAP, GAP, GAP, GAP)
-        row.addWidget(self.across)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        column.setSpacing(GAP)
+        column.addWidget(self.across, 1)
+        column.addWidget(self.now)
         self.tabs.currentChanged.connect(self._tab_changed)
 
     def _titled(self) -> list[tuple[str, QWidget]]:
@@ -203,13 +204,3 @@ def _card(inner: QWidget) -> QFrame:
     column.setContentsMargins(1, 1, 1, 1)
     column.addWidget(inner)
     return card
-
-
-def _column(view: QWidget, now: QWidget) -> QWidget:
-    left = QWidget()
-    column = QVBoxLayout(left)
-    column.setContentsMargins(0, 0, 0, 0)
-    column.setSpacing(GAP)
-    column.addWidget(view, 1)
-    column.addWidget(now)
-    return left

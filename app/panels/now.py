@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout, QWi
 
 from app.display_units import newtons
 from app.frame import Frame
+from app.panels.dial import DIAL_PX, Dial
 from app.panels.texts import ElidedLabel, FittedLabel
 from app.policies import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, LIGHT, Colours, digits_font
@@ -160,11 +161,20 @@ class NowPanel(QFrame):
         self.detail = ElidedLabel()
         self.detail.setProperty("quiet", True)
         self.gauge = ForceGauge()
+        self.dial = Dial()
+        self.dial.hide()
         font = self.headline.font()
         font.setPointSizeF(HEADLINE_PT)
         font.setBold(True)
         self.headline.setFont(font)
         self.headline.setAccessibleName("what is happening")
+        self._arrange()
+        self.setWhatsThis(
+            "What is happening now and what to do: which taxel to poke, from which side, and why. The ring fills while a poke "
+            "is held still; the bar is its force and the lighter band the range in which a poke counts."
+        )
+
+    def _arrange(self) -> None:
         words = QVBoxLayout()
         words.setSpacing(2)
         words.addStretch(1)
@@ -175,12 +185,11 @@ class NowPanel(QFrame):
         row.setContentsMargins(2 * GAP, GAP, 2 * GAP, GAP)
         row.setSpacing(2 * GAP)
         row.addWidget(self.sign)
+        row.addWidget(self.dial)
         row.addLayout(words, 1)
         row.addWidget(self.gauge)
-        self.setWhatsThis(
-            "What is happening now and what to do: which taxel to poke, from which side, and why. The ring fills while a poke "
-            "is held still; the bar is its force and the lighter band the range in which a poke counts."
-        )
+        # The same height with the dial and without: nothing beside it moves when the guide is switched off.
+        self.setMinimumHeight(DIAL_PX + 2 * GAP)
 
     def begin(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
@@ -189,6 +198,7 @@ class NowPanel(QFrame):
     def show_frame(self, frame: Frame) -> None:
         """Say what happens in this frame."""
         now, self._memory = now_line(self._memory, frame)
+        self.dial.show_frame(frame)
         progress, limits = frame.live.progress, frame.scene.contacts
         self.gauge.set(float(np.linalg.norm(progress.force)), limits.force_min, limits.force_max)
         self.say(now, progress.still)
@@ -207,6 +217,7 @@ class NowPanel(QFrame):
         self._colours = colours
         self.sign.set_colours(colours)
         self.gauge.set_colours(colours)
+        self.dial.set_colours(colours)
         self._tint()
 
     def _tint(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,31 @@ LONG = 2.0
 """A part is long when it spreads this much more along its longest axis than along the next."""
 NEAREST, FARTHEST = 0.02, 20.0
 """m. The camera stays between these distances of what it looks at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Eye:
+    """What is right and what is up on the screen, (3,) float, unit, link frame."""
+
+    right: FloatArray
+    up: FloatArray
+
+    def same(self, other: Eye) -> bool:
+        """Return whether a picture drawn for one is right for the other: a hundredth of a radian is not seen."""
+        off = np.abs(np.concatenate([self.right - other.right, self.up - other.up]))
+        return bool(off.max() < 0.01)
+
+
+PLAIN = Eye(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+"""While there is no picture yet."""
+
+
+def eye_of(camera: vtkCamera) -> Eye:
+    """Return how a camera stands."""
+    back, up = -np.array(camera.GetDirectionOfProjection()), np.array(camera.GetViewUp())
+    right: FloatArray = np.cross(up, back)
+    right /= np.linalg.norm(right)
+    return Eye(right, np.cross(back, right))
 
 
 def fit(camera: vtkCamera, points: FloatArray, facing: FloatArray | None, aspect: float, least: float) -> None:

@@ -1,6 +1,6 @@
-"""The poke that the guide asks for: a ring on the skin, and an arrow from where the tool comes to where it pushes.
+"""The poke that the guide asks for: a ring on the skin, an arrow from where the tool comes, and a cone of pushes as good.
 
-Everything is drawn twice, broad in black and narrow in white upon it, so that it stands out on any hue, in both themes.
+Ring and arrow are drawn twice, broad in black and narrow in white upon it, so that they stand out on any hue, in both themes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from app.scene3d.entry import skin_point
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import Look
 from app.scene3d.shapes import Segments, rings, tangents
+from skincal.guide.coach import leeway
 from skincal.guide.guidance import Target
+from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray
 
 RING = 4.6e-3
@@ -23,6 +25,8 @@ HEAD = 7e-3
 """m. Length of each of the two strokes of the arrow's head."""
 SPREAD = float(np.radians(28.0))
 """rad. Angle of these strokes with the arrow."""
+SPOKES = 4
+"""Lines of the cone, from the tip to its rim."""
 ALONG = 1e-6
 """Sine. A camera that looks along the arrow sees a dot: either side of it will do."""
 LEAST_PIXELS = 13.0
@@ -42,7 +46,11 @@ class TargetLayer:
         self.ground = ground
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
+        self.cone = Segments(pixels=1.5)
         self._key = b""
+        self._soft = BLACK
+        self._leeway = 0.0
+        """rad, half angle of the cone."""
         self._target: Target | None = None
         self._at: FloatArray = np.zeros(3)
         """(3,) float, metres: where the target's line meets the skin."""
@@ -55,17 +63,21 @@ class TargetLayer:
             mapper.SetResolveCoincidentTopologyToPolygonOffset()
             mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, nearer)
             renderer.AddActor(shape.actor)
+        renderer.AddActor(self.cone.actor)
 
     def dress(self, look: Look) -> None:
-        """Keep the colours: black and white are seen in every theme."""
+        """Take the cone's colour, between ink and what is not to be in the way; black and white are seen in every theme."""
+        self._soft = ((np.array(look.ink, float) + look.faint) / 2.0).astype(np.uint8)
+        self._draw()
 
     def show(self, frame: Frame) -> bool:
         """Show the target of a moment; return whether anything changed."""
         target = frame.target
+        width = 0.0 if target is None else leeway(frame.method, GuideSettings())
         key = b"" if target is None else b"".join(each.tobytes() for each in (target.place, target.normal, target.push))
-        if key == self._key:
+        if (key, width) == (self._key, self._leeway):
             return False
-        self._key, self._target = key, target
+        self._key, self._target, self._leeway = key, target, width
         if target is not None:
             # A believed place lies above or below the skin; seen from outside, the ring must not.
             self._at = skin_point(self.ground.surface, target.place, target.normal)
@@ -88,6 +100,8 @@ class TargetLayer:
         ends = np.empty((0, 2, 3)) if self._target is None else self._strokes(self._target)
         for shape, colour in ((self.rim, BLACK), (self.core, WHITE)):
             shape.join(ends, np.tile(colour, (len(ends), 1)))
+        soft = np.empty((0, 2, 3)) if self._target is None else self._at + self._scale * cone(self._target.push, self._leeway)
+        self.cone.join(soft, np.tile(self._soft, (len(soft), 1)))
 
     def _strokes(self, target: Target) -> FloatArray:
         """Return the sides of the ring and the strokes of the arrow, (n, 2, 3) float, metres, on the skin."""
@@ -111,3 +125,19 @@ def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:
     side = side / length if length > ALONG else tangents(push[None])[0][0]
     tails = [-TOOL * push, *(HEAD * (np.sin(SPREAD) * each - np.cos(SPREAD) * push) for each in (side, -side))]
     return np.stack([np.array(tails), np.zeros((3, 3))], axis=1)
+
+
+def cone(push: FloatArray, angle: float) -> FloatArray:
+    """Return the rim and the lines of a cone that opens from the origin against `push`, (3,) float, unit.
+
+    Parameters
+    ----------
+    angle : rad, between its axis and its side
+
+    Returns
+    -------
+    (36 + 4, 2, 3) float, metres
+    """
+    rim = rings((-TOOL * np.cos(angle) * push)[None], push[None], TOOL * float(np.sin(angle)), sides=36).reshape(-1, 2, 3)
+    tops = rim[:: len(rim) // SPOKES, 0]
+    return np.concatenate([rim, np.stack([np.zeros_like(tops), tops], axis=1)])

@@ -170,6 +170,10 @@ class View3D(QWidget):
             self._stage.moved = True
             self._request()
 
+    def eye(self) -> camera.Eye:
+        """Return how the camera stands; plain while there is no picture."""
+        return camera.PLAIN if self._stage is None else camera.eye_of(self._stage.renderer.GetActiveCamera())
+
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that exist; empty while the view is not built."""
         return () if self._stage is None else self._stage.list_layers()

@@ -149,6 +149,11 @@ def test_a_tip_on_another_taxel_is_told_before_its_tilt_and_only_if_far():
     )
 
 
+def test_who_pokes_elsewhere_altogether_is_not_called_back():
+    now = Line().show(held(0.0, aside=(0.03, 0.0, 0.0), landed=15), 1.0)
+    assert (now.headline, now.detail) == ("hold still", f"8.0 N{BETWEEN}on 11-03, it counts there")
+
+
 def test_the_surface_method_asks_for_no_tilt():
     straight = target(3)
     assert Line(straight, Method.SURFACE).show(held(20.0, asked=straight), 1.0).headline == "hold still"
