@@ -69,6 +69,9 @@ COMMANDS: tuple[Command, ...] = (
     Command("guide", "View", "Guide", ("G",), "Say and show what to poke next", checkable=True),
     Command("sounds", "View", SOUNDS, ("M",), "Hear contact, enough, verdict, taxel done, device lost", checkable=True),
     Command("speech", "View", "Say why a poke is rejected", ("Shift+M",), "With the voice of the system", checkable=True),
+    Command(
+        "turn", "View", "Turn to the target", ("T",), "Turn the 3D view between pokes where it hides the target", checkable=True
+    ),
     Command("camera", "View", "Whole part", ("Home",), "Bring the whole part into the 3D view"),
     Command("none", "View", "Select nothing", ("Esc",), "Dismiss the message, or the selection"),
     Command("full", "View", "Full screen", ("F11",), "", checkable=True),

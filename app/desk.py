@@ -165,6 +165,10 @@ class Desk(QObject):
         self.guiding.wanted = self._commands.actions["guide"].isChecked()
         self.show_again()
 
+    def show_turning(self) -> None:
+        """Turn the camera to the target between pokes, or do not."""
+        self.workspace.view.set_turning(self._commands.actions["turn"].isChecked())
+
     def skip_target(self) -> None:
         """Ask for another target."""
         self.guiding.skip()
@@ -328,6 +332,8 @@ class Desk(QObject):
                 splitter.restoreState(state)
         self.guiding.wanted = bool(settings.value("window/guide", True, type=bool))
         self._commands.actions["guide"].setChecked(self.guiding.wanted)
+        self._commands.actions["turn"].setChecked(bool(settings.value("window/turn", True, type=bool)))
+        self.show_turning()
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
 
@@ -339,6 +345,7 @@ class Desk(QObject):
             settings.setValue(name, splitter.saveState())
         self.workspace.error_course.save(settings)
         settings.setValue("window/guide", self.guiding.wanted)
+        settings.setValue("window/turn", self._commands.actions["turn"].isChecked())
         settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
 
     def close(self) -> None:

@@ -94,6 +94,7 @@ class Window(QMainWindow):
             "guide": self._of_desk(lambda desk: desk.show_guide()),
             "sounds": self._switch_sounds,
             "speech": self._switch_sounds,
+            "turn": self._of_desk(lambda desk: desk.show_turning()),
             "camera": self._of_desk(lambda desk: desk.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,

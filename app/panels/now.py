@@ -189,7 +189,7 @@ class NowPanel(QFrame):
         row.addLayout(words, 1)
         row.addWidget(self.gauge)
         # The same height with the dial and without: nothing beside it moves when the guide is switched off.
-        self.setMinimumHeight(DIAL_PX + 2 * GAP)
+        self.setFixedHeight(DIAL_PX + 2 * GAP + 2 * self.frameWidth() + 2)
 
     def begin(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""

@@ -92,6 +92,11 @@ def _level(variances: FloatArray, principal: FloatArray, back: FloatArray) -> Fl
     return along * np.sign(along[np.argmax(np.abs(along))])
 
 
+def level_of(points: FloatArray, facing: FloatArray | None) -> FloatArray:
+    """Return (3,) float, unit: what lies level in the picture where `fit` places the camera; parameters as there."""
+    return _frame(points, facing)[1]
+
+
 def orbit(camera: vtkCamera, right: float, up: float) -> None:
     """Turn the camera around what it looks at; degrees."""
     camera.Azimuth(-right)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -61,6 +62,7 @@ class Pointer(QObject):
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
             self._dragged = False
+            self._stage.hold(True)
         elif kind == QEvent.Type.MouseMove and isinstance(event, QMouseEvent):
             self._drag(event)
         elif kind == QEvent.Type.MouseButtonRelease and isinstance(event, QMouseEvent):
@@ -91,6 +93,7 @@ class Pointer(QObject):
         self._note_move()
 
     def _release(self, event: QMouseEvent) -> None:
+        self._stage.hold(event.buttons() != Qt.MouseButton.NoButton)
         if self._dragged or event.button() != Qt.MouseButton.LeftButton:
             return
         density = self._canvas.devicePixelRatioF()
@@ -104,5 +107,5 @@ class Pointer(QObject):
         return self._stage.renderer.GetActiveCamera()
 
     def _note_move(self) -> None:
-        self._stage.moved = True
+        self._stage.touch(time.monotonic())
         self._moved()

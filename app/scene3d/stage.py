@@ -25,6 +25,7 @@ from app.scene3d.picking import nearest_at, project
 from app.scene3d.shapes import Shape
 from app.scene3d.surface import SurfaceLayer
 from app.scene3d.target import TargetLayer
+from app.scene3d.turning import Turner
 from app.scene3d.uncertainty import UncertaintyLayer
 from skincal.readings import FloatArray, IntArray
 
@@ -69,6 +70,10 @@ class Stage:
         self.target: TargetLayer | None = None
         """None where no skin is laid on the part: nobody guides there."""
         self.layers = self._build(renderer, ground)
+        self.turner: Turner | None = None
+        """None where there is never a target."""
+        if self.target is not None:
+            self.turner = Turner(ground.surface, camera.level_of(ground.extent, ground.facing))
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
         # Blending without sorting: the stage orders its translucent faces by culling (see `surface`), at half the time.
@@ -104,6 +109,24 @@ class Stage:
         if any(changed) and not len(self.ground.extent):
             self._follow_estimates()
         return any(changed)
+
+    def turn(self, frame: Frame, now_s: float) -> bool:
+        """Turn the camera to the target where it has to; return whether it moved."""
+        width, height = self.renderer.GetSize()
+        if self.turner is None:
+            return False
+        return self.turner.step(self.renderer.GetActiveCamera(), max(width, 1) / max(height, 1), frame, now_s)
+
+    def touch(self, now_s: float) -> None:
+        """Note that the operator moved the camera."""
+        self.moved = True
+        if self.turner is not None:
+            self.turner.touch(now_s)
+
+    def hold(self, down: bool) -> None:
+        """Note that a button of the mouse went down on the picture, or up."""
+        if self.turner is not None:
+            self.turner.held = down
 
     def warm(self, draw: Callable[[], object]) -> None:
         """Draw a picture with something of every kind in it, so that no later one waits for a shader to be compiled."""

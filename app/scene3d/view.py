@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -64,6 +65,7 @@ class View3D(QWidget):
         self._ground: Ground | None = None
         self._frame: Frame | None = None
         self._difference = False
+        self._turning = True
         self._stage: Stage | None = None
         self._canvas: AnyCanvas | None = None
         self._worker: ThreadPoolExecutor | None = None
@@ -142,6 +144,13 @@ class View3D(QWidget):
             self._frame = replace(self._frame, difference=wanted)
             self._show_frame()
 
+    def set_turning(self, wanted: bool) -> None:
+        """Turn the camera to the target between pokes, or leave it where it is."""
+        self._turning = wanted
+        if self._stage is not None and self._stage.turner is not None:
+            self._stage.turner.wanted = wanted
+            self._show_frame()
+
     def set_dark(self, dark: bool) -> None:
         """Take the dark or the light theme."""
         self._look = DARK if dark else LIGHT
@@ -153,6 +162,7 @@ class View3D(QWidget):
     def reset_camera(self) -> None:
         """Bring the whole part into the picture, seen from the skin's side."""
         if self._stage is not None:
+            self._stage.touch(time.monotonic())
             self._stage.fit()
             self._request()
 
@@ -160,14 +170,14 @@ class View3D(QWidget):
         """Turn the part under the camera, as a drag of the mouse does."""
         if self._stage is not None:
             camera.orbit(self._stage.renderer.GetActiveCamera(), right_deg, up_deg)
-            self._stage.moved = True
+            self._stage.touch(time.monotonic())
             self._request()
 
     def approach(self, factor: float) -> None:
         """Bring the camera `factor` times nearer, as the mouse's wheel does."""
         if self._stage is not None:
             camera.approach(self._stage.renderer.GetActiveCamera(), factor)
-            self._stage.moved = True
+            self._stage.touch(time.monotonic())
             self._request()
 
     def eye(self) -> camera.Eye:
@@ -222,7 +232,10 @@ class View3D(QWidget):
         self._show_frame()
 
     def _show_frame(self) -> bool:
-        if self._stage is None or self._frame is None or not self._stage.show(self._frame):
+        if self._stage is None or self._frame is None:
+            return False
+        changed = self._stage.show(self._frame)
+        if not self._stage.turn(self._frame, time.monotonic()) and not changed:
             return False
         self._request()
         return True
@@ -255,6 +268,7 @@ class View3D(QWidget):
         self._stack.setCurrentWidget(self._canvas)
         self._stage.dress(self._look)
         self._stage.fit()
+        self.set_turning(self._turning)
         self._show_frame()
         self._request()
         self.ready.emit()

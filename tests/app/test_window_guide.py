@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 from guide_support import guidance, target
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QImage
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow
 from scene3d_support import box, estimate, laid
 from vtkmodules.vtkRenderingCore import vtkRenderer
 from whole_window import Bench, Paints
-from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, session
+from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session
 
 from app.panels.inspect import InspectPanel
 from app.panels.taxel_map import TaxelMap
@@ -24,6 +26,7 @@ from app.scene3d.probe import Canvas
 from app.scene3d.target import HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
 from app.theme import DARK, Choice
+from skincal.contacts.outcome import Phase
 from skincal.estimate.result import Method
 from skincal.guide.guidance import Target
 
@@ -159,6 +162,75 @@ def test_the_same_target_asks_for_no_picture(view):
     assert len(drawn) == count
 
 
+def below(channel: int = 3) -> Target:
+    """A poke into the lower side of the box, which nobody sees."""
+    place = laid(PLAN).places[channel] + np.array([0.0, 0.0, -0.02])
+    return target(channel, place=place, normal=np.array([0.0, 0.0, -1.0]), push=np.array([0.0, 0.0, 1.0]))
+
+
+def ticks(view, at, seconds: float, view_of=None) -> int:
+    """Show the same moment as the window's ticks do; return how often the picture changed."""
+    count, end = 0, time.monotonic() + seconds
+    while time.monotonic() < end:
+        count += view.show(at, view_of, Method.FREE, None, below())
+        settle()
+        time.sleep(0.02)
+    return count
+
+
+def camera_of(view) -> np.ndarray:
+    return np.array(view._stage.renderer.GetActiveCamera().GetPosition())
+
+
+def test_the_view_turns_to_a_target_that_nobody_sees_and_then_rests(view):
+    at = session(1)
+    before = camera_of(view)
+    assert before[2] > 0
+    assert ticks(view, at, 0.5) > 3
+    assert camera_of(view)[2] < 0
+    drawn = []
+    view._stage.renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
+    assert ticks(view, at, 0.2) == 0
+    assert not drawn
+    # The whole part again: this target turns it no more.
+    view.reset_camera()
+    np.testing.assert_allclose(camera_of(view), before)
+    assert ticks(view, at, 0.5) == 0
+
+
+@pytest.mark.parametrize("move", [lambda v: v.orbit(9.0, 0.0), lambda v: v.approach(1.2), lambda v: v.reset_camera()])
+def test_a_hand_ends_a_turn_of_the_view(view, move):
+    assert ticks(view, session(1), 0.12) > 0
+    move(view)
+    before = camera_of(view)
+    assert ticks(view, session(1), 0.5) == 0
+    np.testing.assert_array_equal(camera_of(view), before)
+
+
+def test_the_view_turns_neither_in_contact_nor_under_the_mouse_nor_where_it_is_switched_off(view):
+    at, pressing = session(1), reading(Phase.PRESSING, 8.0)
+    before = camera_of(view)
+    ticks(view, at, 0.5, pressing)
+    np.testing.assert_array_equal(camera_of(view), before)
+    QTest.mousePress(view._canvas, Qt.MouseButton.LeftButton)
+    ticks(view, at, 0.5)
+    np.testing.assert_array_equal(camera_of(view), before)
+    QTest.mouseRelease(view._canvas, Qt.MouseButton.LeftButton)
+    view.set_turning(False)
+    ticks(view, at, 0.5)
+    np.testing.assert_array_equal(camera_of(view), before)
+    view.set_turning(True)
+    assert ticks(view, at, 0.5) > 3
+    assert camera_of(view)[2] < 0
+
+
+def test_a_new_target_is_drawn_at_once_though_the_camera_turns(view):
+    ticks(view, session(1), 0.1)
+    layer = view._stage.target
+    assert layer is not None
+    np.testing.assert_allclose(strokes(layer)[:36].mean(axis=(0, 1))[2], -0.02, atol=1e-6)
+
+
 @pytest.fixture
 def taxels(qtbot):
     made = TaxelMap(SCENE, PLAN.channels, NAMES)
@@ -278,6 +350,23 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     paints = Paints(bench.window)
     qtbot.wait(1200)
     assert paints.count == 0
+
+
+def test_turning_is_a_wish_of_the_view_menu_that_is_remembered(bench, qtbot, tmp_path, recorded):
+    bench.open(Plan(session=recorded))
+    bench.until_all_is_there()
+    assert bench.window.commands.actions["turn"].isChecked()
+    assert bench.window.desk.workspace.view._stage.turner.wanted
+    bench.key(Qt.Key.Key_T)
+    assert not bench.window.desk.workspace.view._stage.turner.wanted
+    bench.window.close()
+    QSettings("skincal", "test").sync()
+    other = Bench(qtbot, tmp_path / "again")
+    other.open(Plan(session=recorded))
+    other.until_all_is_there()
+    assert not other.window.commands.actions["turn"].isChecked()
+    assert not other.window.desk.workspace.view._stage.turner.wanted
+    other.window.close()
 
 
 def test_the_guide_stays_off_where_it_was_switched_off(bench, qtbot, tmp_path, recorded):
