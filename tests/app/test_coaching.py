@@ -17,7 +17,7 @@ from app.opening import Part
 from app.policies import NowMemory, Tone, now_line
 from skincal.contacts.outcome import Phase, Progress
 from skincal.estimate.result import Method
-from skincal.guide.coach import coach
+from skincal.guide.coach import Coaching, coach, feel
 from skincal.session.session import Session
 
 DEGREE, BETWEEN = "\N{DEGREE SIGN}", "  \N{MIDDLE DOT}  "
@@ -39,6 +39,12 @@ def held(tilt: float, lean=TO_2, newtons=8.0, phase=Phase.PRESSING, aside=(0.0, 
     return replace(reading(), progress=progress)
 
 
+def told_of(progress: Progress, asked) -> Coaching | None:
+    """What the coach says of one reading."""
+    felt = feel(None, progress)
+    return None if felt is None else coach(felt, progress, asked, asked.place)
+
+
 class Line:
     """The line, tick after tick."""
 
@@ -49,7 +55,7 @@ class Line:
 
     def show(self, view, seconds: float = 0.0):
         """Show the same reading for some time; return what is said at its end."""
-        told = None if self.asked is None else coach(view.progress, self.asked, self.asked.place)
+        told = None if self.asked is None else told_of(view.progress, self.asked)
         now = None
         for _ in range(1 + round(seconds / TICK)):
             at = replace(frame(session(), view, self.now_s), guidance=self.says, coaching=told)
@@ -180,7 +186,8 @@ def test_without_a_target_the_line_says_what_it_always_said():
 def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expected):
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     lean = (c * TO_2[0] - s * TO_2[1], s * TO_2[0] + c * TO_2[1], 0.0)
-    told = coach(held(tilt, lean).progress, ASKED, ASKED.place)
+    told = told_of(held(tilt, lean).progress, ASKED)
+    assert told is not None
     hint = tilt_hint(guidance(ASKED), ASKED, told)
     assert hint.ask is expected[0]
     if turn == 0.0:
@@ -195,6 +202,7 @@ def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expec
 def test_the_guide_of_the_window_compares_with_its_own_target_on_the_skin():
     of, guiding = Session(SCENE, None), Guiding(part())
     assert guiding.coach(held(20.0).progress) is None, "nobody guides yet"
+    assert guiding.coach(reading().progress) is None
     says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
     assert says is not None
     assert says.target is not None

@@ -7,7 +7,7 @@ import pytest
 
 from skincal.contacts.outcome import Phase, Progress
 from skincal.estimate.result import Method
-from skincal.guide.coach import FELT, coach, leeway
+from skincal.guide.coach import FELT, KEPT, Coaching, coach, feel, leeway
 from skincal.guide.guidance import Target
 from skincal.guide.settings import GuideSettings
 from skincal.wrench import axis_point, move_wrench
@@ -41,12 +41,18 @@ def pressing(tip, push, newtons=8.0, turn=None, channels=(7,), responses=(60.0,)
     return Progress(phase, force, axis_point(force, moment), k, t, 0.0)
 
 
+def seen_of(progress: Progress, target: Target, skin) -> Coaching | None:
+    """What the coach says of the first reading."""
+    felt = feel(None, progress)
+    return None if felt is None else coach(felt, progress, target, skin)
+
+
 @pytest.mark.parametrize("turn", [np.eye(3), SOME_WAY])
 @pytest.mark.parametrize(("tilt", "azimuth"), [(0.0, 0.0), (28.0, 40.0), (45.0, -100.0)])
 def test_tip_and_tilt_come_out_as_they_were(turn, tilt, azimuth):
     target = asked(tool(28.0, 40.0), (0.02, 0.01, 0.0), turn)
     tip = np.array([0.023, 0.006, 0.0])
-    seen = coach(pressing(tip, tool(tilt, azimuth), turn=turn), target, target.place)
+    seen = seen_of(pressing(tip, tool(tilt, azimuth), turn=turn), target, target.place)
     assert seen is not None
     np.testing.assert_allclose(turn.T @ seen.contact, tip, atol=1e-12)
     np.testing.assert_allclose(turn.T @ seen.off, [-0.003, 0.004, 0.0], atol=1e-12)
@@ -70,20 +76,20 @@ def test_tip_and_tilt_come_out_as_they_were(turn, tilt, azimuth):
 )
 def test_the_way_to_the_wanted_tilt_is_where_the_upper_end_has_to_go(wanted, held, error, towards):
     target = asked(tool(*wanted))
-    seen = coach(pressing((0, 0, 0), tool(*held)), target, target.place)
+    seen = seen_of(pressing((0, 0, 0), tool(*held)), target, target.place)
     assert seen is not None
     assert np.degrees(seen.error) == pytest.approx(error)
     np.testing.assert_allclose(seen.lean, [*towards, 0.0], atol=1e-9)
     # Half the way in that direction is nearer.
     mean = tool(*held) / 2 + tool(*wanted) / 2
-    better = coach(pressing((0, 0, 0), mean / np.linalg.norm(mean)), target, target.place)
+    better = seen_of(pressing((0, 0, 0), mean / np.linalg.norm(mean)), target, target.place)
     assert better is not None
     assert better.error < 0.6 * seen.error
 
 
 def test_a_push_as_it_was_asked_for_has_no_error_and_no_way():
     target = asked(tool(28.0, 40.0))
-    seen = coach(pressing((0, 0, 0), tool(28.0, 40.0)), target, target.place)
+    seen = seen_of(pressing((0, 0, 0), tool(28.0, 40.0)), target, target.place)
     assert seen is not None
     assert seen.error < 1e-9
     np.testing.assert_array_equal(seen.lean, np.zeros(3))
@@ -93,8 +99,8 @@ def test_a_push_as_it_was_asked_for_has_no_error_and_no_way():
 def test_the_skin_tells_the_tip_where_the_believed_place_lies_too_deep():
     # A tool that leans by 45 degrees meets a place 4 mm below the skin 4 mm beside the tip.
     target = asked(tool(45.0, 0.0), (0.0, 0.0, -0.004))
-    right = coach(pressing((0, 0, 0), tool(45.0, 0.0)), target, np.zeros(3))
-    wrong = coach(pressing((0, 0, 0), tool(45.0, 0.0)), target, target.place)
+    right = seen_of(pressing((0, 0, 0), tool(45.0, 0.0)), target, np.zeros(3))
+    wrong = seen_of(pressing((0, 0, 0), tool(45.0, 0.0)), target, target.place)
     assert right is not None
     assert wrong is not None
     assert right.away < 1e-12
@@ -103,10 +109,10 @@ def test_the_skin_tells_the_tip_where_the_believed_place_lies_too_deep():
 
 def test_who_answers_most_is_where_it_landed():
     target = asked(tool(0.0, 0.0))
-    seen = coach(pressing((0, 0, 0), tool(0, 0), channels=(3, 7, 9), responses=(12.0, 30.0, 55.0)), target, np.zeros(3))
+    seen = seen_of(pressing((0, 0, 0), tool(0, 0), channels=(3, 7, 9), responses=(12.0, 30.0, 55.0)), target, np.zeros(3))
     assert seen is not None
     assert seen.landed == 9
-    none = coach(pressing((0, 0, 0), tool(0, 0), channels=(), responses=()), target, np.zeros(3))
+    none = seen_of(pressing((0, 0, 0), tool(0, 0), channels=(), responses=()), target, np.zeros(3))
     assert none is not None
     assert none.landed is None
 
@@ -114,7 +120,7 @@ def test_who_answers_most_is_where_it_landed():
 @pytest.mark.parametrize("phase", [Phase.NO_DATA, Phase.TARING, Phase.READY])
 def test_nothing_is_said_while_nothing_presses(phase):
     target = asked(tool(0.0, 0.0))
-    assert coach(pressing((0, 0, 0), tool(0, 0), phase=phase), target, np.zeros(3)) is None
+    assert seen_of(pressing((0, 0, 0), tool(0, 0), phase=phase), target, np.zeros(3)) is None
 
 
 @pytest.mark.parametrize(
@@ -129,22 +135,41 @@ def test_nothing_is_said_while_nothing_presses(phase):
     ids=["too soft to tell", "no force", "no number", "along the skin", "pulls"],
 )
 def test_nothing_is_said_of_what_cannot_be_told(progress):
-    assert coach(progress, asked(tool(0.0, 0.0)), np.zeros(3)) is None
+    assert seen_of(progress, asked(tool(0.0, 0.0)), np.zeros(3)) is None
 
 
 def test_noise_of_the_sensor_moves_the_coach_by_no_more_than_the_hand_errs():
-    """One reading, not averaged: at the least force that counts and 0.1 N, 10 N mm, the tilt is told to 2 degrees (sd)."""
+    """Noise of 0.1 N and 10 N mm in every reading: at 4 N the tilt is told to a degree, the tip to 2 mm (sd each way)."""
     rng = np.random.default_rng(5)
-    target = asked(tool(28.0, 0.0))
-    errors = []
-    for _ in range(400):
+    target, skin, felt = asked(tool(28.0, 0.0)), np.zeros(3), None
+    errors, aways = [], []
+    for _ in range(1500):
         one = pressing((0, 0, 0), tool(28.0, 0.0), newtons=4.0)
         force = one.force + rng.normal(0.0, 0.1, 3)
-        noisy = Progress(one.phase, force, one.axis_point, one.channels, one.responses, 0.0)
-        seen = coach(noisy, target, np.zeros(3))
+        moment = np.cross(one.axis_point, one.force) + rng.normal(0.0, 0.01, 3)
+        noisy = Progress(one.phase, force, axis_point(force, moment), one.channels, one.responses, 0.0)
+        felt = feel(felt, noisy)
+        assert felt is not None
+        seen = coach(felt, noisy, target, skin)
         assert seen is not None
         errors.append(seen.error)
-    assert np.degrees(np.sqrt(np.mean(np.square(errors)) / 2.0)) < 2.0
+        aways.append(seen.away)
+    assert np.degrees(np.sqrt(np.mean(np.square(errors)) / 2.0)) < 1.0
+    assert np.sqrt(np.mean(np.square(aways)) / 2.0) < 0.002
+
+
+def test_what_is_felt_follows_within_a_few_readings_and_a_weak_force_counts_little():
+    felt = feel(None, pressing((0.004, 0, 0), tool(0, 0), newtons=1.0))
+    strong = pressing((0, 0, 0), tool(0, 0), newtons=9.0)
+    target = asked(tool(0, 0))
+    for reading in range(1, 6):
+        felt = feel(felt, strong)
+        assert felt is not None
+        seen = coach(felt, strong, target, np.zeros(3))
+        assert seen is not None
+        weak = KEPT**reading
+        assert seen.away == pytest.approx(0.004 * weak / (weak + 9.0 * (1.0 - weak)))
+    assert feel(felt, pressing((0, 0, 0), tool(0, 0), phase=Phase.TARING)) is None, "the next poke begins anew"
 
 
 def test_the_surface_method_asks_for_no_care_in_tilt():
