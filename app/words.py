@@ -43,6 +43,8 @@ ADVICE: Mapping[Reason, str] = {
 METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface"}
 
 
+REASON_LETTERS = 36
+"""Letters of a reason that large type has room for beside "rejected", in a window of 1280 pixels."""
 _BARE = (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED)
 """Reasons that say all without a number."""
 
@@ -66,6 +68,11 @@ def reason_words(rejection: Rejection) -> str:
     return f"{reason.value}{colon} {quantity(value, rejection.unit)}, {bound} {quantity(limit, rejection.unit)}"
 
 
+def _headline_reason(rejection: Rejection) -> str:
+    words = reason_words(rejection)
+    return words if len(words) <= REASON_LETTERS else rejection.reason.value
+
+
 def _percent(share: float) -> str:
     return f"{number(share * 100.0, 1)} %"
 
@@ -80,9 +87,9 @@ def peak_channel(outcome: Outcome) -> int | None:
 
 
 def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
-    """Return how a poke ended, verb first."""
+    """Return how a poke ended, verb first; the numbers of a long reason are left to `verdict_detail`."""
     if isinstance(outcome, Rejection):
-        return f"rejected: {reason_words(outcome)}"
+        return f"rejected: {_headline_reason(outcome)}"
     peak = peak_channel(outcome)
     taxel = names.short(peak) if peak is not None else ""
     return f"accepted {taxel}  {newtons(force_of(outcome))}"
@@ -97,7 +104,9 @@ def counted_words(contact: Contact, names: ChannelNames) -> str:
 def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: ChannelNames) -> str:
     """Return what a poke changed, or what to do better."""
     if isinstance(outcome, Rejection):
-        return ADVICE[outcome.reason]
+        words = reason_words(outcome)
+        left = "" if _headline_reason(outcome) == words else f"{words.removeprefix(outcome.reason.value).strip(': ')}. "
+        return left + ADVICE[outcome.reason]
     peak = peak_channel(outcome)
     parts = [f"{count(len(outcome.channels), 'taxel')} answered"]
     estimate = find_estimate(snapshot, method, peak)

@@ -7,13 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 from scene3d_support import laid
-from window_support import PLAN, SCENE
+from window_support import PLAN, SCENE, reading
 
 from app.opening import Part
+from skincal.contacts.outcome import Phase, Progress
 from skincal.estimate.result import Method
+from skincal.guide.coach import Coaching, coach, feel
 from skincal.guide.done import Need
-from skincal.guide.guidance import Guidance, Phase, Target
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.guidance import Phase as GuidePhase
+from skincal.session.snapshot import LiveView
 
+TILT = float(np.radians(28.0))
 NEEDED = (Need.POKES, Need.ACCURACY)
 
 
@@ -41,7 +46,7 @@ def guidance(
     """What is asked for; all taxels but `done` still need something."""
     channels = PLAN.channels
     missing = tuple(() if c in done else (needs or {}).get(c, NEEDED) for c in channels.tolist())
-    phase = Phase.SWEEP if any(missing) else Phase.ENOUGH
+    phase = GuidePhase.SWEEP if any(missing) else GuidePhase.ENOUGH
     count = len(channels)
     own = np.zeros(count, dtype=np.int64)
     return Guidance(
@@ -49,3 +54,34 @@ def guidance(
         rms=np.full(count, rms), diversity=np.zeros(count), own=own, needs=missing, given_up={},
         usable_tilt=float(np.radians(28.0)), pokes_left=left, seconds_left=seconds,
     )  # fmt: skip
+
+
+_BESIDE = PLAN.places[2] - PLAN.places[3]
+TO_2 = (*(_BESIDE / np.linalg.norm(_BESIDE)).tolist(), 0.0)
+"""From taxel 3, in the middle of its triangle, to taxel 2."""
+ASKED = target(3, TILT, TO_2)
+
+
+def held(
+    tilt: float,
+    lean: Sequence[float] = TO_2,
+    newtons: float = 8.0,
+    phase: Phase = Phase.PRESSING,
+    aside: Sequence[float] = (0.0, 0.0, 0.0),
+    landed: int | None = 3,
+    asked: Target = ASKED,
+    still: float = 0.0,
+) -> LiveView:
+    """A live view of a tool whose upper end leans by `tilt`, degrees, its tip `aside` the target, metres."""
+    leans = np.radians(tilt)
+    push = -np.cos(leans) * asked.normal - np.sin(leans) * np.array(lean)
+    channels = np.array([] if landed is None else [landed], dtype=np.int64)
+    tip = asked.place + np.array(aside)
+    progress = Progress(phase, newtons * push, tip - 0.3 * push, channels, np.full(len(channels), 50.0), still)
+    return replace(reading(), progress=progress)
+
+
+def told_of(progress: Progress, asked: Target) -> Coaching | None:
+    """What the coach says of one reading."""
+    felt = feel(None, progress)
+    return None if felt is None else coach(felt, progress, asked, asked.place)

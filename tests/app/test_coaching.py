@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import guidance, part, target
+from guide_support import ASKED, TO_2, guidance, held, part, target, told_of
 from scene3d_support import box
 from window_support import PLAN, SCENE, frame, reading, session
 
@@ -15,34 +15,12 @@ from app.guide_words import Lean
 from app.guiding import Guiding
 from app.opening import Part
 from app.policies import NowMemory, Tone, now_line
-from skincal.contacts.outcome import Phase, Progress
+from skincal.contacts.outcome import Phase
 from skincal.estimate.result import Method
-from skincal.guide.coach import Coaching, coach, feel
 from skincal.session.session import Session
 
 DEGREE, BETWEEN = "\N{DEGREE SIGN}", "  \N{MIDDLE DOT}  "
-TILT = float(np.radians(28.0))
-TO_2 = PLAN.places[2] - PLAN.places[3]
-TO_2 = (*(TO_2 / np.linalg.norm(TO_2)), 0.0)
-"""From taxel 3, in the middle of its triangle, to taxel 2."""
-ASKED = target(3, TILT, TO_2)
 TICK = 1 / 30
-
-
-def held(tilt: float, lean=TO_2, newtons=8.0, phase=Phase.PRESSING, aside=(0.0, 0.0, 0.0), landed=3, asked=ASKED, still=0.0):
-    """A live view of a tool whose upper end leans by `tilt` degrees, its tip `aside` the target."""
-    up, tilt = asked.normal, np.radians(tilt)
-    push = -np.cos(tilt) * up - np.sin(tilt) * np.array(lean)
-    channels = np.array([] if landed is None else [landed], dtype=np.int64)
-    tip = asked.place + np.array(aside)
-    progress = Progress(phase, newtons * push, tip - 0.3 * push, channels, np.full(len(channels), 50.0), still)
-    return replace(reading(), progress=progress)
-
-
-def told_of(progress: Progress, asked) -> Coaching | None:
-    """What the coach says of one reading."""
-    felt = feel(None, progress)
-    return None if felt is None else coach(felt, progress, asked, asked.place)
 
 
 class Line:

@@ -34,7 +34,17 @@ from app.policies import (
 )
 from app.running import Running
 from app.storage import Storage
-from app.words import LinkLook, error_words, link_words, pitch_of, reason_words, summary_words, tilt_of, verdict_words
+from app.words import (
+    LinkLook,
+    error_words,
+    link_words,
+    pitch_of,
+    reason_words,
+    summary_words,
+    tilt_of,
+    verdict_detail,
+    verdict_words,
+)
 from skincal.contacts.outcome import Phase, Reason
 from skincal.estimate.result import Estimate, Method, State
 from skincal.readings import LinkState, Stream
@@ -87,6 +97,11 @@ def test_a_rejection_names_its_number_and_its_limit():
 def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
     poke = touch(1, (2, 5, 4), (20.0, 90.0, 30.0))
     assert verdict_words(poke, NAMES) == "accepted 10-05  11.2 N"
+    twice = slip(1, Reason.TWO_CONTACTS, 0.0123, 0.008, "m")
+    assert verdict_words(twice, NAMES) == "rejected: two contacts or a torque"
+    says = verdict_detail(twice, session(), Method.FREE, NAMES)
+    assert says == "12.3 mm, at most 8.0 mm. Touch with the tip only; keep the other hand off."
+    assert verdict_detail(slip(1), session(), Method.FREE, NAMES) == "Keep the tip in one place while you press."
     assert pitch_of(poke) == pytest.approx(0.002)
 
 
