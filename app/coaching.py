@@ -18,7 +18,6 @@ from app.guide_words import ASIDE, BETWEEN, STRAIGHT, Lean, lean_along
 from skincal.contacts.outcome import Phase
 from skincal.guide.coach import Coaching, leeway
 from skincal.guide.guidance import Guidance, Target
-from skincal.guide.settings import GuideSettings
 
 COACH_S = 0.25
 """s. A hint is said once it held for so long: a hand that holds still before needs none, one that searches does."""
@@ -111,7 +110,7 @@ def _hint(said: Hint | None, at: Frame) -> Hint | None:
     if _beside(told, target) and told.away > (AIM_BACK if aimed else AIM_FAR):
         return Hint(Ask.AIM, told.away)
     tilted = said is not None and not aimed
-    if told.error > leeway(guidance.method, GuideSettings()) - (TILT_BACK if tilted else 0.0):
+    if told.error > leeway(guidance) - (TILT_BACK if tilted else 0.0):
         return tilt_hint(guidance, target, told)
     return None
 

@@ -29,6 +29,7 @@ from app.scene3d.view import View3D
 from app.theme import GAP, Colours
 from app.words import METHOD_NAMES, error_words, pokes_words, summary_words
 from skincal.estimate.result import Method
+from skincal.guide.coach import leeway
 from skincal.session.snapshot import Snapshot
 
 RIGHT_PX = 430
@@ -166,7 +167,8 @@ class Workspace(QWidget):
             self.progress.setText(f"{summary_words(frame.estimates)}, {pokes_words(frame.snapshot)}")
             self.errors.setText(error_words(frame.estimates))
             self.method_box.setCurrentIndex(self.method_box.findData(frame.method))
-        self.view.show(frame.snapshot, frame.live, frame.method, frame.selected, frame.target)
+        room = 0.0 if frame.guidance is None else leeway(frame.guidance)
+        self.view.show(frame.snapshot, frame.live, frame.method, frame.selected, frame.target, room)
 
     def _show_tab(self) -> None:
         panel = self.tabs.currentWidget()

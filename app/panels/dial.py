@@ -16,7 +16,6 @@ from app.frame import Frame
 from app.theme import LIGHT, Colours, mix
 from app.top_view import AROUND, TopView, top_view
 from skincal.guide.coach import leeway
-from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray
 
 DIAL_PX = 104
@@ -53,7 +52,7 @@ class Dial(QWidget):
         if guidance is None or target is None:
             return
         told = frame.coaching
-        view = top_view(guidance, target, told, leeway(guidance.method, GuideSettings()), frame.eye)
+        view = top_view(guidance, target, told, leeway(guidance), frame.eye)
         key = self._looks(view, None if told is None else told.landed)
         if key != self._key:
             self._key, self._view = key, view

@@ -38,6 +38,8 @@ class Frame:
     """Also draw a line from each estimate to the other method's."""
     target: Target | None = None
     """The poke that is asked for."""
+    leeway: float = 0.0
+    """rad, how far its push may be off; 0 where that is not said."""
 
     def estimates(self) -> tuple[Estimate, ...]:
         """Return the chosen method's estimates; empty where the scene has no such method."""

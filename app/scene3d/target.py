@@ -12,9 +12,7 @@ from app.scene3d.entry import skin_point
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import Look
 from app.scene3d.shapes import Segments, rings, tangents
-from skincal.guide.coach import leeway
 from skincal.guide.guidance import Target
-from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray
 
 RING = 4.6e-3
@@ -73,7 +71,7 @@ class TargetLayer:
     def show(self, frame: Frame) -> bool:
         """Show the target of a moment; return whether anything changed."""
         target = frame.target
-        width = 0.0 if target is None else leeway(frame.method, GuideSettings())
+        width = 0.0 if target is None else frame.leeway
         key = b"" if target is None else b"".join(each.tobytes() for each in (target.place, target.normal, target.push))
         if (key, width) == (self._key, self._leeway):
             return False
@@ -100,7 +98,9 @@ class TargetLayer:
         ends = np.empty((0, 2, 3)) if self._target is None else self._strokes(self._target)
         for shape, colour in ((self.rim, BLACK), (self.core, WHITE)):
             shape.join(ends, np.tile(colour, (len(ends), 1)))
-        soft = np.empty((0, 2, 3)) if self._target is None else self._at + self._scale * cone(self._target.push, self._leeway)
+        soft = np.empty((0, 2, 3))
+        if self._target is not None and self._leeway:
+            soft = self._at + self._scale * cone(self._target.push, self._leeway)
         self.cone.join(soft, np.tile(self._soft, (len(soft), 1)))
 
     def _strokes(self, target: Target) -> FloatArray:

@@ -112,6 +112,7 @@ class View3D(QWidget):
         method: Method,
         selected: int | None,
         target: Target | None = None,
+        leeway: float = 0.0,
     ) -> bool: ...
 
     def show(
@@ -121,6 +122,7 @@ class View3D(QWidget):
         method: Method = Method.FREE,
         selected: int | None = None,
         target: Target | None = None,
+        leeway: float = 0.0,
     ) -> bool | None:
         """Show a moment of a session; without arguments, be visible as any widget.
 
@@ -134,7 +136,7 @@ class View3D(QWidget):
         if snapshot is None:
             super().show()
             return None
-        self._frame = Frame(snapshot, live, method, selected, self._difference, target)
+        self._frame = Frame(snapshot, live, method, selected, self._difference, target, leeway)
         return self.isVisible() and self._show_frame()
 
     def set_difference(self, wanted: bool) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Phase, Progress
 from skincal.estimate.result import Method
-from skincal.guide.guidance import Target
+from skincal.guide.guidance import Guidance, Target
 from skincal.guide.settings import GuideSettings
 from skincal.readings import FloatArray
 from skincal.wrench import axis_point
@@ -104,9 +104,9 @@ def coach(felt: Felt, progress: Progress, target: Target, skin: FloatArray) -> C
     )
 
 
-def leeway(method: Method, settings: GuideSettings) -> float:
+def leeway(guidance: Guidance) -> float:
     """Return how far a push may be off the wanted one, rad: the surface method takes any that does not slide."""
-    return settings.tolerance if method is Method.FREE else settings.usable_tilt
+    return GuideSettings().tolerance if guidance.method is Method.FREE else guidance.usable_tilt
 
 
 def _along(vector: FloatArray, normal: FloatArray) -> FloatArray:

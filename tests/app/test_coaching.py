@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import ASKED, TO_2, guidance, held, part, target, told_of
+from guide_support import ASKED, TILT, TO_2, guidance, held, part, target, told_of
 from scene3d_support import box
 from window_support import PLAN, SCENE, frame, reading, session
 
@@ -17,6 +17,7 @@ from app.opening import Part
 from app.policies import NowMemory, Tone, now_line
 from skincal.contacts.outcome import Phase
 from skincal.estimate.result import Method
+from skincal.guide.coach import leeway
 from skincal.session.session import Session
 
 DEGREE, BETWEEN = "\N{DEGREE SIGN}", "  \N{MIDDLE DOT}  "
@@ -143,6 +144,19 @@ def test_the_surface_method_asks_for_no_tilt():
     assert Line(straight, Method.SURFACE).show(held(20.0, asked=straight), 1.0).headline == "hold still"
     assert Line(straight, Method.SURFACE).show(held(31.0, asked=straight), 1.0).headline == f"tilt 31{DEGREE} less"
     assert Line(straight, Method.FREE).show(held(20.0, asked=straight), 1.0).headline == f"tilt 20{DEGREE} less"
+
+
+def test_the_surface_method_takes_any_tilt_that_does_not_slide_as_learnt():
+    says = guidance(ASKED, method=Method.SURFACE)
+    assert leeway(replace(says, usable_tilt=0.3)) == 0.3
+    assert np.degrees(leeway(replace(says, method=Method.FREE))) == pytest.approx(10.0)
+
+
+def test_a_place_without_a_taxel_is_met_by_whatever_answers():
+    place = target(3, TILT, TO_2)
+    place = replace(place, channel=None)
+    now = Line(place).show(held(28.0, aside=(0.006, 0.0, 0.0), landed=15, asked=place), 1.0)
+    assert (now.headline, now.detail) == ("hold still", f"8.0 N{BETWEEN}aim 6.0 mm{BETWEEN}tilt 28{DEGREE} of 28{DEGREE}")
 
 
 def test_without_a_target_the_line_says_what_it_always_said():

@@ -60,6 +60,23 @@ def test_the_ring_lies_on_the_skin_and_the_arrow_pushes_to_its_middle(layer):
     np.testing.assert_array_equal(layer.rim._points, layer.core._points)
 
 
+def test_the_cone_holds_the_pushes_that_are_as_good(layer):
+    asked, room = target(3, TILT), float(np.radians(10.0))
+    assert layer.show(replace(moment(asked), leeway=room))
+    sides = layer.cone._points.reshape(-1, 2, 3)
+    away = sides - laid(PLAN).places[3]
+    size = np.linalg.norm(away, axis=2)
+    rim, spokes = away[:36], away[36:]
+    np.testing.assert_allclose(size[:36], TOOL, rtol=1e-5)
+    np.testing.assert_allclose(-(rim @ asked.push) / TOOL, np.cos(room), atol=1e-5)
+    np.testing.assert_allclose(spokes[:, 0], 0.0, atol=1e-8)
+    np.testing.assert_allclose(-(spokes[:, 1] @ asked.push) / TOOL, np.cos(room), atol=1e-5)
+    assert not layer.show(replace(moment(asked, 2), leeway=room))
+    assert layer.show(replace(moment(asked, 2), leeway=2 * room))
+    assert layer.show(moment(None, 3))
+    assert not layer.cone.actor.GetVisibility()
+
+
 def test_the_target_keeps_its_size_on_the_part_until_it_would_not_be_found(layer):
     above = np.array([0.0, 0.6, 0.8])
     layer.follow(4000.0, above)

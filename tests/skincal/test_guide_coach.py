@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Phase, Progress
-from skincal.estimate.result import Method
-from skincal.guide.coach import FELT, KEPT, Coaching, coach, feel, leeway
+from skincal.guide.coach import FELT, KEPT, Coaching, coach, feel
 from skincal.guide.guidance import Target
-from skincal.guide.settings import GuideSettings
 from skincal.wrench import axis_point, move_wrench
 
 SOME_WAY = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -170,9 +168,3 @@ def test_what_is_felt_follows_within_a_few_readings_and_a_weak_force_counts_litt
         weak = KEPT**reading
         assert seen.away == pytest.approx(0.004 * weak / (weak + 9.0 * (1.0 - weak)))
     assert feel(felt, pressing((0, 0, 0), tool(0, 0), phase=Phase.TARING)) is None, "the next poke begins anew"
-
-
-def test_the_surface_method_asks_for_no_care_in_tilt():
-    settings = GuideSettings()
-    assert leeway(Method.FREE, settings) == pytest.approx(np.radians(10.0))
-    assert leeway(Method.SURFACE, settings) == pytest.approx(np.radians(28.0))
