@@ -138,6 +138,7 @@ class Desk(QObject):
             revision=self._revision,
             links=link_lines(picture.live.links, picture.now_ns, self._clock_offset, self._controller.running),
             guidance=guidance,
+            sky=lambda channel: self.guiding.sky(channel, picture.evidence),
             coaching=self.guiding.coach(picture.live.progress),
             eye=self.workspace.view.eye(),
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from app.display_units import ChannelNames
@@ -12,8 +12,13 @@ from app.words import LinkWords
 from skincal.estimate.result import Estimate, Method
 from skincal.guide.coach import Coaching
 from skincal.guide.guidance import Guidance, Target
+from skincal.guide.sky import Sky
 from skincal.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
+
+
+def _no_sky(_channel: int) -> Sky | None:
+    return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +40,8 @@ class Frame:
     links: tuple[LinkWords, ...] = ()
     guidance: Guidance | None = None
     """What to poke next and what each taxel still needs; None where nobody guides."""
+    sky: Callable[[int], Sky | None] = _no_sky
+    """What the contacts of a channel are like; None where nobody guides, or nothing is known of it."""
     coaching: Coaching | None = None
     """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
 

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.display_units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, number
+from app.words import METHOD_NAMES
 from skincal.contacts.outcome import Contact
 from skincal.estimate.result import Method
 from skincal.guide.done import Need
 from skincal.guide.guidance import Guidance, Phase, Target
+from skincal.guide.settings import GuideSettings
+from skincal.guide.sky import Sky
 from skincal.readings import FloatArray
 
 STRAIGHT = float(np.radians(5.0))
@@ -80,8 +83,9 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
 
 
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
-    """Return what the poke is for, and how far the session is."""
-    return BETWEEN.join(filter(None, (_reason(guidance, target), progress_words(guidance, dead), left_words(guidance))))
+    """Return by which method the guide asks, what the poke is for, and how far the session is."""
+    reason = f"{METHOD_NAMES[guidance.method]} method: {_reason(guidance, target)}"
+    return BETWEEN.join(filter(None, (reason, progress_words(guidance, dead), left_words(guidance))))
 
 
 def _reason(guidance: Guidance, target: Target) -> str:
@@ -173,3 +177,26 @@ def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
         not missing for channel, missing in zip(guidance.channels.tolist(), guidance.needs, strict=True) if channel not in dead
     ]
     return sum(used), len(used)
+
+
+FOLLOWS: Mapping[Method, str] = {
+    Method.FREE: "The guide follows the free method: it needs tilt, from all sides.",
+    Method.SURFACE: "The guide follows the surface method: it needs evenness, all around each taxel, and no tilt.",
+}
+"""The guide of one method is wrong for the other."""
+
+
+def sky_words(sky: Sky, method: Method) -> str:
+    """Return what a taxel's contacts are like beside what the method needs: `"axes spread 9° of 15°"`."""
+    settings = GuideSettings()
+    if not len(sky.own):
+        return "not poked yet"
+    if method is Method.FREE:
+        return f"axes spread {degrees(sky.diversity)}, wanted {degrees(settings.diversity)}"
+    beside = float(np.sqrt(sky.beside @ sky.beside))
+    return f"their middle lies {millimetres(beside)} beside it, at most {millimetres(settings.balance)}"
+
+
+def contacts_words(sky: Sky) -> str:
+    """Return how many contacts there are: `"12 pokes, 3 its own"`; empty where there is none."""
+    return f"{count(len(sky.own), 'poke')}, {int(sky.own.sum())} its own" if len(sky.own) else ""

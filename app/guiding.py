@@ -9,11 +9,12 @@ from app.scene3d.entry import skin_point
 from skincal.contacts.outcome import Contact, Progress, Rejection
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.result import Estimate, Method, State
-from skincal.guide.coach import Coaching, Felt, coach, feel
+from skincal.guide.coach import Coaching, Smoothed, coach, smooth
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.guide import Guide
 from skincal.guide.places import SPACING, Plan, plan_from, unplaced
 from skincal.guide.settings import GuideSettings
+from skincal.guide.sky import Sky
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.readings import FloatArray
 from skincal.session.snapshot import Snapshot
@@ -36,7 +37,7 @@ class Guiding:
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
         self._told: tuple[int, Method] | None = None
         self._guidance: Guidance | None = None
-        self._felt: Felt | None = None
+        self._smoothed: Smoothed | None = None
         self._skin: tuple[Target, FloatArray] | None = None
         """The target and its place on the skin, (3,) float, metres."""
         self.wanted = True
@@ -73,13 +74,22 @@ class Guiding:
 
     def coach(self, progress: Progress) -> Coaching | None:
         """Return the poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
-        self._felt = feel(self._felt, progress)
+        self._smoothed = smooth(self._smoothed, progress)
         target = None if self._guidance is None or not self.wanted else self._guidance.target
-        if target is None or self._felt is None:
+        if target is None or self._smoothed is None:
             return None
         if self._skin is None or self._skin[0] is not target:
             self._skin = target, skin_point(self._surface, target.place, target.normal)
-        return coach(self._felt, progress, target, self._skin[1])
+        return coach(self._smoothed, progress, target, self._skin[1])
+
+    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> Sky | None:
+        """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
+
+        Parameters
+        ----------
+        evidence : as in `follow`, which was called before
+        """
+        return self._guides[self._told[1]].sky(channel, evidence) if self.wanted and self._told is not None else None
 
     def skip(self) -> None:
         """Ask for another poke than the one that was asked for last."""

@@ -11,8 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.scene3d.camera import Eye
+from skincal.estimate.result import Method
 from skincal.guide.coach import Coaching
 from skincal.guide.guidance import Guidance, Target
+from skincal.guide.settings import GuideSettings
+from skincal.guide.sky import Sky
 from skincal.readings import FloatArray, IntArray
 
 TOOL = 0.035
@@ -21,6 +24,14 @@ AROUND = 0.022
 """m. Half the width of the picture: a tool of this length that leans by 39 degrees ends at its rim."""
 SIDES = 36
 """Corners of a cone's rim."""
+EDGE = float(np.sin(np.radians(45.0)))
+"""Sine of the tilt at the rim of a sky; what leans more is drawn there."""
+AROUND_TAXEL = 0.005
+"""m. Half the width of the picture of the contacts around a taxel: as far as its neighbour."""
+GRAIN = 48
+"""Points across a shade."""
+BLUR = 0.18
+"""How far what a push is worth is taken to hold around it, in sines of the tilt: half the way to the next that is tried."""
 
 
 def axes_on(normal: FloatArray, eye: Eye) -> FloatArray:
@@ -91,3 +102,53 @@ def cone(push: FloatArray, angle: float) -> FloatArray:
     turns = np.arange(SIDES) * (2.0 * np.pi / SIDES)
     around = np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
     return np.cos(angle) * push + np.sin(angle) * around
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkyView:
+    """The contacts of a taxel as one looks down on it; 1 is the rim."""
+
+    dots: FloatArray
+    """(n, 2) float: each contact, right and up, at most 1 from the middle."""
+    limit: float
+    """Radius of the circle within which dots are wanted: the usable tilt, or where the middle may lie."""
+    middle: FloatArray | None
+    """(2,) float: the middle of the dots, where its place is what counts."""
+    wanted: FloatArray | None
+    """(2,) float: the side from which the next one would tell most; None where none tells anything, or place is what counts."""
+    shade: FloatArray
+    """(g, g) float, 0 to 1: how much a next one would tell there, rows from the top; all 0 where nothing is to be said."""
+
+
+def sky_view(sky: Sky, method: Method, eye: Eye) -> SkyView:
+    """Return the picture of what a method needs of a taxel: sides for the free one, places for the surface one."""
+    axes = axes_on(sky.normal, eye)
+    if method is Method.FREE:
+        dots, tried = -(sky.pushes @ axes.T) / EDGE, -(sky.tried @ axes.T) / EDGE
+        limit, middle = float(np.sin(sky.usable_tilt)) / EDGE, None
+        shade = _shade(tried, sky.worth, limit)
+        wanted = tried[sky.worth.argmax()] if shade.any() else None
+    else:
+        dots, middle = sky.offsets @ axes.T / AROUND_TAXEL, sky.beside @ axes.T / AROUND_TAXEL
+        limit, shade = GuideSettings().balance / AROUND_TAXEL, np.zeros((GRAIN, GRAIN))
+        wanted = None
+    return SkyView(_within(dots), limit, None if middle is None else _within(middle[None])[0], wanted, shade)
+
+
+def _within(points: FloatArray) -> FloatArray:
+    """Return (n, 2) points, those beyond the rim on it."""
+    sizes = np.sqrt(np.sum(points * points, axis=1, keepdims=True))
+    return np.asarray(points / np.maximum(sizes, 1.0), dtype=np.float64)
+
+
+def _shade(tried: FloatArray, worth: FloatArray, limit: float) -> FloatArray:
+    """Return what is worth how much inside the limit, spread from the (d, 2) pushes that are tried."""
+    step = (np.arange(GRAIN) + 0.5) / GRAIN * 2.0 - 1.0
+    grid = np.stack(np.meshgrid(step, -step), axis=-1)
+    most = float(worth.max())
+    if not most > 0.0:
+        return np.zeros((GRAIN, GRAIN))
+    square = np.sum((grid[:, :, None] - tried) ** 2, axis=-1)
+    near = np.exp(-square / (2.0 * (BLUR / EDGE) ** 2))
+    spread = (near @ worth) / (most * near.sum(axis=-1))
+    return np.where(np.sum(grid**2, axis=-1) <= limit**2, np.clip(spread, 0.0, 1.0), 0.0)

@@ -118,7 +118,7 @@ class Workspace(QWidget):
         for method in self.methods:
             self.method_box.addItem(METHOD_NAMES[method].capitalize() + " method", method)
         self.method_box.setVisible(len(self.methods) > 1)
-        self.method_box.setToolTip("Whose estimates are shown (V)")
+        self.method_box.setToolTip("Whose estimates are shown, and whose needs the guide follows (V)")
         self.method_box.setAccessibleName("method")
         self.method_box.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         head = QGridLayout()
@@ -189,7 +189,7 @@ class Workspace(QWidget):
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
-        for panel in (self.now, self.map, self.readings, self.pokes, self.devices, self.error_course):
+        for panel in (self.now, self.map, self.readings, self.pokes, self.inspect, self.devices, self.error_course):
             panel.set_colours(colours)
         self.errors.set_colour(QColor(colours.muted))
         self.view.set_dark(colours.dark)

@@ -22,9 +22,10 @@ from app.display_units import DASH, ChannelNames, direction, millimetres, number
 from app.evidence_words import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
 from app.frame import Frame
 from app.guide_words import needs_words
+from app.panels.sky import SkyPanel
 from app.panels.texts import on_panel, put, quiet
 from app.policies import MARK_WORDS, mark_of, worst
-from app.theme import GAP
+from app.theme import GAP, Colours
 from app.words import METHOD_NAMES, find_estimate
 from skincal.estimate.result import Estimate, Method, State
 
@@ -87,6 +88,8 @@ class InspectPanel(QScrollArea):
         self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
         self.use.setEnabled(False)
+        self.sky = SkyPanel(names)
+        self.sky.hide()
         self.rival = QLabel()
         self.rival.setWordWrap(True)
         self.pokes = _poke_list()
@@ -116,6 +119,7 @@ class InspectPanel(QScrollArea):
         column_box = QVBoxLayout(inner)
         column_box.setContentsMargins(GAP, GAP, GAP, GAP)
         column_box.addWidget(self.title)
+        column_box.addWidget(self.sky)
         column_box.addLayout(grid)
         column_box.addWidget(self.rival)
         column_box.addWidget(self.reason)
@@ -132,6 +136,7 @@ class InspectPanel(QScrollArea):
 
     def show_frame(self, frame: Frame) -> None:
         """Show the selected taxel of a frame and the worst; nothing happens where they are the same."""
+        self.sky.show_frame(frame)
         shown = (frame.revision, frame.method, frame.guidance is None, frame.selected)
         if shown == self._shown:
             return
@@ -142,6 +147,10 @@ class InspectPanel(QScrollArea):
         self._selected = frame.selected
         if frame.selected is not None:
             self._show_taxel(frame, frame.selected)
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self.sky.set_colours(colours)
 
     def _show_taxel(self, frame: Frame, channel: int) -> None:
         found = {method: find_estimate(frame.snapshot, method, channel) for method in self._methods}

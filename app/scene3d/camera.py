@@ -92,9 +92,17 @@ def _level(variances: FloatArray, principal: FloatArray, back: FloatArray) -> Fl
     return along * np.sign(along[np.argmax(np.abs(along))])
 
 
-def level_of(points: FloatArray, facing: FloatArray | None) -> FloatArray:
-    """Return (3,) float, unit: what lies level in the picture where `fit` places the camera; parameters as there."""
-    return _frame(points, facing)[1]
+def level_of(points: FloatArray) -> FloatArray | None:
+    """Return (3,) float, unit: the long axis of a long part, which `fit` lays level; None for any other part.
+
+    Parameters
+    ----------
+    points : (n, 3) float, metres
+    """
+    if len(points) < 3:
+        return None
+    variances, principal = np.linalg.eigh(np.cov(points.T))
+    return principal[:, 2] if variances[2] >= LONG**2 * variances[1] else None
 
 
 def orbit(camera: vtkCamera, right: float, up: float) -> None:

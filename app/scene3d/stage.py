@@ -73,7 +73,7 @@ class Stage:
         self.turner: Turner | None = None
         """None where there is never a target."""
         if self.target is not None:
-            self.turner = Turner(ground.surface, camera.level_of(ground.extent, ground.facing))
+            self.turner = Turner(ground.surface, camera.level_of(ground.extent))
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
         # Blending without sorting: the stage orders its translucent faces by culling (see `surface`), at half the time.

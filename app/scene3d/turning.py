@@ -31,7 +31,7 @@ SLANT = float(np.cos(np.radians(50.0)))
 """Cosine. Skin that is turned away from the camera by more is seen too slanting to aim at."""
 LEFT = float(np.radians(20.0))
 """rad. So much of the slant is left: a straight push seen straight from above would be a dot."""
-INSIDE = 0.85
+INSIDE = 0.75
 """Share of the picture, from its middle to its edge, in which a target is looked for."""
 BACK_TO = 0.5
 """Share to which a target comes that was outside."""

@@ -54,7 +54,7 @@ class Coaching:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Felt:
+class Smoothed:
     """The wrench of a poke in progress, smoothed over the last readings, link frame."""
 
     force: FloatArray
@@ -63,7 +63,7 @@ class Felt:
     """(3,) float, N m, about the link's origin; what lies along the force is left out."""
 
 
-def feel(before: Felt | None, progress: Progress) -> Felt | None:
+def smooth(before: Smoothed | None, progress: Progress) -> Smoothed | None:
     """Take one more reading of a poke in progress; None while nothing presses, or where a reading is no number.
 
     Force and moment are smoothed, not the axis: an axis of a weak force counts little.
@@ -72,11 +72,11 @@ def feel(before: Felt | None, progress: Progress) -> Felt | None:
     if progress.phase not in PRESSING or not np.isfinite(moment).all():
         return None
     if before is None:
-        return Felt(force, moment)
-    return Felt(KEPT * before.force + (1.0 - KEPT) * force, KEPT * before.moment + (1.0 - KEPT) * moment)
+        return Smoothed(force, moment)
+    return Smoothed(KEPT * before.force + (1.0 - KEPT) * force, KEPT * before.moment + (1.0 - KEPT) * moment)
 
 
-def coach(felt: Felt, progress: Progress, target: Target, skin: FloatArray) -> Coaching | None:
+def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) -> Coaching | None:
     """Compare a poke in progress with the one that is asked for; None while nothing presses hard enough to tell.
 
     Parameters

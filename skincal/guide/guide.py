@@ -22,6 +22,7 @@ from skincal.guide.left import pace, pokes_left
 from skincal.guide.places import Plan, believed
 from skincal.guide.pokes import Pokes, axis_of
 from skincal.guide.settings import GuideSettings
+from skincal.guide.sky import Sky
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 
@@ -80,6 +81,7 @@ class Guide:
         self._stale = np.ones(count, dtype=bool)
         self._usable = self._pokes.tilt.usable
         self._lay_out()
+        self._state: choose.State | None = None
         self._last: Target | None = None
         self._place: int | None = None
         """Of the cover, where the last target is one of its places."""
@@ -208,6 +210,7 @@ class Guide:
             self._places, self._pushes, self._neighbours, know.information, self._normals, self._pokes.sensor,
             self.settings.wanted, self._in_plane, open_.astype(np.float64), self._solved,
         )  # fmt: skip
+        self._state = state
         phase, self._place = self._phase(open_)
         self._last = None
         if self._place is not None:
@@ -360,4 +363,33 @@ class Guide:
             tilt=float(np.arccos(np.clip(cosine, -1.0, 1.0))),
             before=before,
             after=after,
+        )
+
+    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> Sky | None:
+        """Return what the contacts of a taxel are like; None where the guide knows no such taxel, or not where it is.
+
+        Parameters
+        ----------
+        evidence : as in `update`, which was called before
+        """
+        state, row = self._state, self._knowledge.row(channel) if self._knowledge.has(channel) else -1
+        if state is None or row < 0 or not np.isfinite(self._places[row]).all():
+            return None
+        told, normal, one = evidence([channel]), self._normals[row], self._estimates[row]
+        pokes = told.pokes.tolist()
+        off = np.array([self._pokes.place(poke, self._places) for poke in pokes]).reshape(-1, 3) - self._places[row]
+        doubted: Mapping[int, float] = {} if one is None else one.doubted
+        worth = choose.gains(state, np.array([row]), self._noise, 1.0 if self._gains_of is Phase.SWEEP else OTHERS)[0]
+        return Sky(
+            channel=channel,
+            normal=normal,
+            pushes=told.directions,
+            offsets=off - (off @ normal)[:, None] * normal,
+            own=told.weights == 1.0,
+            trust=np.array([doubted.get(poke, 1.0) for poke in pokes]),
+            beside=self._knowledge.beside[row],
+            diversity=float(self._knowledge.diversity[row]),
+            usable_tilt=self._usable,
+            tried=self._pushes[row],
+            worth=np.where(self._left_out(row), 0.0, worth),
         )

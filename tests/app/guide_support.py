@@ -12,7 +12,7 @@ from window_support import PLAN, SCENE, reading
 from app.opening import Part
 from skincal.contacts.outcome import Phase, Progress
 from skincal.estimate.result import Method
-from skincal.guide.coach import Coaching, coach, feel
+from skincal.guide.coach import Coaching, coach, smooth
 from skincal.guide.done import Need
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.guidance import Phase as GuidePhase
@@ -83,5 +83,5 @@ def held(
 
 def told_of(progress: Progress, asked: Target) -> Coaching | None:
     """What the coach says of one reading."""
-    felt = feel(None, progress)
+    felt = smooth(None, progress)
     return None if felt is None else coach(felt, progress, asked, asked.place)

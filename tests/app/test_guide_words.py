@@ -54,13 +54,13 @@ def test_a_tool_that_leans_over_the_rim_leans_away_from_a_neighbour():
 
 def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
     asked = target(3)
-    assert why_words(guidance(asked, done=(1, 2)), asked, ()) == f"depth 12.4 {ARROW} 6.1 mm{BETWEEN}2 of 24 done"
+    assert why_words(guidance(asked, done=(1, 2)), asked, ()) == f"free method: depth 12.4 {ARROW} 6.1 mm{BETWEEN}2 of 24 done"
     along = guidance(asked, method=Method.SURFACE)
-    assert why_words(along, asked, {5: "stuck"}) == f"place 12.4 {ARROW} 6.1 mm{BETWEEN}0 of 23 done"
+    assert why_words(along, asked, {5: "stuck"}) == f"surface method: place 12.4 {ARROW} 6.1 mm{BETWEEN}0 of 23 done"
     unseen = guidance(asked, rms=np.inf)
-    assert why_words(unseen, asked, ()) == f"depth not known yet{BETWEEN}0 of 24 done"
+    assert why_words(unseen, asked, ()) == f"free method: depth not known yet{BETWEEN}0 of 24 done"
     balance = guidance(asked, needs={3: (Need.BALANCE,)})
-    assert why_words(balance, asked, ()) == f"needs pokes on its other half{BETWEEN}0 of 24 done"
+    assert why_words(balance, asked, ()) == f"free method: needs pokes on its other half{BETWEEN}0 of 24 done"
 
 
 def test_enough_names_how_many_meet_what():
@@ -87,7 +87,7 @@ def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_
     asked = target(3)
     now, _ = settled(guidance(asked))
     assert (now.tone, now.headline) == (Tone.GO, "poke 10-03 straight")
-    assert now.detail == f"depth 12.4 {ARROW} 6.1 mm{BETWEEN}0 of 24 done"
+    assert now.detail == f"free method: depth 12.4 {ARROW} 6.1 mm{BETWEEN}0 of 24 done"
     now, _ = settled(guidance(asked), Phase.TARING)
     assert (now.headline, now.detail) == ("keep hands off", "Taring.  Next: poke 10-03 straight")
     now, _ = settled(guidance(done=range(24)))

@@ -68,6 +68,16 @@ def test_skin_is_well_seen_where_it_faces_the_camera(degrees, seen):
     assert well_seen(above(), at, normal, ASPECT, TUBE) is seen
 
 
+def test_the_long_axis_of_a_long_part_is_level_and_no_other():
+    level = camera.level_of(TUBE.vertices)
+    assert level is not None
+    assert abs(level @ X) == pytest.approx(1.0)
+    # A cap at one side moves the middle, not the axis.
+    assert abs(camera.level_of(TUBE.vertices[TUBE.vertices[:, 2] > -0.02]) @ X) > 0.99
+    assert camera.level_of(tube(half=0.03).vertices) is None
+    assert camera.level_of(np.zeros((1, 3))) is None
+
+
 def test_what_is_behind_the_part_or_outside_the_picture_is_not_well_seen():
     at, _ = on_tube(180)
     assert not well_seen(above(), at, UP, ASPECT, TUBE), "whatever its normal says"

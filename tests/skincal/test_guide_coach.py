@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Phase, Progress
-from skincal.guide.coach import FELT, KEPT, Coaching, coach, feel
+from skincal.guide.coach import FELT, KEPT, Coaching, coach, smooth
 from skincal.guide.guidance import Target
 from skincal.wrench import axis_point, move_wrench
 
@@ -41,7 +41,7 @@ def pressing(tip, push, newtons=8.0, turn=None, channels=(7,), responses=(60.0,)
 
 def seen_of(progress: Progress, target: Target, skin) -> Coaching | None:
     """What the coach says of the first reading."""
-    felt = feel(None, progress)
+    felt = smooth(None, progress)
     return None if felt is None else coach(felt, progress, target, skin)
 
 
@@ -146,7 +146,7 @@ def test_noise_of_the_sensor_moves_the_coach_by_no_more_than_the_hand_errs():
         force = one.force + rng.normal(0.0, 0.1, 3)
         moment = np.cross(one.axis_point, one.force) + rng.normal(0.0, 0.01, 3)
         noisy = Progress(one.phase, force, axis_point(force, moment), one.channels, one.responses, 0.0)
-        felt = feel(felt, noisy)
+        felt = smooth(felt, noisy)
         assert felt is not None
         seen = coach(felt, noisy, target, skin)
         assert seen is not None
@@ -157,14 +157,14 @@ def test_noise_of_the_sensor_moves_the_coach_by_no_more_than_the_hand_errs():
 
 
 def test_what_is_felt_follows_within_a_few_readings_and_a_weak_force_counts_little():
-    felt = feel(None, pressing((0.004, 0, 0), tool(0, 0), newtons=1.0))
+    felt = smooth(None, pressing((0.004, 0, 0), tool(0, 0), newtons=1.0))
     strong = pressing((0, 0, 0), tool(0, 0), newtons=9.0)
     target = asked(tool(0, 0))
     for reading in range(1, 6):
-        felt = feel(felt, strong)
+        felt = smooth(felt, strong)
         assert felt is not None
         seen = coach(felt, strong, target, np.zeros(3))
         assert seen is not None
         weak = KEPT**reading
         assert seen.away == pytest.approx(0.004 * weak / (weak + 9.0 * (1.0 - weak)))
-    assert feel(felt, pressing((0, 0, 0), tool(0, 0), phase=Phase.TARING)) is None, "the next poke begins anew"
+    assert smooth(felt, pressing((0, 0, 0), tool(0, 0), phase=Phase.TARING)) is None, "the next poke begins anew"

@@ -215,3 +215,62 @@ def test_a_threshold_is_reached_where_the_error_stays_below_it():
     assert (course.mean[place:] <= 0.02).all()
     assert course.mean[place - 1] > 0.02
     assert course.pokes_to(1e-6) == float("inf")
+
+
+def test_the_sky_of_a_taxel_is_what_its_contacts_say_of_it():
+    followed = after(60)
+    says, contacts = followed.guidance, followed.contacts
+    for channel in says.channels[says.own >= 2].tolist()[:5]:
+        sky = followed.guide.sky(channel, followed.session.evidence)
+        assert sky is not None
+        touching = {p: c for p, c in contacts.items() if channel in c.channels}
+        assert len(sky.pushes) == len(touching)
+        row = says.channels.tolist().index(channel)
+        assert int(sky.own.sum()) == says.own[row]
+        assert sky.diversity == says.diversity[row]
+        # In any order: each axis is a contact's, turned into the link frame.
+        turned = [c.link_from_sensor[:3, :3] @ c.force / np.linalg.norm(c.force) for c in touching.values()]
+        assert np.sort(sky.pushes @ turned[0]) == pytest.approx(np.sort([u @ turned[0] for u in turned]))
+        assert (sky.trust <= 1.0).all()
+        assert sky.normal @ sky.normal == pytest.approx(1.0)
+        np.testing.assert_allclose(sky.offsets @ sky.normal, 0.0, atol=1e-12)
+        assert np.linalg.norm(sky.beside) < 0.01
+        # Where one taxel answered alone, the poke was upon it by all that is known.
+        assert np.linalg.norm(sky.offsets, axis=1).max() < 0.015
+
+
+@pytest.mark.parametrize("pokes", [3, 60, 150])
+def test_the_best_side_in_the_sky_of_the_target_is_the_one_that_is_asked_for(pokes):
+    followed = Followed(seed=2) if pokes == 3 else after(pokes)
+    for _ in range(3 if pokes == 3 else 0):
+        followed.poke()
+    target = followed.guidance.target
+    sky = followed.guide.sky(target.channel, followed.session.evidence)
+    assert sky is not None
+    np.testing.assert_array_equal(sky.tried[sky.worth.argmax()], target.push)
+    assert sky.worth.max() > 0
+    assert sky.usable_tilt == followed.guidance.usable_tilt
+
+
+def test_a_taxel_without_contacts_has_an_empty_sky_and_a_stranger_none():
+    followed = Followed()
+    assert guide().sky(0, followed.session.evidence) is None, "nothing was told yet"
+    target = followed.guidance.target
+    sky = followed.guide.sky(target.channel, followed.session.evidence)
+    assert sky is not None
+    assert (sky.pushes.shape, sky.offsets.shape, sky.own.shape, sky.diversity) == ((0, 3), (0, 3), (0,), 0.0)
+    assert followed.guide.sky(10**6, followed.session.evidence) is None
+
+
+def test_a_side_that_was_skipped_is_worth_nothing():
+    followed = Followed(seed=3)
+    first = followed.guidance.target
+    open_ = followed.guide.sky(first.channel, followed.session.evidence)
+    assert open_ is not None
+    assert (open_.worth > 0).all()
+    for _ in range(SKIPPED):
+        followed.guide._skips.setdefault(followed.guide._knowledge.row(first.channel), []).append(first.push)
+    sky = followed.guide.sky(first.channel, followed.session.evidence)
+    assert sky is not None
+    np.testing.assert_array_equal(sky.worth == 0.0, sky.tried @ first.push > np.cos(np.radians(25.0)))
+    np.testing.assert_array_equal(sky.worth[sky.worth > 0], open_.worth[sky.worth > 0])
