@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 from app.earcons import Sound
 from app.frame import Frame
 from app.guide_words import newly_done
-from app.policies import PRESSING, is_news, newest_outcome
+from app.policies import is_news, newest_outcome
 from app.running import Running
 from app.words import LinkLook
 from skincal.contacts.outcome import Outcome, Phase, Rejection
+from skincal.guide.coach import PRESSING
 from skincal.guide.guidance import Guidance
 from skincal.guide.guidance import Phase as GuidePhase
 from skincal.session.snapshot import Snapshot
