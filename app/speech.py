@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import subprocess
 
 _SYSTEM: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "linux": (("spd-say", "--"), ("espeak-ng", "--"), ("espeak", "--")),
@@ -21,8 +24,6 @@ _SYSTEM: Mapping[str, tuple[tuple[str, ...], ...]] = {
     ),
 }
 """Commands that speak, the best first. The word is their last argument, on Windows their input: no word is ever a command."""
-STOP_S = 0.5
-"""s. A voice that was told to stop has so long to do it."""
 
 
 def speech_command(platform: str = sys.platform) -> tuple[str, ...]:
@@ -50,6 +51,8 @@ class Speaker:
         OSError
             The command cannot be run.
         """
+        import subprocess  # only here: the window is on the screen some milliseconds earlier
+
         self.stop()
         by_input = self._command[0] == "powershell"
         self._voice = voice = subprocess.Popen(
@@ -66,12 +69,6 @@ class Speaker:
     def stop(self) -> None:
         """Say no more."""
         voice, self._voice = self._voice, None
-        if voice is None:
-            return
-        if voice.poll() is None:
-            voice.terminate()
-        try:
-            voice.wait(STOP_S)
-        except subprocess.TimeoutExpired:
+        if voice is not None:
             voice.kill()
             voice.wait()
