@@ -92,7 +92,7 @@ def open_output(*, real: bool = True) -> Output:
             app_name="skincal",
         )
     except miniaudio.MiniaudioError as error:
-        raise NoSoundError(f"no sound device ({error})") from error
+        raise NoSoundError(f"no sound device ({error.args[0]})") from error
 
 
 def _has_cards() -> bool:
@@ -290,7 +290,7 @@ class Player:
             do()
         except Exception as error:  # noqa: BLE001
             if self._there is not False:
-                LOG.info("no sound: %s", error)
+                LOG.info("nothing is heard: %s", error)
             self._retry_s = time.monotonic() + RETRY_S
             self._tell(there=False)
             try:

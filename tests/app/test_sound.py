@@ -181,7 +181,7 @@ def test_no_device_is_no_error_is_logged_once_and_is_looked_for_again_later(make
     player.play(Sound.CONTACT)
     until(lambda: player.told == [False, True])
     until(lambda: tape.run())
-    assert [r.getMessage() for r in caplog.records] == ["no sound: no sound device (gone)"]
+    assert [r.getMessage() for r in caplog.records] == ["nothing is heard: no sound device (gone)"]
     assert max(r.levelno for r in caplog.records) == logging.INFO
 
 
