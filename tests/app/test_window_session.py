@@ -6,7 +6,6 @@ A real process simulates the rig over TCP; its operator follows the target that 
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -60,19 +59,19 @@ radius = 1.0
 """
 MODULES = """
 [kinds.square_4]
-pads_mm = [[-4.0, -4.0], [4.0, -4.0], [-4.0, 4.0], [4.0, 4.0]]
-outline_mm = [[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]]
+pads_mm = [[-3.0, -3.0], [3.0, -3.0], [-3.0, 3.0], [3.0, 3.0]]
+outline_mm = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]]
 centre_pad = 0
 [[modules]]
 id = 1
 kind = "square_4"
 first_channel = 0
-place_mm = [-8.0, 0.0]
+place_mm = [-6.0, 0.0]
 [[modules]]
 id = 2
 kind = "square_4"
 first_channel = 4
-place_mm = [8.0, 0.0]
+place_mm = [6.0, 0.0]
 """
 
 
@@ -147,7 +146,7 @@ def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate
     first_look(keys)
     meant = follow_until_enough(keys)
     hits = sum(peak == asked for asked, peak in meant)
-    assert hits >= 0.6 * len(meant), "it mostly follows"
+    assert hits >= 0.4 * len(meant), "it mostly follows, and lands on a neighbour now and then; by chance it would be an eighth"
     assert hits < len(meant), "and not always"
     assert said[-1] == "wait"
     pokes = len(bench.snapshot.pokes)
@@ -159,18 +158,18 @@ def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate
 
 
 def first_look(keys: Keys) -> None:
-    """Pause and go on, another target, undo, the other method, a look at the verdict, a pedal."""
+    """Pause, another target, undo, the other method, a look at the verdict, a pedal."""
     bench = keys.bench
+    bench.until(lambda: len(bench.accepted()) >= 3 and all(p.outcome.final for p in bench.snapshot.pokes))
+    keys.tap(Key.Key_Space)
+    assert bench.controller.running is Running.PAUSED
+    assert keys.headline == "paused"
     shown = pixels(keys.workspace.map)
     target = keys.guidance.target.channel
     keys.tap(Key.Key_N)
     assert keys.guidance.target.channel != target
     assert changed(shown, pixels(keys.workspace.map)) > 60
 
-    bench.until(lambda: len(bench.accepted()) >= 3 and all(p.outcome.final for p in bench.snapshot.pokes))
-    keys.tap(Key.Key_Space)
-    assert bench.controller.running is Running.PAUSED
-    assert keys.headline == "paused"
     counted, last, shown = len(bench.accepted()), bench.accepted()[-1].poke, pixels(keys.workspace.map)
     keys.tap(Key.Key_Backspace)
     assert last not in [contact.poke for contact in bench.accepted()]
@@ -201,7 +200,7 @@ def first_look(keys: Keys) -> None:
 
 def follow_until_enough(keys: Keys) -> list[tuple[int, int]]:
     """Wait until the guide says enough; return which taxel was asked for and which answered most, poke by poke."""
-    bench, meant, begun = keys.bench, dict[int, tuple[int, int]](), time.monotonic()
+    bench, meant = keys.bench, dict[int, tuple[int, int]]()
     asked = [keys.guidance.target.channel]
     empty = pixels(keys.workspace.view)
     done = [keys.guidance.done]
@@ -217,7 +216,6 @@ def follow_until_enough(keys: Keys) -> list[tuple[int, int]]:
         return keys.guidance.phase is Phase.ENOUGH
 
     bench.until(enough, ENOUGH_MS)
-    print(f"{len(meant)} pokes in {time.monotonic() - begun:.0f} s")  # noqa: T201
     assert done[-1] == 8
     assert changed(empty, pixels(keys.workspace.view)) > 100
     return list(meant.values())
