@@ -40,7 +40,7 @@ ADVICE: Mapping[Reason, str] = {
     Reason.ARM_MOVED: "Keep the arm still during a poke.",
 }
 
-METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface"}
+METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface", Method.MODULES: "modules"}
 
 
 REASON_LETTERS = 36

@@ -110,7 +110,9 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
     session = road.session
     summaries: dict[str, Any] = {}
     for method in session.snapshot().estimates:
-        averaged = average_over_poses(session.contacts, session.channels, method, session.scene.noise, session.surface)
+        averaged = average_over_poses(
+            session.contacts, session.channels, method, session.scene.noise, session.surface, boards=session.boards
+        )
         summaries[f"{method.value}-per-pose"] = report.method_summary(tuple(averaged.values()), known)
     return summaries
 
@@ -164,7 +166,9 @@ def export(
     calibration = road.session.calibration()
     chosen = method or (Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE)
     if chosen not in calibration.estimates:
-        raise InputError(f"{session}: its scene has no surface; expected --method free.")
+        lacks = "surface" if chosen is Method.SURFACE else "layout"
+        known = " or ".join(method.value for method in calibration.estimates)
+        raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
     findings = [*road.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None)
     text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]

@@ -33,6 +33,7 @@ class Ledger:
         self._pokes = np.zeros(_ROOM, dtype=np.int64)
         self._poses = np.zeros(_ROOM, dtype=np.int64)
         self._live = np.zeros(_ROOM, dtype=bool)
+        self._total = np.zeros(_ROOM)
         self._owner = np.zeros(_ROOM, dtype=np.int64)
         self._weight = np.empty(_ROOM)
         self._contacts = 0
@@ -65,6 +66,7 @@ class Ledger:
         self._pokes[rows] = [contact.poke for contact in contacts]
         self._poses[rows] = [self._pose_names.setdefault(contact.pose, len(self._pose_names)) for contact in contacts]
         self._live[rows] = True
+        self._total[rows] = np.bincount(owner, weights=weights, minlength=len(contacts))
         self._owner[begin : self._answers] = owner + first
         self._weight[begin : self._answers] = weights
         for row, contact in enumerate(contacts, start=first):
@@ -118,6 +120,10 @@ class Ledger:
             trust=np.ones(len(weights)),
         )
 
+    def totals(self, pokes: IntArray) -> FloatArray:
+        """Return (n,) for each poke the sum of the weights k of all its answers; every poke is in."""
+        return self._total[[self._rows[poke] for poke in pokes.tolist()]]
+
     def _order(self, taxels: IntArray, weights: FloatArray, owner: IntArray) -> IntArray:
         """Return the order of answers: by taxel, heaviest first, then by content: when they came leaves no trace."""
         # One key is quicker than two, since k <= 1. Where its last digits are lost, answers count as equal until below.
@@ -141,6 +147,7 @@ class Ledger:
             room = max(2 * len(self._live), self._contacts)
             self._table, self._live = _grown(self._table, room), _grown(self._live, room)
             self._pokes, self._poses = _grown(self._pokes, room), _grown(self._poses, room)
+            self._total = _grown(self._total, room)
         if self._answers > len(self._owner):
             room = max(2 * len(self._owner), self._answers)
             self._owner, self._weight = _grown(self._owner, room), _grown(self._weight, room)
@@ -159,6 +166,7 @@ class Ledger:
         self._contacts, self._answers, self._dropped = len(rows), int(kept.sum()), 0
         self._table[:, : len(rows)] = self._table[:, rows]
         self._pokes[: len(rows)], self._poses[: len(rows)] = self._pokes[rows], self._poses[rows]
+        self._total[: len(rows)] = self._total[rows]
         self._live[:] = False
         self._live[: len(rows)] = True
         self._owner[: self._answers], self._weight[: self._answers] = owner[kept], self._weight[: len(kept)][kept]

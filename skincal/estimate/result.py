@@ -20,6 +20,11 @@ class Method(Enum):
 
     FREE = "free"
     SURFACE = "surface"
+    MODULES = "modules"
+
+
+PER_TAXEL = (Method.FREE, Method.SURFACE)
+"""The paper's methods, which know a taxel by its own contacts alone."""
 
 
 class State(Enum):
@@ -57,7 +62,7 @@ class Estimate:
     method: Method
     state: State
     contacts: int
-    """Contacts in which the taxel answered and that are not excluded."""
+    """Contacts in which the taxel answered and that are not excluded; the modules method may know one that has none."""
     position: FloatArray | None = None
     """(3,) float, metres, link frame; None unless `ESTIMATED`."""
     normal: FloatArray | None = None
@@ -71,7 +76,7 @@ class Estimate:
     rms: float | None = None
     """m, square root of the covariance's trace: the predicted error."""
     triangle: int | None = None
-    """Index of the surface's triangle that carries the position; None for the free method."""
+    """Index of the surface's triangle that carries the position; None without one, and for the free method."""
     reason: str = ""
     """A sentence: why the state is what it is."""
     foot: FloatArray | None = None

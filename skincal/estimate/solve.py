@@ -12,12 +12,14 @@ from skincal.contacts.outcome import Contact
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.free import estimate_free
 from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Estimate, Method, State
+from skincal.estimate.modules import estimate_modules
+from skincal.estimate.result import PER_TAXEL, Estimate, Method, State
 from skincal.estimate.solution import Solution, solve
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 
 if TYPE_CHECKING:
+    from skincal.estimate.boards import Boards
     from skincal.surface.mesh import Surface
 
 _NONE_DEAD: Mapping[int, str] = {}
@@ -37,6 +39,7 @@ def estimate_taxels(
     surface: Surface | None,
     dead: Mapping[int, str] = _NONE_DEAD,
     doubting: bool = True,
+    boards: Boards | None = None,
 ) -> Estimates:
     """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
 
@@ -47,13 +50,27 @@ def estimate_taxels(
     contacts : accepted and not excluded; those without one of `channels` do not matter
     dead : channels that are not used, with the reason
     doubting : whether contacts far off what a taxel's others say count less for it
+    boards : needed by the modules method, which takes the contacts of all taxels of a module
 
     Raises
     ------
     ValueError
-        A contact has a number that is not finite, or the surface method has no surface.
+        A contact has a number that is not finite, or a method lacks its surface or its boards.
     """
-    return estimate_from(Ledger(contacts), channels, methods, noise, surface, dead, doubting=doubting)
+    ledger, channels = Ledger(contacts), [int(channel) for channel in channels]
+    alone = [method for method in methods if method in PER_TAXEL]
+    solved = estimate_from(ledger, channels, alone, noise, surface, dead, doubting=doubting)
+    if Method.MODULES in methods:
+        if boards is None:
+            raise ValueError("the modules method needs the boards of a layout")
+        modules = boards.modules_of(channels)
+        begin = Method.FREE if surface is None else Method.SURFACE
+        others = estimate_from(ledger, boards.channels_of(modules), [begin], noise, surface, dead, doubting=doubting)
+        found = estimate_modules(ledger, boards, modules, noise, [others[begin]], dead, doubting)
+        solved[Method.MODULES] = {
+            channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
+        }
+    return {method: solved[method] for method in methods}
 
 
 def estimate_from(
@@ -66,7 +83,7 @@ def estimate_from(
     last: Mapping[int, Estimate] = _NONE_BEFORE,
     doubting: bool = True,
 ) -> Estimates:
-    """Estimate each of `channels` from the contacts of a ledger; else as `estimate_taxels`.
+    """Estimate each of `channels` from the contacts of a ledger, by methods of `PER_TAXEL`; else as `estimate_taxels`.
 
     Parameters
     ----------
@@ -128,24 +145,27 @@ def average_over_poses(
     noise: NoiseSettings,
     surface: Surface | None,
     dead: Mapping[int, str] = _NONE_DEAD,
+    boards: Boards | None = None,
 ) -> dict[int, Estimate]:
     """Estimate each pose's contacts alone and average the positions with equal weights, the paper's IV-B.
 
-    A pose in which a taxel is not estimated does not count for it. Averages of the surface method leave the surface, as
-    the paper's do; their triangle is None.
+    A pose in which a taxel is not estimated does not count for it. Averages of methods on the surface leave it, as the
+    paper's do; their triangle is None.
 
     Parameters
     ----------
-    contacts, channels, method, noise, surface, dead
+    contacts, channels, method, noise, surface, dead, boards
         As for `estimate_taxels`; poses are told apart by `Contact.pose`.
     """
     poses: dict[str, list[Contact]] = {}
     for contact in contacts:
         poses.setdefault(contact.pose, []).append(contact)
     # By name, so that the order in which the poses came does not matter.
-    solved = [estimate_taxels(poses[pose], channels, [method], noise, surface, dead)[method] for pose in sorted(poses)]
+    solved = [
+        estimate_taxels(poses[pose], channels, [method], noise, surface, dead, boards=boards)[method] for pose in sorted(poses)
+    ]
     if not solved:
-        return estimate_taxels([], channels, [method], noise, surface, dead)[method]
+        return estimate_taxels([], channels, [method], noise, surface, dead, boards=boards)[method]
     return {int(channel): _average([one[int(channel)] for one in solved]) for channel in channels}
 
 

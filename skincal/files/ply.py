@@ -7,22 +7,22 @@ import math
 from skincal.estimate.result import Method
 from skincal.files.calibration import Calibration, placed_taxels
 
-METHOD_CODE = {Method.FREE: 0, Method.SURFACE: 1}
+METHOD_CODE = {Method.FREE: 0, Method.SURFACE: 1, Method.MODULES: 2}
 """PLY has no text properties."""
 
 
 def ply_text(calibration: Calibration, method: Method) -> str:
     """Return ASCII PLY: one vertex a taxel with a position, metres, link frame.
 
-    Properties: `x y z`, unit normal `nx ny nz` (0 0 0 where unknown), `channel`, `method` (0 free, 1 surface), `sd_mm` (-1
-    where it is not determined).
+    Properties: `x y z`, unit normal `nx ny nz` (0 0 0 where unknown), `channel`, `method` (0 free, 1 surface, 2 modules),
+    `sd_mm` (-1 where it is not determined).
     """
     taxels = placed_taxels(calibration.of(method))
     header = [
         "ply",
         "format ascii 1.0",
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {_one_line(calibration.scene.link)}",
-        "comment method 0 is free, 1 is surface; sd_mm -1 is not determined; normal 0 0 0 is not known",
+        "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
         "property int channel",

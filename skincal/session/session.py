@@ -16,8 +16,10 @@ import numpy as np
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.errors import InputError
+from skincal.estimate.boards import Boards
 from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Estimate, Method
+from skincal.estimate.modules import estimate_modules
+from skincal.estimate.result import PER_TAXEL, Estimate, Method
 from skincal.estimate.solve import estimate_from
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
@@ -34,19 +36,27 @@ MARKED = "marked by the operator"
 """Reason of a channel that the operator left out."""
 
 
+def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
+    """Return the methods that a scene has: what it lacks costs nothing."""
+    there = {Method.SURFACE: surface is not None, Method.MODULES: scene.skin.layout is not None}
+    return tuple(method for method in Method if there.get(method, True))
+
+
 class Session:
     """Pokes and decisions, and the estimates of every method that the scene has.
 
     Parameters
     ----------
     scene : what there is to calibrate
-    surface : the scene's mesh; None leaves out the surface method
+    surface : the scene's mesh; None leaves out the surface method, and modules lie free in space
     """
 
     def __init__(self, scene: Scene, surface: Surface | None) -> None:
         self.scene = scene
         self.surface = surface
-        self.methods = (Method.FREE,) if surface is None else (Method.FREE, Method.SURFACE)
+        self.boards = None if scene.skin.layout is None else Boards(scene.skin.layout, scene.skin.anchor, surface)
+        """The modules; None without a layout, which leaves out the modules method."""
+        self.methods = methods_of(scene, surface)
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
         # In the order of their numbers, so that a snapshot copies them and makes nothing anew.
@@ -208,10 +218,15 @@ class Session:
             self._ledger.drop(poke)
         self._ledger.add(self._kept(self._stale))
         self._stale.clear()
-        last = self._estimates.get(Method.SURFACE, {})
-        solved = estimate_from(self._ledger, dirty, self.methods, self.scene.noise, self.surface, self.dead, last)
+        last, dead, noise = self._estimates.get(Method.SURFACE, {}), self.dead, self.scene.noise
+        alone = [method for method in self.methods if method in PER_TAXEL]
+        solved = estimate_from(self._ledger, dirty, alone, noise, self.surface, dead, last)
         for method, estimates in solved.items():
             self._estimates[method].update(estimates)
+        if self.boards is not None:
+            modules = self.boards.modules_of(dirty)
+            others = [self._estimates[method] for method in reversed(alone)]
+            self._estimates[Method.MODULES].update(estimate_modules(self._ledger, self.boards, modules, noise, others, dead))
         self._dirty.clear()
 
     def _kept(self, pokes: Iterable[int]) -> list[Contact]:

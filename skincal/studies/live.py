@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.estimate.result import PER_TAXEL
 from skincal.estimate.solve import estimate_taxels
 from skincal.session.session import Session
 from skincal.studies.benches import Bench
@@ -63,9 +64,9 @@ def touching(bench: Bench, contact: Contact) -> Contact:
 
 
 def resolve_time(bench: Bench, pokes: int, repeats: int) -> dict[str, Any]:
-    """Time a solve of every taxel by both methods, and a session filled anew, from so many contacts."""
+    """Time a solve of every taxel by the two methods of the paper, and a session filled anew, from so many contacts."""
     contacts = bench.contacts(-(-pokes // len(bench.channels)), seed=3)[:pokes]
-    methods = Session(bench.scene, bench.surface).methods
+    methods = [method for method in Session(bench.scene, bench.surface).methods if method in PER_TAXEL]
 
     def solve() -> object:
         return estimate_taxels(contacts, bench.channels, methods, bench.scene.noise, bench.surface)

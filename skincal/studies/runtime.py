@@ -16,7 +16,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method
+from skincal.estimate.result import PER_TAXEL, Method
 from skincal.studies import alternatives, live, measures
 from skincal.studies.benches import Bench
 from skincal.studies.clock import CLOCK, timed
@@ -163,7 +163,7 @@ def _poked(cell: Cell, per_taxel: int, seeds: int, everything: bool) -> Iterator
 
 
 def _shipped(cell: Cell) -> Iterator[Row]:
-    for method in Method:
+    for method in PER_TAXEL:
         yield measures.shipped(cell, method)
 
 
@@ -178,7 +178,7 @@ def _free(cell: Cell) -> Iterator[Row]:
     yield measures.shipped(cell, Method.FREE)
     yield from measures.free_alternatives(cell)
     if len(cell.bench.rig.stances) > 1:
-        for method in Method:
+        for method in PER_TAXEL:
             yield measures.per_pose(cell, method)
 
 

@@ -23,6 +23,7 @@ from skincal.surface.edges import find_edges, triangle_normals
 from skincal.surface.files import read_mesh
 from skincal.surface.resident import resident
 from skincal.surface.tree import Fans, Tree, build_tree, find_fans
+from skincal.surface.unfold import Unfolded
 from skincal.surface.winding import Winding, wind_outward
 
 SIZE_MIN, SIZE_MAX = 0.005, 3.0
@@ -67,6 +68,11 @@ class Surface:
     def fans(self) -> Fans:
         """The triangles around each vertex."""
         return find_fans(self.triangles, len(self.vertices))
+
+    @cached_property
+    def unfolded(self) -> Unfolded:
+        """The surface as straight ways over it are worked out."""
+        return Unfolded(self)
 
     def prepare(self) -> None:
         """Build now what the search needs, so that the first poke does not wait for it."""

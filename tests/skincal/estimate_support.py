@@ -3,6 +3,6 @@
 from skincal.estimate.solve import estimate_taxels
 
 
-def solve(contacts, channels, method, noise, surface, dead=None):
+def solve(contacts, channels, method, noise, surface, dead=None, boards=None):
     """Return the estimates of one method by channel."""
-    return estimate_taxels(contacts, channels, [method], noise, surface, dead or {})[method]
+    return estimate_taxels(contacts, channels, [method], noise, surface, dead or {}, boards=boards)[method]

@@ -110,7 +110,7 @@ def test_solving_a_patch_imports_and_starts_nothing_it_does_not_need(patch):
         [sys.executable, "-c", LEAN.format(folder=str(patch))], capture_output=True, text=True, timeout=60, check=True
     )
     assert done.stderr.strip().splitlines()[-1] == "0 [] 1"
-    assert set(json.loads(done.stdout)["methods"]) == {"free"}
+    assert set(json.loads(done.stdout)["methods"]) == {"free", "modules"}
 
 
 def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):

@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from skincal.estimate.result import Method, State
+from skincal.estimate.result import PER_TAXEL, Method, State
 from skincal.estimate.solve import estimate_taxels
 from skincal.simulate.contacts import recipe, simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
@@ -61,8 +61,8 @@ def session(own, guided, seed):
 
 def solve(rig, contacts, noise, every=1):
     """Outcomes of every n-th taxel by method."""
-    estimates = estimate_taxels(contacts, rig.channels[::every], list(Method), noise, rig.surface)
-    return {method: outcome(estimates[method].values(), rig.places[::every]) for method in Method}
+    estimates = estimate_taxels(contacts, rig.channels[::every], PER_TAXEL, noise, rig.surface)
+    return {method: outcome(estimates[method].values(), rig.places[::every]) for method in PER_TAXEL}
 
 
 @cache
@@ -105,7 +105,7 @@ def test_errors_of_the_arm_that_the_scene_tells_are_covered(poses):
     """All taxels share the poses' errors, so a seed counts as one taxel. Measured: 95 to 98 %."""
     seeds = 200 if LONG else 10
     found = [in_wrong_poses(seed, poses=poses) for seed in range(1, seeds + 1)]
-    for method in Method:
+    for method in PER_TAXEL:
         each = np.array([np.mean(one[method].distances <= LIMIT[method]) for one in found])
         assert abs(each.mean() - 0.95) < 0.02 + 3.3 * np.sqrt(0.05 * 0.95 / seeds)
         ratio = np.mean([(one[method].errors ** 2).mean() for one in found]) / np.mean(
@@ -131,6 +131,6 @@ def row(method, own, guided, seeds):
 if __name__ == "__main__":
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     for own, guided in ((own, guided) for own in (3, 1, 10, 30) for guided in (False, True)):
-        for method in Method:
+        for method in PER_TAXEL:
             sys.stdout.write(row(method, own, guided, count) + "\n")
             sys.stdout.flush()

@@ -14,7 +14,7 @@ import pytest
 from skincal.contacts.gates import widest_gap
 from skincal.contacts.outcome import Contact
 from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Method
+from skincal.estimate.result import PER_TAXEL, Method
 from skincal.estimate.solution import solve
 from skincal.estimate.solve import estimate_taxels
 from skincal.scene import NoiseSettings
@@ -66,13 +66,13 @@ def errors(own, guided, seed, twice, gate=all_pass, preset="noise", doubting=Tru
     """Errors of the taxels in mm, by method."""
     rig, contacts = session(own, guided, seed, twice, preset)
     kept = [contact for contact in contacts if gate(rig, contact)]
-    found = estimate_taxels(kept, rig.channels, list(Method), rig.scene.noise, rig.surface, doubting=doubting)
+    found = estimate_taxels(kept, rig.channels, PER_TAXEL, rig.scene.noise, rig.surface, doubting=doubting)
     return {
         method: 1e3 * np.array(
             [np.linalg.norm(one.position - place) for one, place in zip(found[method].values(), rig.places, strict=True)
              if one.position is not None]
         )
-        for method in Method
+        for method in PER_TAXEL
     }  # fmt: skip
 
 
@@ -81,7 +81,7 @@ def mean_and_worst(own, guided, twice, gate=all_pass, seeds=SEEDS, preset="noise
     each = [errors(own, guided, seed, twice, gate, preset, doubting) for seed in range(1, seeds + 1)]
     return {
         method: (np.mean([one[method].mean() for one in each]), np.mean([one[method].max() for one in each]))
-        for method in Method
+        for method in PER_TAXEL
     }
 
 
@@ -92,7 +92,7 @@ CASES = [(10, False), (10, True), (30, False), (30, True)] if LONG else [(10, Fa
 def test_pokes_that_touch_two_places_cost_a_tenth_and_the_worst_taxel_three(own, guided):
     """Past the gates, which stop four in ten of them. The worst: the mean over seeds of the largest error of 84 taxels."""
     clean, doubled = (mean_and_worst(own, guided, twice, all_gates) for twice in (False, True))
-    for method in Method:
+    for method in PER_TAXEL:
         assert doubled[method][0] < 1.1 * clean[method][0] * (1 + CHANCE)
         assert doubled[method][1] < 1.3 * clean[method][1] * (1 + 3 * CHANCE)
 
@@ -101,7 +101,7 @@ def test_pokes_that_touch_two_places_cost_a_tenth_and_the_worst_taxel_three(own,
 def test_without_any_gate_they_cost_little_more(own, guided):
     # Measured over 12 seeds: x1.05 to x1.13 (30 unguided pokes, free; without trust x1.48), the worst taxel x1.06 to x1.17.
     clean, doubled = (mean_and_worst(own, guided, twice) for twice in (False, True))
-    for method in Method:
+    for method in PER_TAXEL:
         assert doubled[method][0] < 1.15 * clean[method][0] * (1 + CHANCE)
         assert doubled[method][1] < 1.3 * clean[method][1] * (1 + 3 * CHANCE)
 
@@ -109,7 +109,7 @@ def test_without_any_gate_they_cost_little_more(own, guided):
 def test_without_trust_they_cost_more():
     for guided in (False, True):
         clean, doubled = (mean_and_worst(10, guided, twice, seeds=4, doubting=False) for twice in (False, True))
-        assert all(doubled[method][0] > 1.13 * clean[method][0] for method in Method)
+        assert all(doubled[method][0] > 1.13 * clean[method][0] for method in PER_TAXEL)
 
 
 @pytest.mark.parametrize("guided", [False, True])
@@ -118,7 +118,7 @@ def test_clean_pokes_count_fully_and_lose_no_accuracy(guided):
     values = np.concatenate([trust_of(10, guided, seed) for seed in range(1, 5)])
     assert np.mean(values == 1.0) > 0.97
     plain = mean_and_worst(10, guided, False, doubting=False)
-    assert all(trusted[method][0] < 1.025 * plain[method][0] for method in Method)
+    assert all(trusted[method][0] < 1.025 * plain[method][0] for method in PER_TAXEL)
 
 
 def trust_of(own, guided, seed, twice=False, preset="noise"):
@@ -276,7 +276,7 @@ if __name__ == "__main__":
             lines = {"no gate, no trust": harmed}
             for name, gate in (("no gate", all_pass), ("pitch gate", pitch_gate), ("all gates", all_gates)):
                 lines[name] = mean_and_worst(own, guided, True, gate, seeds=count)
-            for method in Method:
+            for method in PER_TAXEL:
                 mean, worst = clean[method]
                 cost = 100 * (mean / plain[method][0] - 1)
                 ratios = (

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from skincal.errors import InputError
+from skincal.estimate.boards import Boards
 from skincal.estimate.result import Estimate, Method, State
 from skincal.estimate.solve import estimate_taxels
 from skincal.files.atomic import write_atomically
@@ -68,7 +69,9 @@ def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
     contacts = make_contacts(part, 80, seed=9)
     channels, dead = [0, 1, 2, 3, 5], {3: "always on"}
     used = [contact for contact in contacts if contact.poke not in (4, 11)]
-    solved = estimate_taxels(used, channels, list(Method), scene.noise, surface, dead)
+    assert scene.skin.layout is not None
+    boards = Boards(scene.skin.layout, scene.skin.anchor, surface)
+    solved = estimate_taxels(used, channels, list(Method), scene.noise, surface, dead, boards=boards)
     estimates = {method: tuple(found.values()) for method, found in solved.items()}
     assert any(e.state is State.ESTIMATED for e in estimates[Method.FREE])
     calibration = replace(
@@ -76,7 +79,7 @@ def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
     )
     write_calibration(calibration, "json", tmp_path / "c.json", Method.SURFACE)
     file = read_json(tmp_path / "c.json")
-    solved = estimate_taxels(file.used_contacts, file.channels, list(Method), file.noise, surface, file.dead)
+    solved = estimate_taxels(file.used_contacts, file.channels, list(Method), file.noise, surface, file.dead, boards=boards)
     for method, again in solved.items():
         for one, other in zip(file.estimates[method], again.values(), strict=True):
             assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))
@@ -134,7 +137,7 @@ def test_csv_has_a_row_a_channel_and_method(part, tmp_path):
             assert [float(word) for word in vectors] == [*part.places[channel], *part.normals[channel], 1.0]
             assert (row["state"], row["contacts"]) == ("estimated", "7")
     counted = "2 of 34 taxels have no position (1 unseen, 1 blind): written with an empty position."
-    assert said == (f"free: {counted}", f"surface: {counted}")
+    assert said == (f"free: {counted}", f"surface: {counted}", f"modules: {counted}")
 
 
 def test_ply_holds_the_known_taxels(part, tmp_path):

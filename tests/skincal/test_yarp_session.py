@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method
+from skincal.estimate.result import PER_TAXEL, Method
 from skincal.files.export import write_calibration
 from skincal.files.icub import read_icub
 from skincal.files.json_file import read_json
@@ -76,7 +76,7 @@ def test_every_poke_of_the_log_is_a_contact(played):
     assert all(isinstance(outcome, Contact) for outcome in outcomes)
 
 
-@pytest.mark.parametrize("method", list(Method))
+@pytest.mark.parametrize("method", PER_TAXEL)
 def test_the_written_positions_are_the_true_ones(played, tmp_path, method):
     part, road = played
     path = tmp_path / "positions.txt"
@@ -98,7 +98,9 @@ def test_the_json_of_the_log_computes_again(played, tmp_path):
     file = read_json(tmp_path / "c.json")
     assert road.session.surface is not None
     for method, estimates in calibration.estimates.items():
-        again = solve(file.used_contacts, file.channels, method, file.noise, road.session.surface, file.dead)
+        again = solve(
+            file.used_contacts, file.channels, method, file.noise, road.session.surface, file.dead, road.session.boards
+        )
         for one in estimates:
             other = again[one.channel]
             assert one.state is other.state
