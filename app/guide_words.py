@@ -26,7 +26,7 @@ FARTHEST = 0.020
 DONE_NAMED = 3
 """So many taxels that became done with one poke are named."""
 BETWEEN = "  \N{MIDDLE DOT}  "
-WHAT: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "place"}
+WHAT: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "place", Method.MODULES: "place"}
 """What a poke is to tell: nearly all of the free method's error is depth; the surface method's lies along the skin."""
 
 

@@ -13,6 +13,8 @@ from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QFontDatabase, QPalette
 from PySide6.QtWidgets import QApplication
 
+from skincal.estimate.result import Method
+
 HUES = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7")
 """Okabe and Ito 2008, without black: module i has hue i modulo 7."""
 
@@ -44,8 +46,8 @@ class Colours:
     warn: str
     axes: tuple[str, str, str]
     """Curves of x, y and z."""
-    methods: tuple[str, str]
-    """Curves of the free and the surface method, of Okabe and Ito's hues; each has its own symbol, too."""
+    methods: tuple[str, str, str]
+    """Curves of the free, the surface and the modules method, near Okabe and Ito's hues; each has its own symbol, too."""
 
 
 DARK = Colours(
@@ -61,7 +63,7 @@ DARK = Colours(
     bad="#FF8A5C",
     warn="#E8B84A",
     axes=("#FF8A7A", "#6FD08C", "#6FB4FF"),
-    methods=("#56B4E9", "#E69F00"),
+    methods=("#56B4E9", "#E69F00", "#35C596"),
 )
 LIGHT = Colours(
     dark=False,
@@ -76,13 +78,18 @@ LIGHT = Colours(
     bad="#B03A06",
     warn="#7A5200",
     axes=("#C2321F", "#0F7433", "#1463C4"),
-    methods=("#0072B2", "#D55E00"),
+    methods=("#0072B2", "#D55E00", "#00795A"),
 )
 
 GAP = 8
 """Pixels between things that belong together."""
 HEADLINE_PT = 28
 """The line that says what happens: readable from two metres on a 24 inch screen, where a small letter is 5 mm high."""
+
+
+def method_hue(colours: Colours, method: Method) -> str:
+    """Return the hue of a method's curves."""
+    return colours.methods[list(Method).index(method)]
 
 
 def system_colours() -> Colours:

@@ -30,8 +30,11 @@ from app.theme import GAP, Colours
 from app.words import METHOD_NAMES, error_words, pokes_words, summary_words
 from skincal.estimate.result import Method
 from skincal.guide.coach import leeway
+from skincal.session.session import methods_of
 from skincal.session.snapshot import Snapshot
 
+SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
+"""Methods in the order in which they are offered; the first that there is is shown first."""
 RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
 
@@ -58,7 +61,8 @@ class Workspace(QWidget):
         scene, names = part.scene, ChannelNames(part.scene.skin.layout)
         self.part = part
         self.names = names
-        self.methods = (Method.FREE,) if part.surface is None else (Method.SURFACE, Method.FREE)
+        there = methods_of(scene, part.surface)
+        self.methods = tuple(method for method in SHOWN if method in there)
         self.view = make_view()
         self.now = NowPanel()
         self.progress = ElidedLabel()

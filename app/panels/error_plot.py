@@ -17,16 +17,16 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from app.display_units import in_millimetres, in_minutes
 from app.error_words import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
-from app.theme import LIGHT, Colours
+from app.theme import LIGHT, Colours, method_hue
 from skincal.estimate.result import Method
 from skincal.readings import FloatArray, IntArray
 from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
 
 STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
-SYMBOLS = {Method.FREE: "o", Method.SURFACE: "d"}
+SYMBOLS = {Method.FREE: "o", Method.SURFACE: "d", Method.MODULES: "t1"}
 SYMBOLS_SHOWN = 12
 """Symbols along a line: enough to tell it, few enough to see it."""
-SHIFT = {Method.FREE: -0.16, Method.SURFACE: 0.16}
+SHIFT = {Method.FREE: -0.22, Method.SURFACE: 0.0, Method.MODULES: 0.22}
 """Methods stand side by side at a module; 1 is from module to module."""
 TICK = 0.1
 """Half the width of the mark of p95 at a module."""
@@ -44,7 +44,7 @@ class ErrorPlot(QWidget):
         self._item: Any = self.view.getPlotItem()
         self.curves: dict[tuple[Method, int], Any] = {(m, at): self.view.plot() for m in methods for at in STATISTICS}
         self.symbols = {method: pg.ScatterPlotItem(symbol=SYMBOLS[method], size=8) for method in methods}
-        self.papers = {method: self._paper(method) for method in methods}
+        self.papers = {method: self._paper(method) for method in methods if method in PAPER}
         for item in (*self.symbols.values(), *self.papers.values()):
             self._item.addItem(item)
         self._prepare()
@@ -82,12 +82,13 @@ class ErrorPlot(QWidget):
             axis.setPen(pg.mkPen(colours.line))
             axis.setTextPen(pg.mkPen(colours.muted))
         for (method, statistic), curve in self.curves.items():
-            curve.setPen(pg.mkPen(_hue(colours, method), width=1, style=STYLES[statistic]))
+            curve.setPen(pg.mkPen(method_hue(colours, method), width=1, style=STYLES[statistic]))
         for method, line in self.papers.items():
-            line.setPen(pg.mkPen(_hue(colours, method), width=1, style=Qt.PenStyle.DashDotLine))
+            line.setPen(pg.mkPen(method_hue(colours, method), width=1, style=Qt.PenStyle.DashDotLine))
             line.label.setColor(colours.text)
-            self.symbols[method].setPen(pg.mkPen(colours.panel))
-            self.symbols[method].setBrush(pg.mkBrush(_hue(colours, method)))
+        for method, symbols in self.symbols.items():
+            symbols.setPen(pg.mkPen(colours.panel))
+            symbols.setBrush(pg.mkBrush(method_hue(colours, method)))
 
     def draw(self, series: ErrorSeries, axis: Axis, row: int, quantity: str, *, paper: bool) -> None:
         """Draw a course.
@@ -159,7 +160,3 @@ class ErrorPlot(QWidget):
 def _joined(series: ErrorSeries) -> IntArray:
     """Return 1 where a point is joined to the next, 0 where something between them is still worked out, (n,) int."""
     return (np.diff(series.counts, append=0) <= series.stride).astype(np.int64)
-
-
-def _hue(colours: Colours, method: Method) -> str:
-    return colours.methods[0 if method is Method.FREE else 1]

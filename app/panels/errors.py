@@ -20,7 +20,7 @@ from app.error_words import Axis, newest_words, quantity_words, source_words
 from app.frame import Frame
 from app.panels.plot_panel import PlotPanel
 from app.panels.texts import put, quiet
-from app.theme import GAP, LIGHT, Colours
+from app.theme import GAP, LIGHT, Colours, method_hue
 from app.words import METHOD_NAMES
 from skincal.estimate.result import Method
 from skincal.skin import Layout
@@ -31,7 +31,11 @@ if TYPE_CHECKING:
 
 DRAW_S = 0.2
 """s between two drawings while the past is being worked out."""
-SYMBOLS = {Method.FREE: "\N{BLACK CIRCLE}", Method.SURFACE: "\N{BLACK DIAMOND}"}
+SYMBOLS = {
+    Method.FREE: "\N{BLACK CIRCLE}",
+    Method.SURFACE: "\N{BLACK DIAMOND}",
+    Method.MODULES: "\N{BLACK UP-POINTING TRIANGLE}",
+}
 
 
 class ErrorsPanel(PlotPanel):
@@ -45,7 +49,7 @@ class ErrorsPanel(PlotPanel):
 
     def __init__(self, methods: tuple[Method, ...], layout: Layout | None, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._methods = [method for method in (Method.FREE, Method.SURFACE) if method in methods]
+        self._methods = [method for method in Method if method in methods]
         self._modules = [] if layout is None else [str(module.id) for module in layout.modules]
         self._colours: Colours = LIGHT
         self._tracker: ErrorTracker | None = None
@@ -153,7 +157,7 @@ class ErrorsPanel(PlotPanel):
             self.plot.draw(series, self.axis, row, quantity_words(tracker.source), paper=tracker.source is not None)
 
     def _hue(self, method: Method) -> str:
-        return self._colours.methods[0 if method is Method.FREE else 1]
+        return method_hue(self._colours, method)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""

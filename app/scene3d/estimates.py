@@ -33,7 +33,7 @@ BLIND_REACH = 0.05
 LIFT = 4e-4
 """m. Marks float this far above the part."""
 
-Other = {Method.FREE: Method.SURFACE, Method.SURFACE: Method.FREE}
+Other = {Method.FREE: Method.SURFACE, Method.SURFACE: Method.FREE, Method.MODULES: Method.SURFACE}
 
 
 class EstimatesLayer:

@@ -92,7 +92,7 @@ def region(estimate: Estimate) -> FloatArray:
     if estimate.position is None or estimate.covariance is None:
         return np.empty((0, 1, 2, 3))
     variances, axes = np.linalg.eigh(estimate.covariance)
-    flat = estimate.method is Method.SURFACE
+    flat = estimate.method is Method.SURFACE or estimate.triangle is not None
     half = np.minimum((SURFACE_95 if flat else SPACE_95) * np.sqrt(np.maximum(variances, 0.0)), LARGEST)
     if not flat:
         return estimate.position + (CIRCLES * half) @ axes.T
