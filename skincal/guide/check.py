@@ -89,6 +89,9 @@ def check(
     if not cuts:
         return Check(0, 0)
     others = _joined(told, [others for _, others in cuts])
+    if method is Method.MODULES:
+        # A poke's own rows are those of single taxels: foretold by the method that knows these best.
+        method = Method.FREE if surface is None else Method.SURFACE
     solution = solve(others, [method], noise, surface)
     distances = _distances(told, np.array([out for out, _ in cuts]), solution, method, noise)
     known = np.isfinite(distances)

@@ -37,6 +37,7 @@ class Facts:
     """What is known of one taxel beside its estimate; SI units."""
 
     own: int
+    """Pokes of its own; by the modules method, of its module."""
     diversity: float
     beside: float
     moved: float
@@ -61,6 +62,9 @@ def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSetti
     """Return what a taxel still needs by one method; nothing for one that is done or dead."""
     if estimate.state is State.DEAD:
         return ()
+    if method is Method.MODULES:
+        few, wide = facts.own < settings.module_pokes, estimate.rms is None or estimate.rms > settings.wanted
+        return tuple(need for need, is_missing in ((Need.POKES, few), (Need.ACCURACY, wide)) if is_missing)
     missing = {
         Need.POKES: facts.own < settings.own_pokes,
         Need.ACCURACY: estimate.rms is None or estimate.rms > settings.wanted,

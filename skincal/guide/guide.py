@@ -18,7 +18,7 @@ from skincal.guide import choose
 from skincal.guide.done import Facts, Need, Tried, Why, given_up, needs
 from skincal.guide.guidance import Guidance, Phase, Target
 from skincal.guide.knowledge import Knowledge
-from skincal.guide.left import pace, pokes_left
+from skincal.guide.left import module_pokes_left, pace, pokes_left
 from skincal.guide.places import Plan, believed
 from skincal.guide.pokes import Pokes, axis_of
 from skincal.guide.settings import GuideSettings
@@ -70,7 +70,7 @@ class Guide:
         count = len(plan.channels)
         self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
         self._noise, self._spacing, self._cover = noise, spacing, cover
-        self._in_plane = method is Method.SURFACE
+        self._in_plane = method is not Method.FREE
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._pokes = Pokes(plan.channels, self.settings)
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
@@ -182,7 +182,7 @@ class Guide:
         """Say anew what those taxels need whose contacts or estimates changed."""
         know, turned = self._knowledge, list[int]()
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
-        facts = zip(*map(np.ndarray.tolist, (know.own, know.diversity, beside, know.moved)), strict=True)
+        facts = zip(*map(np.ndarray.tolist, (self._own(), know.diversity, beside, know.moved)), strict=True)
         nothing: tuple[Need, ...] | None = None
         for row, (one, each) in enumerate(zip(estimates, facts, strict=True)):
             if one is self._estimates[row] and one.channel not in dirty:
@@ -201,6 +201,13 @@ class Guide:
             self._solved[row] = min(self._nothing if told is None else told, self._nothing)
         self._stale |= np.isin(self._neighbours.rows, turned).any(axis=1)
 
+    def _own(self) -> IntArray:
+        """Return (n,) the pokes of their own: a module's taxels share theirs where its modules are what is known."""
+        own, modules = self._knowledge.own, self.plan.modules
+        if self.method is not Method.MODULES:
+            return own
+        return np.where(modules >= 0, np.bincount(np.maximum(modules, 0), own).astype(np.int64)[modules], own)
+
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
         know, left = self._knowledge, self._given_up()
         rms = np.array([np.inf if one.rms is None else one.rms for one in estimates])
@@ -218,7 +225,10 @@ class Guide:
         elif phase is not Phase.ENOUGH:
             self._last = self._target(state, phase)
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
-        count = pokes_left(open_, know.own, rms, beside, know.moved, self.settings)
+        if self.method is Method.MODULES:
+            count = module_pokes_left(open_, self.plan.modules, self._own(), rms, self.settings)
+        else:
+            count = pokes_left(open_, know.own, rms, beside, know.moved, self.settings)
         step = pace(np.array([one.start_s for one in self._pokes.latest()]))
         shown = np.flatnonzero(~self._loose | (know.contacts > 0))
         return Guidance(

@@ -51,6 +51,24 @@ def pokes_left(
     return int(np.ceil(float(np.minimum(each, settings.patience - pokes)[open_].sum()) / (HITS + (1.0 - HITS) * share)))
 
 
+def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings) -> int:
+    """Return how many pokes it takes until no module is open, by the modules method.
+
+    Parameters
+    ----------
+    modules : (n,) of each taxel
+    own : (n,) pokes of its module
+    """
+    count = 0
+    for module in np.unique(modules[open_]).tolist():
+        taxels = modules == module
+        pokes, error = int(own[taxels].max()), float(np.max(np.where(np.isfinite(rms[taxels]), rms[taxels], 0.0)))
+        # The variance falls as one over the pokes.
+        exact = int(np.ceil(max(pokes, 1) * ((error / settings.wanted) ** 2 - 1.0)))
+        count += max(settings.module_pokes - pokes, exact, 1)
+    return count
+
+
 def _settling(settings: GuideSettings) -> FloatArray:
     """Return for each number of own pokes how many more it takes until one of them moves the taxel little enough."""
     after = np.zeros(settings.patience + 1)

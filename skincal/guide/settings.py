@@ -13,6 +13,8 @@ class GuideSettings:
 
     wanted: float = 0.003
     """m, predicted rms error at which a taxel may be done: a little over half of the 5 mm between taxels."""
+    module_pokes: int = 4
+    """Pokes of a module's own, by the modules method: four places tell where it lies and how it is turned, and one is spare."""
     own_pokes: int = 3
     """Pokes of its own, in which the taxel answers most: what neighbours' pokes say of it is off to their side."""
     diversity: float = float(np.radians(15.0))
