@@ -120,6 +120,17 @@ class ArmSpec:
     """rad. Streamed joints that move more than this during a poke reject it."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmark:
+    """A point of the part that is known: a screw head, a corner, a jig."""
+
+    name: str
+    place: FloatArray
+    """(3,) float, metres, link frame."""
+    normal: FloatArray | None
+    """(3,) float, unit, outward; None where not given."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """What there is to calibrate."""
@@ -138,6 +149,7 @@ class Scene:
     noise: NoiseSettings
     path: Path
     """The scene file; relative paths in it start from its folder."""
+    landmarks: tuple[Landmark, ...] = ()
     text: str = field(repr=False, default="")
     """The file's text, kept in every session."""
 
@@ -174,6 +186,7 @@ def load_scene(path: Path) -> Scene:
         contacts=_read_contacts(contacts),
         noise=_read_settings(noise, NoiseSettings),
         path=path,
+        landmarks=_read_landmarks(root, path),
         text=text,
     )
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
@@ -242,6 +255,18 @@ def _read_arm(table: Table) -> ArmSpec:
     if not tolerance > 0:
         raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")
     return ArmSpec(arm, named, float(np.radians(tolerance)))
+
+
+def _read_landmarks(root: Table, path: Path) -> tuple[Landmark, ...]:
+    landmarks: list[Landmark] = []
+    for table in root.tables("landmarks"):
+        name, place = table.take("name", str), table.array("place", (3,))
+        check_metres(place, f"{table.where}: place")
+        if not name or any(name == other.name for other in landmarks):
+            raise InputError(f"{path}: a landmark is named {name!r}; expected a name that no other one has.")
+        landmarks.append(Landmark(name, place, table.direction("normal") if "normal" in table.keys else None))
+        table.done()
+    return tuple(landmarks)
 
 
 def _read_sign(table: Table) -> int:

@@ -97,6 +97,11 @@ def simulate_contacts(
     return contacts
 
 
+def pressed(rig: Rig, pokes: Pokes, rng: np.random.Generator, pose: str | None = None, tare: Tare = Tare.POKE) -> FloatArray:
+    """Return (n, 6) what the sensor makes of pokes anywhere on the part, tared, N and N m, whatever taxels answer."""
+    return _mean_wrenches(rig, pokes, rig.stance(pose), rng) + _tared_noise(rig, len(pokes), rng, tare)[0]
+
+
 def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> Pokes:
     """Return unguided pokes, `per_taxel` at each taxel, each round in a new random order."""
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
