@@ -10,7 +10,8 @@ each by QR of the rows (their condition is never squared), with the singular val
 directions the pokes determine.
 
 Trust is that of `trust.h`, for the whole board: a poke far off what the others say counts less, measured against the board's
-own spread.
+own spread. The others are those of the same arm pose, where they are enough: a pose that is told wrong shifts all its pokes,
+and none of them is to blame.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ FULL, NONE = 2.8, 3.8
 """Standard deviations up to which a poke counts fully, and from which on not at all: as in `trust.h`."""
 FEWEST = 4
 """Pokes of a board below which all count fully."""
+OF_POSE = 8
+"""Pokes of a board in one arm pose from which on they are judged by themselves: twice the fewest."""
 LEFT = 2.0
 """Sum of the trust below which all count fully: nobody can tell which one is right."""
 ALIKE = 2.0
@@ -109,7 +112,7 @@ def fit_boards(touches: Touches, boards: Boards, start: Poses, noise: NoiseSetti
     for turn in range(STEPS_MAX):
         rows = whitened(touches, boards.ground.laid(poses.take(of), flat), noise)
         if doubting and turn == 0:
-            trust = np.concatenate([_found_trust(rows, span) for span in spans])
+            trust = np.concatenate([_trust_of(rows, span, touches) for span in spans])
         steps = np.stack([_step(rows.slopes[span], rows.misses[span], trust[span]) for span in spans])
         # Who has settled stays to the last bit, however many steps the others take.
         going &= np.abs(steps).max(axis=1) > SETTLED
@@ -168,9 +171,21 @@ def _inverse_root(xx: FloatArray, xy: FloatArray, yy: FloatArray) -> FloatArray:
     return inverse
 
 
-def _found_trust(rows: Rows, span: slice) -> FloatArray:
-    """Return the trust of one board's pokes, by steps that far ones pull little in, from where it stands."""
-    slopes, misses, pitches = rows.slopes[span], rows.misses[span], rows.pitches[span]
+def _trust_of(rows: Rows, span: slice, touches: Touches) -> FloatArray:
+    """Return the trust of one board's pokes, each judged among those of its arm pose, or among all that are left over."""
+    poses = touches.evidence.poses[touches.rows[span]]
+    names, owner, sizes = np.unique(poses, return_inverse=True, return_counts=True)
+    group = np.where(sizes >= OF_POSE, np.arange(len(names)), -1)[owner]
+    trust = np.ones(len(poses))
+    for own in np.unique(group):
+        some = np.flatnonzero(group == own)
+        at = some + span.start
+        trust[some] = _found_trust(rows.slopes[at], rows.misses[at], rows.pitches[at])
+    return trust if trust.sum() >= LEFT else np.ones(len(poses))
+
+
+def _found_trust(slopes: FloatArray, misses: FloatArray, pitches: FloatArray) -> FloatArray:
+    """Return the trust of some of a board's pokes, by steps that far ones pull little in, from where it stands."""
     count = len(misses)
     if count < FEWEST:
         return np.ones(count)

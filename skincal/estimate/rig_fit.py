@@ -34,8 +34,14 @@ STEPS = 4
 """Of Gauss and Newton: the rows are nearly straight in the unknowns, and the fourth step moves no taxel by a micrometre."""
 ROUNDS = 4
 """How often the trust of landmark pokes is told anew within a step."""
+SKIN = 0.1
+"""What a poke on the skin counts for the rig: pokes near one place are off by the same, so ten of them do not tell ten times as
+much. On the paper's rig with 1,200 skin pokes and 21 at landmarks the modules' error is 2.1 mm with 1, 1.0 with 0.3, 0.65 with
+0.1 and 0.65 with 0.03."""
 HELD_OUT = 4
 """One landmark poke in so many is held out."""
+TOLD = 0.9
+"""A landmark poke that counts less than this is named to the operator."""
 LEFT = 0.5
 """Share of the landmark pokes that must count, or all of them do: where most are doubted, nobody can tell which are right."""
 FEWEST = 6
@@ -125,7 +131,7 @@ class RigAnswer:
             f"Landmark poke {poke} lies {self.distances[poke] * 1e3:.0f} mm off its landmark and counts "
             + ("for nothing: was it another point?" if trust <= 0 else f"{trust:.0%}.")
             for poke, trust in self.trust.items()
-            if trust < 0.5
+            if trust < TOLD
         ]
         return tuple(said)
 
@@ -192,7 +198,7 @@ class _Fit:
         if self.clouds is not None and self._skin is not None:
             placed = self.clouds.placed()
             rows = rig_rows(self._skin, self.state, placed.places, placed.spread, self.noise, self.scales)
-            root = np.sqrt(self.clouds.trust)[:, None, None]
+            root = np.sqrt(SKIN * self.clouds.trust)[:, None, None]
             own = rows.of_place @ placed.gradients
             every = root * np.concatenate([own, rows.of_rig, rows.misses[:, :, None]], axis=2)
             for cloud in range(self.clouds.count):

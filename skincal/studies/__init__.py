@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 STUDIES: Mapping[str, str] = {
     "stability": "Every solver against 80-digit arithmetic on stiff and extreme cases.",
     "guidance": "Pokes that the guide takes, beside people who are told nothing and a printed recipe.",
+    "paper": "The paper's experiment done again, with rigid modules and landmark pokes beside its two methods.",
     "runtime": "Error against run time: the two methods, the paper's way, brute force and other honest alternatives.",
 }
 """Name of each study, which is its module's in this package, and what it shows."""

@@ -104,7 +104,7 @@ def test_landmarks_take_the_papers_rig_to_millimetres(per_pose, bar):
         rig, request, answer = trial(seed, "paper", 1, per_pose)
         assert answer.used
         before, after = mean_error(rig, request.contacts), mean_error(rig, corrected(request, answer))
-        assert after < min(bar, 0.6 * before)
+        assert after < min(bar, 0.5 * before)
         assert answer.after < 0.5 * answer.before
 
 
@@ -126,16 +126,15 @@ def test_without_landmarks_nothing_of_the_rig_is_touched():
 
 
 def test_a_landmark_poked_ten_millimetres_off_is_told_and_does_little_harm():
-    told = 0
     for seed in range(1, 5):
         rig, request, answer = trial(seed, "paper", 1, 3, (7, 0.010))
         assert answer.used
         assert mean_error(rig, corrected(request, answer)) < 3.3
-        told += answer.trust[10_008] < 0.5
-        # The poke's own miss may lie along its push, where no axis tells of it.
-        said = [sentence for sentence in answer.sentences if "10008" in sentence]
-        assert bool(said) == (answer.trust[10_008] < 0.5)
-    assert told >= 3
+        # Three pokes in a pose hardly tell which of them is wrong; ten do.
+        _, _, sure = trial(seed, "paper", 1, 10, (33, 0.010))
+        assert sure.trust[10_034] < 0.5
+        assert sum(trust < 0.5 for trust in sure.trust.values()) <= 3
+        assert [sentence for sentence in sure.sentences if "10034" in sentence]
 
 
 def test_what_landmarks_do_not_tell_stays_at_the_prior():
@@ -217,5 +216,5 @@ def test_the_scene_that_ships_has_its_landmarks_on_the_part():
 
     scene, surface = scene_and_surface()
     places = np.array([one.place for one in scene.landmarks])
-    assert len({one.name for one in scene.landmarks}) == 5
+    assert len({one.name for one in scene.landmarks}) == 6
     assert np.linalg.norm(nearest_points(surface, places)[0] - places, axis=1).max() < 5e-4
