@@ -274,6 +274,8 @@ def test_a_side_that_was_skipped_is_worth_nothing():
     assert sky is not None
     np.testing.assert_array_equal(sky.worth == 0.0, sky.tried @ first.push > np.cos(np.radians(25.0)))
     np.testing.assert_array_equal(sky.worth[sky.worth > 0], open_.worth[sky.worth > 0])
+
+
 def test_modules_are_enough_after_few_pokes_each_and_the_guide_goes_from_one_to_the_next():
     followed = Followed(Method.MODULES)
     for _ in range(60):
