@@ -1,0 +1,115 @@
+"""Three pokes at landmarks: the frame that is wrong is named, the one that is right is left, and nothing is changed."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from skincal.estimate.boards import rotations
+from skincal.estimate.frame_doctor import GRAVITY, FrameCorrection, diagnose
+from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.rig import RigErrors
+from tests.skincal.sim_support import make_rig
+
+LAYOUT = 0.004
+"""m, by how much landmarks lie beside where the scene puts them."""
+TRIALS = 200
+
+
+@lru_cache
+def rig_of(seed):
+    return make_rig(RigErrors.noise(), seed)
+
+
+def three(trial):
+    """Three pokes in the first arm pose, their normals, and the numbers that the rest of the trial is drawn from."""
+    rng = np.random.default_rng([trial, 99])
+    rig = rig_of(trial % 10 + 1)
+    pokes = poke_landmarks(rig, rig.scene.landmarks, 3, rng)[:3]
+    beside = LAYOUT / np.sqrt(3.0) * rng.standard_normal((3, 3))
+    pokes = [replace(poke, place=poke.place + off) for poke, off in zip(pokes, beside, strict=True)]
+    return pokes, [one.normal for one in rig.scene.landmarks[:3]], rng
+
+
+def other_axes(rng):
+    while True:
+        axes = np.diag(rng.choice([-1.0, 1.0], 3))[rng.permutation(3)]
+        if not np.array_equal(axes, np.eye(3)):
+            return axes
+
+
+def mounting(rng):
+    motion, turn, shift = np.eye(4), rng.standard_normal(3), rng.standard_normal(3)
+    motion[:3, :3] = rotations(np.radians(25.0) * (turn / np.linalg.norm(turn))[None])[0]
+    motion[:3, 3] = 0.04 * shift / np.linalg.norm(shift)
+    return motion
+
+
+def said_right(trial):
+    """Break the frame in one of five ways, and tell whether it is named."""
+    pokes, normals, rng = three(trial)
+    kind, axes, motion = trial % 5, other_axes(rng), mounting(rng)
+    change = (
+        lambda one: one,
+        lambda one: replace(one, force=axes.T @ one.force, moment=axes.T @ one.moment),
+        lambda one: replace(one, moment=1e3 * one.moment),
+        lambda one: replace(one, force=one.force / GRAVITY),
+        lambda one: replace(one, link_from_sensor=one.link_from_sensor @ motion),
+    )[kind]
+    said = diagnose([change(poke) for poke in pokes], normals)
+    plain = np.array_equal(said.correction.axes, np.eye(3))
+    return (
+        said.right,
+        np.array_equal(said.correction.axes, axes) and said.correction.moment_scale == 1.0,
+        plain and said.correction.moment_scale == 1e-3 and "newton millimetres" in said.words,
+        plain and said.correction.force_scale == GRAVITY and "kilogram-force" in said.words,
+        "sits elsewhere" in said.words and said.corrected_miss < said.miss,
+    )[kind]
+
+
+def test_two_hundred_trials_are_named_right():
+    wrong = [trial for trial in range(TRIALS) if not said_right(trial)]
+    assert len(wrong) <= 0.01 * TRIALS, wrong
+
+
+def test_a_right_frame_is_left_and_a_wrong_one_is_corrected_by_what_is_offered():
+    pokes, normals, _ = three(0)
+    said = diagnose(pokes, normals)
+    assert said.right
+    assert said.sure
+    assert said.miss < 0.01
+    assert said.corrected_miss == said.miss
+    assert "right" in said.words
+    reaction = diagnose([replace(poke, force=-poke.force, moment=-poke.moment) for poke in pokes], normals)
+    # The axis is the same: the side that pushes tells.
+    assert reaction.miss == pytest.approx(said.miss)
+    assert "reaction" in reaction.words
+    turned = [replace(poke, force=poke.force[[1, 0, 2]], moment=poke.moment[[1, 0, 2]]) for poke in pokes]
+    found = diagnose(turned, normals)
+    assert "another order: x, y, z are y, x, z" in found.words
+    assert f"{found.miss * 1e3:.0f} mm" in found.words
+    for before, after in zip(pokes, turned, strict=True):
+        force, moment, pose = found.correction.corrected(after)
+        np.testing.assert_array_equal(force, before.force)
+        np.testing.assert_array_equal(moment, before.moment)
+        np.testing.assert_array_equal(pose, before.link_from_sensor)
+
+
+def test_without_normals_the_reaction_cannot_be_told():
+    pokes, _, _ = three(0)
+    said = diagnose([replace(poke, force=-poke.force, moment=-poke.moment) for poke in pokes], [None] * 3)
+    assert said.right
+
+
+def test_two_pokes_say_nothing():
+    pokes, normals, _ = three(0)
+    assert diagnose(pokes[:2], normals[:2]) is None
+
+
+def test_a_correction_of_nothing_changes_nothing():
+    pokes, _, _ = three(0)
+    force, moment, pose = FrameCorrection().corrected(pokes[0])
+    assert (force == pokes[0].force).all()
+    assert (moment == pokes[0].moment).all()
+    assert (pose == pokes[0].link_from_sensor).all()
