@@ -73,12 +73,15 @@ def solve(
     methods = {method.value: report.method_summary(items, known) for method, items in snapshot.estimates.items()}
     if per_pose:
         methods |= _per_pose(road, known)
+    rig, rig_lines = _corrected(road, known)
+    methods |= rig.pop("methods", {})
     files, written = ([], []) if out is None else _write_all(road, out, part)
     findings = [*road.findings, *written]
     totals = road.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
     text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
+    text += rig_lines
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -86,6 +89,7 @@ def solve(
         **counts,
         "methods": methods,
         **losses,
+        **({"rig": rig} if rig else {}),
         "dead": dead,
         "files": files,
         "findings": findings,
@@ -115,6 +119,43 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
         )
         summaries[f"{method.value}-per-pose"] = report.method_summary(tuple(averaged.values()), known)
     return summaries
+
+
+def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
+    """Return what pokes at landmarks tell of the rig, as JSON and in lines; nothing where there is none of them."""
+    session = road.session
+    if not session.landmark_pokes:
+        return {}, []
+    from skincal.cli import report
+    from skincal.estimate.frame_doctor import diagnose
+    from skincal.estimate.rig_fit import correct_rig
+    from skincal.estimate.solve import estimate_taxels
+
+    normals = {one.name: one.normal for one in session.landmarks}
+    pokes = session.landmark_pokes
+    frame, answer = diagnose(pokes, [normals[one.name] for one in pokes]), correct_rig(session.rig_request())
+    rig: dict[str, Any] = {"landmark_pokes": len(pokes), "used": answer.used}
+    if frame is not None:
+        rig["frame"] = {"right": frame.right, "sure": frame.sure, "miss_mm": frame.miss * 1e3, "words": frame.words}
+    if answer.correction is not None:
+        rig |= {"held_out_before_mm": answer.before * 1e3, "held_out_after_mm": answer.after * 1e3}
+        rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
+    if answer.used and answer.correction is not None:
+        contacts = [answer.correction.corrected(contact) for contact in session.contacts]
+        estimates = estimate_taxels(
+            contacts,
+            session.channels,
+            session.methods,
+            session.scene.noise,
+            session.surface,
+            session.dead,
+            boards=session.boards,
+        )
+        rig["methods"] = {
+            f"{method.value}-corrected": report.method_summary(tuple(found.values()), known)
+            for method, found in estimates.items()
+        }
+    return rig, [*(() if frame is None else (frame.words,)), *answer.sentences]
 
 
 def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], list[str]]:

@@ -190,4 +190,5 @@ def _reject(
         force=None if pose is None else force,
         moment=None if pose is None else moment,
         link_from_sensor=pose,
+        pose="" if poke.still is None else poke.still.pose,
     )

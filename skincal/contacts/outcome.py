@@ -81,6 +81,8 @@ class Rejection:
     """(3,) float, N m, tared, about the sensor's origin; None as `force`."""
     link_from_sensor: FloatArray | None = None
     """(4, 4) float, metres: pose of the arm during the poke; None as `force`."""
+    pose: str = ""
+    """Name of the arm pose, as `Contact.pose`; empty without a still window."""
 
 
 Outcome: TypeAlias = Contact | Rejection

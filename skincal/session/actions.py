@@ -49,7 +49,26 @@ class Revive:
     channel: int
 
 
-Action: TypeAlias = Exclude | Restore | Undo | SetPose | MarkDead | Revive
+@dataclass(frozen=True, slots=True)
+class AddLandmark:
+    """Name a point of the part that is known, beside those of the scene: picked on the surface, say."""
+
+    name: str
+    x: float
+    y: float
+    z: float
+    """m, link frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class AtLandmark:
+    """Say at which landmark a poke was; an empty name takes it back. No taxel need have answered."""
+
+    poke: int
+    name: str
+
+
+Action: TypeAlias = Exclude | Restore | Undo | SetPose | MarkDead | Revive | AddLandmark | AtLandmark
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +86,10 @@ _KINDS: dict[str, type[Action]] = {
     "set_pose": SetPose,
     "mark_dead": MarkDead,
     "revive": Revive,
+    "add_landmark": AddLandmark,
+    "at_landmark": AtLandmark,
 }
+_TYPES = {"str": str, "int": int, "float": float}
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
@@ -88,7 +110,7 @@ def from_json(document: Mapping[str, Any]) -> Action:
     if kind is None:
         raise InputError(f"action {document.get('do')!r}: expected one of {', '.join(_KINDS)}; a newer skincal may know it.")
     values = {key: value for key, value in document.items() if key != "do"}
-    wanted = {item.name: str if item.name == "name" else int for item in fields(kind)}
+    wanted = {item.name: _TYPES[str(item.type)] for item in fields(kind)}
     if values.keys() != wanted.keys() or any(type(values[key]) is not wanted[key] for key in wanted):
         raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v.__name__})' for k, v in wanted.items())}.")
     return kind(**values)

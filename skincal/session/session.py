@@ -20,11 +20,13 @@ from skincal.estimate.boards import Boards
 from skincal.estimate.ledger import Ledger
 from skincal.estimate.modules import estimate_modules
 from skincal.estimate.result import PER_TAXEL, Estimate, Method
+from skincal.estimate.rig_fit import LandmarkPoke, RigRequest
 from skincal.estimate.solve import estimate_from
 from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene
-from skincal.session.actions import Action, Exclude, MarkDead, Restore, Revive, SetPose, Undo
+from skincal.scene import Landmark, Scene
+from skincal.session.actions import Action, AddLandmark, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Undo
 from skincal.session.history import History, PokeStep, Step
+from skincal.session.known_points import KnownPoints
 from skincal.session.snapshot import PokeRecord, Snapshot
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ class Session:
         self._found: Mapping[int, str] = {}
         self._marked: set[int] = set()
         self._revived: set[int] = set()
+        self._known = KnownPoints(scene.landmarks)
         self._history = History()
         self._answers: Counter[int] = Counter()
         """How many contacts that count each channel answered in."""
@@ -113,6 +116,21 @@ class Session:
         dead = {channel: why for channel, why in self._found.items() if channel not in self._revived}
         dead |= dict.fromkeys(self._marked, MARKED)
         return {channel: dead[channel] for channel in sorted(dead)}
+
+    @property
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """Known points of the part: those of the scene, then those that the operator added."""
+        return self._known.landmarks
+
+    @property
+    def landmark_pokes(self) -> tuple[LandmarkPoke, ...]:
+        """The pokes that were at a landmark and count, in the order of their numbers."""
+        records = [record for record in self._records.values() if not record.excluded]
+        return self._known.pokes(record.outcome for record in records)
+
+    def rig_request(self) -> RigRequest:
+        """Return what a correction of the rig is worked out from, here or in another process."""
+        return RigRequest(self.scene, self.surface, self.contacts, self.landmark_pokes, self.dead)
 
     def add(self, outcome: Outcome) -> None:
         """Take a poke's outcome; one with the same number replaces the earlier."""
@@ -166,6 +184,10 @@ class Session:
             self._choose_poke(action)
         elif isinstance(action, SetPose):
             self._choose_pose(action.name)
+        elif isinstance(action, AddLandmark):
+            self._history.add(self._known.add(action))
+        elif isinstance(action, AtLandmark):
+            self._history.add(self._known.put(action, self.outcome(action.poke)))
         else:
             self._choose_channel(action)
         self._changed()
@@ -189,6 +211,8 @@ class Session:
             link_from_sensor=self._current_pose[1],
             dead=self.dead,
             can_undo="" if last is None else last.words,
+            landmarks=self.landmarks,
+            at_landmarks=self._known.named,
         )
         return self._snapshot
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from skincal.contacts.outcome import Outcome, Progress
 from skincal.estimate.result import Estimate, Method
 from skincal.readings import FloatArray, IntArray, LinkHealth
+from skincal.scene import Landmark
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,10 @@ class Snapshot:
     """Channels that are not used, with the reason."""
     can_undo: str
     """What undo would take back, in words; empty if nothing."""
+    landmarks: tuple[Landmark, ...] = ()
+    """Known points of the part: those of the scene, then those that the operator added."""
+    at_landmarks: Mapping[int, str] = field(default_factory=dict[int, str])
+    """Pokes that were at a landmark: number to its name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

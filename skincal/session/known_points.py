@@ -1,0 +1,99 @@
+"""The landmarks of a session, and which pokes were at them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from skincal.contacts.outcome import Outcome, Reason, Rejection
+from skincal.errors import InputError
+from skincal.estimate.rig_fit import LandmarkPoke
+from skincal.scene import Landmark
+from skincal.session.actions import AddLandmark, AtLandmark
+from skincal.session.history import Step
+from skincal.tables import LENGTH_MAX
+
+
+class KnownPoints:
+    """Known points of the part, and the pokes that were there.
+
+    Parameters
+    ----------
+    landmarks : of the scene
+    """
+
+    def __init__(self, landmarks: tuple[Landmark, ...]) -> None:
+        self.landmarks = landmarks
+        self._named: dict[int, str] = {}
+
+    @property
+    def named(self) -> Mapping[int, str]:
+        """Number of each poke that was at a landmark, and the landmark's name."""
+        return dict(self._named)
+
+    def add(self, action: AddLandmark) -> Step:
+        """Take another landmark; return how it is taken back.
+
+        Raises
+        ------
+        InputError
+            The name is empty or taken, or the place is no place in metres.
+        """
+        place = np.array([action.x, action.y, action.z])
+        if not action.name or any(action.name == one.name for one in self.landmarks):
+            raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
+        if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
+            raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")
+        before = self.landmarks
+        self.landmarks = (*before, Landmark(action.name, place, None))
+
+        def take_back() -> None:
+            self.landmarks = before
+
+        return Step(f"landmark {action.name}", take_back)
+
+    def put(self, action: AtLandmark, outcome: Outcome | None) -> Step:
+        """Say at which landmark a poke was; return how that is taken back.
+
+        Raises
+        ------
+        InputError
+            There is no such landmark or poke, or nothing is known of the poke's axis.
+        """
+        if action.name and all(action.name != one.name for one in self.landmarks):
+            known = ", ".join(one.name for one in self.landmarks) or "none: the scene has no landmarks"
+            raise InputError(f"There is no landmark {action.name!r}; expected one of {known}.")
+        if action.name and (outcome is None or poke_at(outcome, self.landmarks[0]) is None):
+            raise InputError(
+                f"Poke {action.poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered."
+            )
+        before = dict(self._named)
+        self._named.pop(action.poke, None)
+        if action.name:
+            self._named[action.poke] = action.name
+
+        def take_back() -> None:
+            self._named = before
+
+        return Step(f"poke {action.poke} at {action.name or 'no landmark'}", take_back)
+
+    def pokes(self, outcomes: Iterable[Outcome]) -> tuple[LandmarkPoke, ...]:
+        """Return those of `outcomes` that were at a landmark."""
+        places = {one.name: one for one in self.landmarks}
+        found = [
+            poke_at(outcome, places[name])
+            for outcome in outcomes
+            if (name := self._named.get(outcome.poke)) is not None and name in places
+        ]
+        return tuple(one for one in found if one is not None)
+
+
+def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
+    """Return a poke as one at a landmark; None where it was rejected for more than that no taxel answered."""
+    if isinstance(outcome, Rejection) and outcome.reason is not Reason.NO_TAXEL:
+        return None
+    force, moment, pose = outcome.force, outcome.moment, outcome.link_from_sensor
+    if force is None or moment is None or pose is None:
+        return None
+    return LandmarkPoke(outcome.poke, landmark.name, landmark.place, force, moment, pose, outcome.pose)
