@@ -131,6 +131,8 @@ def enough_words(guidance: Guidance, wanted: float, dead: Collection[int]) -> st
     wanted : m, the predicted error that was asked for
     """
     done, total = _done(guidance, dead)
+    if not total:
+        return "no taxel is used"
     return f"enough: {done} of {count(total, 'taxel')} meet {millimetres(wanted, 0)}"
 
 
@@ -182,6 +184,7 @@ def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
 FOLLOWS: Mapping[Method, str] = {
     Method.FREE: "The guide follows the free method: it needs tilt, from all sides.",
     Method.SURFACE: "The guide follows the surface method: it needs evenness, all around each taxel, and no tilt.",
+    Method.MODULES: "The guide follows the modules method: it needs a few pokes on each module, apart from each other.",
 }
 """The guide of one method is wrong for the other."""
 
@@ -194,6 +197,8 @@ def sky_words(sky: Sky, method: Method) -> str:
     if method is Method.FREE:
         return f"axes spread {degrees(sky.diversity)}, wanted {degrees(settings.diversity)}"
     beside = float(np.sqrt(sky.beside @ sky.beside))
+    if method is Method.MODULES:
+        return f"their middle lies {millimetres(beside)} beside it"
     return f"their middle lies {millimetres(beside)} beside it, at most {millimetres(settings.balance)}"
 
 

@@ -54,11 +54,15 @@ class Guiding:
         evidence : what the contacts of this snapshot say of some channels
         """
         if not self.wanted:
+            self._told = None
             return None
         if (revision, method) != self._told:
-            self._told = revision, method
             guide = self._guide_of(method)
+            if self._told is None or self._told[1] is not method:
+                # Meanwhile another target was shown, or none.
+                guide.forget_target()
             self._guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence, _rejections(snapshot))
+            self._told = revision, method
         return self._guidance
 
     def verdict(self, guidance: Guidance, snapshot: Snapshot, evidence: Callable[[Collection[int]], Evidence]) -> Verdict:

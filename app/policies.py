@@ -118,6 +118,9 @@ def is_news(told: Outcome | None, newest: Outcome) -> bool:
 
 def _see_outcome(memory: NowMemory, at: Frame) -> NowMemory:
     newest = newest_outcome(at.snapshot)
+    if newest is not None and at.snapshot.pokes[-1].excluded:
+        # It was taken back: nobody must read that it counts.
+        return replace(memory, outcome=newest, verdict_until_s=-math.inf)
     if newest is None or newest is memory.outcome:
         return memory
     grown = newly_done(memory.guidance, at.guidance)

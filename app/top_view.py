@@ -121,7 +121,7 @@ class SkyView:
 
 
 def sky_view(sky: Sky, method: Method, eye: Eye) -> SkyView:
-    """Return the picture of what a method needs of a taxel: sides for the free one, places for the surface one."""
+    """Return the picture of what a method needs of a taxel: sides for the free one, places for the others."""
     axes = axes_on(sky.normal, eye)
     if method is Method.FREE:
         dots, tried = -(sky.pushes @ axes.T) / EDGE, -(sky.tried @ axes.T) / EDGE
@@ -130,7 +130,9 @@ def sky_view(sky: Sky, method: Method, eye: Eye) -> SkyView:
         wanted = tried[sky.worth.argmax()] if shade.any() else None
     else:
         dots, middle = sky.offsets @ axes.T / AROUND_TAXEL, sky.beside @ axes.T / AROUND_TAXEL
-        limit, shade = GuideSettings().balance / AROUND_TAXEL, np.zeros((GRAIN, GRAIN))
+        # A module's contacts need not lie around each of its taxels.
+        limit = GuideSettings().balance / AROUND_TAXEL if method is Method.SURFACE else 0.0
+        shade = np.zeros((GRAIN, GRAIN))
         wanted = None
     return SkyView(_within(dots), limit, None if middle is None else _within(middle[None])[0], wanted, shade)
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from app.display_units import count, millimetres, minutes
 from app.words import METHOD_NAMES
+from skincal.estimate.result import Method
 from skincal.guide.done import Why
 from skincal.guide.verdict import Left, Verdict
 
 
 def sentence(verdict: Verdict) -> str:
     """Return what the session has come to: `"All 84 taxels are known to 3 mm, and the held-out pokes agree."`."""
+    if not verdict.used:
+        return "No taxel is used." if verdict.left else "No taxel has answered yet."
     wanted = millimetres(verdict.wanted, 0)
     if verdict.used and verdict.done == verdict.used:
         used = "used " if any(one.why is Why.DEAD for one in verdict.left) else ""
@@ -21,9 +24,9 @@ def sentence(verdict: Verdict) -> str:
 
 
 def _agreement(verdict: Verdict) -> str:
-    if not verdict.check.checked:
-        return ""
-    return ", and the held-out pokes agree" if verdict.check.believed else ", but the held-out pokes speak against it"
+    if not verdict.check.believed:
+        return ", but the held-out pokes speak against it"
+    return ", and the held-out pokes agree" if verdict.check.tells else ""
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
@@ -38,11 +41,13 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 def check_words(verdict: Verdict) -> str:
     """Return how many held-out pokes fell where they were foretold, and what it means where these are too few."""
     check = verdict.check
+    if verdict.method is Method.MODULES:
+        return "held-out pokes check the free and the surface method"
     if not check.checked:
         return "no poke could be held out yet"
     words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others foretold"
     if check.believed:
-        return words
+        return words if check.tells else f"{words}: too few to say anything"
     return (
         f"{words}: the errors are larger than predicted. Look whether the part or the sensor moved, and at the scene's frames."
     )

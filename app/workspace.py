@@ -166,13 +166,13 @@ class Workspace(QWidget):
         before, self._frame = self._frame, frame
         self.now.show_frame(frame)
         self.map.show_frame(frame)
-        self._show_tab()
         if before is None or (before.revision, before.method) != (frame.revision, frame.method):
             self.progress.setText(f"{summary_words(frame.estimates)}, {pokes_words(frame.snapshot)}")
             self.errors.setText(error_words(frame.estimates))
             self.method_box.setCurrentIndex(self.method_box.findData(frame.method))
         room = 0.0 if frame.guidance is None else leeway(frame.guidance)
         self.view.show(frame.snapshot, frame.live, frame.method, frame.selected, frame.target, room)
+        self._show_tab()
 
     def _show_tab(self) -> None:
         panel = self.tabs.currentWidget()

@@ -28,10 +28,12 @@ DOUBT_LEAST = 0.45
 """A contact that is not believed at all is drawn in this share of the size."""
 SHADE_MOST = 110
 """Opacity, 0 to 255, where the next contact would tell most: dots must stand out on it."""
+_PLACES = "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'\n\N{MULTIPLICATION SIGN} their middle"
 LEGENDS = {
     Method.FREE: "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'  small: doubted\n"
     "Tinted: from there the next tells most",
-    Method.SURFACE: "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'\n\N{MULTIPLICATION SIGN} their middle",
+    Method.SURFACE: _PLACES,
+    Method.MODULES: _PLACES,
 }
 
 
@@ -158,8 +160,8 @@ class SkyPanel(QWidget):
         self.setWhatsThis(
             "The contacts of the taxel as one looks down on it, up as in the 3D view. For the free method: from which sides "
             "they came, the rim is 45 degrees, the dashed circle what a push is asked to lean at most, and the square the side "
-            "from which the next one tells most. For the surface method: where they lie around it, the rim is 5 mm, and their "
-            "middle must come into the dashed circle."
+            "from which the next one tells most. For the others: where they lie around it, the rim is 5 mm; for the "
+            "surface method their middle must come into the dashed circle."
         )
 
     def show_frame(self, frame: Frame) -> None:

@@ -36,6 +36,8 @@ INSIDE = 5.991
 OUTSIDE_SHARE = 0.05
 BELIEVED = 0.01
 """Chance below which so many outside are no accident."""
+TELLING = 10
+"""Held-out pokes below which agreement says nothing: of five, none falls outside by chance in three sessions of four."""
 OTHERS = 2
 """Other contacts of its taxel that a held-out poke needs: from fewer nothing is foretold."""
 
@@ -53,6 +55,11 @@ class Check:
         outside, share = self.checked - self.inside, OUTSIDE_SHARE
         below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
         return max(0.0, 1.0 - below)
+
+    @property
+    def tells(self) -> bool:
+        """Whether there are enough of them to say anything."""
+        return self.checked >= TELLING
 
     @property
     def believed(self) -> bool:
@@ -73,7 +80,7 @@ def check(
     noise: NoiseSettings,
     surface: Surface | None,
 ) -> Check:
-    """Foretell every sixth contact from the others.
+    """Foretell every sixth contact from the others; none by the modules method, whose boards are not solved without a poke.
 
     Parameters
     ----------
@@ -82,6 +89,8 @@ def check(
     evidence : gives what the contacts say of some channels
     surface : needed by the surface method
     """
+    if method is Method.MODULES:
+        return Check(0, 0)
     used = set(channels)
     pairs = [(poke, channel) for poke, channel in held_out(contacts) if channel in used]
     told = evidence(sorted({channel for _, channel in pairs}))
@@ -89,9 +98,6 @@ def check(
     if not cuts:
         return Check(0, 0)
     others = _joined(told, [others for _, others in cuts])
-    if method is Method.MODULES:
-        # A poke's own rows are those of single taxels: foretold by the method that knows these best.
-        method = Method.FREE if surface is None else Method.SURFACE
     solution = solve(others, [method], noise, surface)
     distances = _distances(told, np.array([out for out, _ in cuts]), solution, method, noise)
     known = np.isfinite(distances)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from importlib import import_module
 from typing import Any
 
@@ -38,16 +39,29 @@ class Cover:
         self._poked: FloatArray = np.full(len(self.places), np.inf)
         self._answered: FloatArray = np.full(len(self.places), np.inf)
         """(n,) float, metres, from each place to the nearest poke, and to the nearest that was answered."""
+        self._pokes: dict[int, tuple[FloatArray, bool]] = {}
+        """Where each poke was, (3,) metres, and whether a taxel answered."""
+        self._counted = set[int]()
         self._left_out = np.zeros(len(self.places), dtype=bool)
 
-    def poked(self, axis: Axis, *, answered: bool) -> None:
+    def poked(self, number: int, axis: Axis, *, answered: bool) -> None:
         """Take a poke: it touched where its axis passes the surface nearest, on the side that faces it."""
         root = np.vstack([across(axis.direction[None])[0], np.zeros(3)])
         found = nearest_to_rows(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
         if found.triangles[0] >= 0:
-            self._mark(found.points[0], answered=answered)
+            self._pokes[number] = found.points[0], answered
 
-    def _mark(self, place: FloatArray, *, answered: bool) -> None:
+    def keep(self, numbers: Collection[int]) -> None:
+        """Let those of the pokes count that are among `numbers`: others were taken back."""
+        there = self._pokes.keys() & set(numbers)
+        if not self._counted <= there:
+            self._counted = set[int]()
+            self._poked[:] = self._answered[:] = np.inf
+        for number in sorted(there - self._counted):
+            self._mark(*self._pokes[number])
+        self._counted = set(there)
+
+    def _mark(self, place: FloatArray, answered: bool) -> None:
         apart = np.sqrt(np.sum((self.places - place) ** 2, axis=1))
         self._poked = np.minimum(self._poked, apart)
         if answered:

@@ -83,6 +83,8 @@ class Guide:
         self._lay_out()
         self._state: choose.State | None = None
         self._last: Target | None = None
+        self._kept: tuple[int, int] | None = None
+        """Index of the last target and of its push, as long as nothing but its numbers changed."""
         self._place: int | None = None
         """Of the cover, where the last target is one of its places."""
         self._skips: dict[int, list[FloatArray]] = {}
@@ -123,8 +125,13 @@ class Guide:
         self._renew_needs(estimates[self.method], dirty)
         return self._guidance(estimates[self.method])
 
+    def forget_target(self) -> None:
+        """Take the next poke for one that was not asked for: nobody saw the last target."""
+        self._last = self._kept = None
+
     def skip(self) -> None:
         """Ask for something else than the last target; a side of a taxel that is skipped twice is asked for no more."""
+        self._kept = None
         if self._last is not None and self._last.channel is not None:
             self._not_now = self._knowledge.row(self._last.channel)
             self._skips.setdefault(self._not_now, []).append(self._last.push)
@@ -139,10 +146,12 @@ class Guide:
         rejections: Mapping[int, Rejection],
     ) -> set[int]:
         """Take the pokes that are new or changed, leave out those that are gone; return whose channels they touch."""
-        rows, fresh = self._pokes.take(contacts, rejections, self._last, self._places, self._normals, self._pulls)
+        rows, fresh, gone = self._pokes.take(contacts, rejections, self._last, self._places, self._normals, self._pulls)
+        if fresh or gone:
+            self._kept = None
         if any(isinstance(one, Contact) for one in fresh):
             self._not_now = -1
-        self._cover_with(fresh)
+        self._cover_with(fresh, contacts.keys() | rejections.keys())
         if rows:
             best = estimates.get(Method.SURFACE) or estimates[Method.FREE]
             self._places = believed(self.plan, best)
@@ -150,7 +159,7 @@ class Guide:
         if self._pokes.tilt.usable != self._usable:
             self._usable = self._pokes.tilt.usable
             self._pushes = choose.directions(self._normals, self._usable)
-            self._stale[:] = True
+            self._stale[:], self._kept = True, None
         return {int(self.plan.channels[row]) for row in rows}
 
     def _lay_out(self) -> None:
@@ -170,13 +179,16 @@ class Guide:
             self._lay_out()
             self._stale[:] = True
 
-    def _cover_with(self, fresh: Sequence[Contact | Rejection]) -> None:
-        """Tell the cover where new pokes were."""
-        for poke in fresh if self._cover is not None else ():
+    def _cover_with(self, fresh: Sequence[Contact | Rejection], numbers: Collection[int]) -> None:
+        """Tell the cover where new pokes were, and which of all there were still are."""
+        if self._cover is None:
+            return
+        for poke in fresh:
             answered = isinstance(poke, Contact)
             axis = axis_of(poke) if answered or poke.reason is Reason.NO_TAXEL else None
-            if axis is not None and self._cover is not None:
-                self._cover.poked(axis, answered=answered)
+            if axis is not None:
+                self._cover.poked(poke.poke, axis, answered=answered)
+        self._cover.keep(numbers)
 
     def _renew_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
         """Say anew what those taxels need whose contacts or estimates changed."""
@@ -286,6 +298,9 @@ class Guide:
         return Target(None, self._cover.places[place], normal, -normal, 0.0, float("inf"), float("inf"))
 
     def _target(self, state: choose.State, phase: Phase) -> Target | None:
+        if self._kept is not None and state.open[self._kept[0]] > 0:
+            # The tare after a poke came: the hand is on its way already.
+            return self._told(state, *self._kept)
         rows = self._eligible(state)
         if not rows.size:
             return None
@@ -298,6 +313,7 @@ class Guide:
             gains = self._fresh_gains(state, rows[near], phase) / seconds[near, None]
             best = int(gains.argmax())
             row, push = int(rows[near[best // gains.shape[1]]]), best % gains.shape[1]
+        self._kept = row, push
         return self._told(state, row, push)
 
     def _eligible(self, state: choose.State) -> IntArray:
@@ -361,9 +377,17 @@ class Guide:
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
 
+    def _foretold(self, state: choose.State, row: int, push: int) -> tuple[float, float]:
+        """Return a taxel's predicted rms error now and after a push at it, metres."""
+        if self.method is not Method.MODULES:
+            return choose.foretold(state, row, push, self._noise)
+        # A module is known from all its pokes alike: the variance falls as one over them.
+        before, pokes = float(self._solved[row]), int(self._own()[row])
+        return before, before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted
+
     def _told(self, state: choose.State, row: int, push: int) -> Target:
         direction = state.pushes[row, push]
-        before, after = choose.foretold(state, row, push, self._noise)
+        before, after = self._foretold(state, row, push)
         cosine = -float(direction @ state.normals[row])
         return Target(
             channel=int(self.plan.channels[row]),

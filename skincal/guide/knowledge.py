@@ -87,7 +87,9 @@ class Knowledge:
         self.contacts[rows] = evidence.counts
         shares = (evidence.weights**2 * evidence.trust)[:, None]
         off = np.array([centres[poke] for poke in evidence.pokes.tolist()]) - places[rows][of]
-        off = np.add.reduceat(shares * off, starts, axis=0) / np.add.reduceat(shares, starts, axis=0)
+        whole = np.add.reduceat(shares, starts, axis=0)
+        # Where every contact is doubted wholly, nothing is known of their middle.
+        off = np.add.reduceat(shares * off, starts, axis=0) / np.where(whole > 0, whole, 1.0)
         off -= np.sum(off * normals[rows], axis=1, keepdims=True) * normals[rows]
         self.beside[rows] = off
         self.moved[rows] = _moved(evidence, normals[rows], self.in_plane)
@@ -111,12 +113,13 @@ def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArra
     whole, pull = (np.add.reduceat(each, evidence.starts[:-1], axis=0) for each in (squares, pulls))
     last = _last_own(evidence)
     there = last >= 0
-    held = 1e-9 * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(size)
+    total = np.trace(whole, axis1=1, axis2=2)
+    held = np.where(total > 0, 1e-9 * total, 1.0)[:, None, None] * np.eye(size)
     without = whole - np.where(there[:, None, None], squares[last], 0.0)
     rest = pull - np.where(there[:, None], pulls[last], 0.0)
     off = solved(whole + held, pull) - solved(without + held, rest)
     moved = np.sqrt(np.sum(off * off, axis=1))
-    return np.where(there & (evidence.counts > 1), moved, np.inf)
+    return np.where(there & (total > 0) & (evidence.counts > 1), moved, np.inf)
 
 
 def solved(matrices: FloatArray, sides: FloatArray) -> FloatArray:
@@ -179,6 +182,8 @@ def diversity(evidence: Evidence) -> FloatArray:
     starts = evidence.starts[:-1]
     u, shares = evidence.directions, (evidence.weights**2 * evidence.trust)[:, None, None]
     spread = np.add.reduceat(shares * (np.eye(3) - u[:, :, None] * u[:, None]), starts, axis=0)
-    spread /= np.add.reduceat(shares, starts, axis=0)
+    whole = np.add.reduceat(shares, starts, axis=0)
+    # Axes that are all doubted wholly spread by nothing.
+    spread /= np.where(whole > 0, whole, 1.0)
     least = np.linalg.eigvalsh(spread)[:, 0]
     return np.arcsin(np.sqrt(np.clip(least, 0.0, 1.0)))

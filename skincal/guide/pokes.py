@@ -73,6 +73,8 @@ class Pokes:
         self.channels = channels
         self.contacts: dict[int, Contact] = {}
         self._felt: dict[int, Felt] = {}
+        self._meant: dict[int, list[tuple[IntArray, int]]] = {}
+        """Of each poke what it was counted in, and at which index."""
         self._known = set[int]()
         """Numbers of all pokes that were ever told, whatever they ended as."""
         self.asked: IntArray = np.zeros(len(channels), dtype=np.int64)
@@ -97,7 +99,7 @@ class Pokes:
         places: FloatArray,
         normals: FloatArray,
         pulls: FloatArray,
-    ) -> tuple[set[int], list[Contact | Rejection]]:
+    ) -> tuple[set[int], list[Contact | Rejection], list[int]]:
         """Take what a session holds now.
 
         Parameters
@@ -110,6 +112,7 @@ class Pokes:
         -------
         touched : indices of taxels whose contacts are new, others than they were, or gone
         fresh : pokes that were not known before, in the order of their numbers
+        gone : numbers of contacts that were taken out
         """
         gone = [poke for poke in self.contacts if poke not in contacts]
         new = [poke for poke, contact in contacts.items() if self.contacts.get(poke) is not contact]
@@ -118,14 +121,19 @@ class Pokes:
         fresh += [one for poke, one in rejections.items() if poke not in self._known]
         fresh.sort(key=lambda one: one.poke)
         self._known.update(one.poke for one in fresh)
+        self._count(gone, -1)
+        self._count([poke for poke in new if poke not in self.contacts], 1)
         touched = [self.contacts[poke] for poke in (*gone, *new) if poke in self.contacts]
         self._forget([one.poke for one in touched])
         told = [contacts[poke] for poke in new]
         if told:
             self._remember(told, places, normals, pulls)
+        self._newest = max(self.contacts, default=None)
+        if self._newest is not None:
+            self.sensor = self.contacts[self._newest].link_from_sensor[:3, 3]
         self._follow(fresh, target, normals)
         rows = {int(row) for contact in (*touched, *told) for row in self.rows(contact.channels) if row >= 0}
-        return rows, fresh
+        return rows, fresh, gone
 
     def latest(self) -> list[Contact]:
         """Return the last contacts, as many as tell the pace, in the order of their numbers."""
@@ -154,8 +162,6 @@ class Pokes:
         self.contacts.update(zip(numbers, told, strict=True))
         self._felt.update(zip(numbers, felt, strict=True))
         self.tilt.poked(np.array([one.tilt for one in felt]), slid=False)
-        newest = max(told, key=lambda contact: contact.poke)
-        self._newest, self.sensor = newest.poke, newest.link_from_sensor[:3, 3]
 
     def _where(self, contacts: Sequence[Contact], places: FloatArray, normals: FloatArray, pulls: FloatArray) -> list[Felt]:
         """Return where pokes were by the answers.
@@ -193,12 +199,22 @@ class Pokes:
             if meant is not None and axis is not None and axis.away(meant.place) <= AT:
                 self._aimed(poke, axis, meant)
 
+    def _count(self, pokes: Sequence[int], sign: int) -> None:
+        """Count whom known pokes were meant for, or count it no more: they were taken out."""
+        for poke in pokes:
+            for count, row in self._meant.get(poke, ()):
+                count[row] += sign
+
+    def _learn(self, poke: int, count: IntArray, channel: int) -> None:
+        row = int(self.rows(np.array([channel]))[0])
+        if row >= 0:
+            count[row] += 1
+            self._meant.setdefault(poke, []).append((count, row))
+
     def _count_asked(self, contact: Contact, meant: Target | None) -> None:
         """Count whom a new poke was meant for: the target, if one was asked for, else who answered most."""
         peak = int(contact.channels[contact.responses.argmax()])
-        row = self.rows(np.array([peak if meant is None or meant.channel is None else meant.channel]))[0]
-        if row >= 0:
-            self.asked[row] += 1
+        self._learn(contact.poke, self.asked, peak if meant is None or meant.channel is None else meant.channel)
 
     def _slid(self, poke: Rejection, axis: Axis, meant: Target | None, normals: FloatArray) -> None:
         rows = self.rows(poke.channels)
@@ -214,4 +230,4 @@ class Pokes:
             self.tilt.aimed(meant.tilt, axis.tilt(meant.normal))
         told = isinstance(poke, Contact) or poke.reason is Reason.NO_TAXEL
         if told and meant.channel is not None and meant.channel not in poke.channels:
-            self.unanswered[self.rows(np.array([meant.channel]))[0]] += 1
+            self._learn(poke.poke, self.unanswered, meant.channel)

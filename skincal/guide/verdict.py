@@ -13,7 +13,7 @@ from skincal.estimate.evidence import Evidence
 from skincal.estimate.result import Estimate, Method, State
 from skincal.guide.check import Check, check
 from skincal.guide.done import Need, Why
-from skincal.guide.guidance import Guidance
+from skincal.guide.guidance import Guidance, Phase
 from skincal.guide.left import worked
 from skincal.guide.settings import GuideSettings
 from skincal.scene import NoiseSettings
@@ -37,6 +37,8 @@ class Verdict:
     """What a session has come to by one method."""
 
     method: Method
+    enough: bool
+    """Whether nothing is asked for any more, of anything that there is."""
     wanted: float
     """m, the predicted error that was asked for."""
     done: int
@@ -49,11 +51,6 @@ class Verdict:
     """Accepted, and not taken out."""
     seconds: float
     """s, from the first of these pokes to the end of the last, without pauses."""
-
-    @property
-    def enough(self) -> bool:
-        """Whether nothing is asked for any more."""
-        return all(one.why is not Why.EARLY for one in self.left)
 
 
 def verdict_of(
@@ -81,6 +78,7 @@ def verdict_of(
     ordered = [contacts[poke] for poke in sorted(contacts)]
     return Verdict(
         method=guidance.method,
+        enough=guidance.phase is Phase.ENOUGH and bool(used),
         wanted=settings.wanted,
         done=len(used) - sum(one.why is not Why.DEAD for one in left),
         used=len(used),

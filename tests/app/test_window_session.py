@@ -179,7 +179,8 @@ def first_look(keys: Keys) -> None:
     method = keys.guidance.method
     keys.tap(Key.Key_V)
     assert keys.guidance.method is not method
-    keys.tap(Key.Key_V)
+    for _ in range(len(keys.workspace.methods) - 1):
+        keys.tap(Key.Key_V)
     assert keys.guidance.method is method is Method.SURFACE
 
     keys.tap(Key.Key_F)

@@ -89,6 +89,17 @@ def test_own_pokes_are_those_in_which_it_answers_most_and_one_poke_alone_is_not_
     assert np.isinf(knowledge(told(1, weights=(1.0,))[1]).moved[0])
 
 
+def test_contacts_that_are_all_doubted_wholly_tell_nothing():
+    """By the modules method a board may be mistrusted altogether."""
+    _, evidence = told()
+    for in_plane in (False, True):
+        know = knowledge(evidence.trusted(np.zeros(len(evidence.trust))), in_plane)
+        assert know.diversity[0] == 0.0
+        assert np.isinf(know.moved[0])
+        assert not know.beside[0].any()
+        assert np.isfinite(know.information[0]).all()
+
+
 def test_what_is_taken_away_leaves_no_trace():
     _, evidence = told()
     know, empty = knowledge(evidence), Ledger().evidence([0])

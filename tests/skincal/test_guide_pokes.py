@@ -16,6 +16,7 @@ from skincal.guide.places import SPACING as TAXELS_APART
 from skincal.guide.places import unplaced
 from skincal.guide.pokes import Axis, axis_of
 from skincal.guide.settings import GuideSettings
+from skincal.session.actions import Exclude, Restore
 from skincal.session.session import Session
 from skincal.studies.poking import Conditions, Part, Wish, poked
 from skincal.surface.nearest import nearest_points
@@ -209,14 +210,101 @@ def test_a_cover_goes_around_what_answered_and_then_where_nobody_poked():
     def straight(index):
         return Axis(-cover.normals[index], cover.places[index])
 
-    cover.poked(straight(first), answered=False)
+    cover.poked(1, straight(first), answered=False)
+    cover.keep({1})
     second = cover.next(cover.places[first])
     assert np.linalg.norm(cover.places[second] - cover.places[first]) > ASTRAY
-    cover.poked(straight(second), answered=True)
+    cover.poked(2, straight(second), answered=True)
+    cover.keep({1, 2})
     third = cover.next(cover.places[second])
     assert SPACING * 0.8 <= np.linalg.norm(cover.places[third] - cover.places[second]) < 2.5 * SPACING
     cover.leave_out(third)
     assert cover.next(cover.places[second]) != third
+    cover.keep({1})
+    assert cover.next(cover.places[first]) == second, "the poke was taken back"
+
+
+def test_pokes_that_are_taken_back_are_no_tries():
+    """A taxel is not given up for pokes that do not count, and it is again once they do."""
+    bench, channel = Bench(), None
+    channel = bench.guidance.target.channel
+    place, normal = bench.guidance.target.place, bench.guidance.target.normal
+    beside = place + 0.008 * np.cross(normal, [0.0, 0.0, 1.0])
+    for _ in range(SETTINGS.unanswered):
+        bench.guide._last = replace(bench.guidance.target, channel=channel, place=beside, normal=normal)
+        contact = replace(bench.wish(beside, -normal)[0])
+        keep = contact.channels != channel
+        contact = replace(contact, channels=contact.channels[keep], responses=contact.responses[keep])
+        bench.contacts[contact.poke] = contact
+        bench.session.add(contact)
+        bench.look()
+    row = int(np.searchsorted(PART.plan.channels, channel))
+    assert bench.guide._pokes.unanswered[row] == SETTINGS.unanswered
+    assert bench.guidance.given_up == {channel: Why.NEVER_FIRED}
+    gone = dict(bench.contacts)
+    for poke in gone:
+        bench.session.act(Exclude(poke))
+        del bench.contacts[poke]
+    assert not bench.look().given_up
+    for poke, contact in gone.items():
+        bench.session.act(Restore(poke))
+        bench.contacts[poke] = contact
+    assert bench.look().given_up == {channel: Why.NEVER_FIRED}
+
+
+def test_a_target_that_nobody_saw_is_missed_by_nobody():
+    bench = Bench(Method.FREE)
+    while bench.guidance.target.tilt < np.radians(25.0):
+        bench.guide.skip()
+        bench.look()
+    target, before = bench.guidance.target, bench.guidance.usable_tilt
+    for _ in range(3):
+        bench.guide.forget_target()
+        bench.poke(target.place, -target.normal)
+    assert bench.guidance.usable_tilt == before
+
+
+def test_the_hand_is_at_the_newest_poke_whatever_was_restored():
+    bench = Bench()
+    for row in (3, 40, 70):
+        place, normal = bench.true(int(PART.plan.channels[row]))
+        bench.poke(place, -normal)
+    there = bench.guide._pokes.hand(bench.guide._places)
+    first = min(bench.contacts)
+    gone = bench.contacts.pop(first)
+    bench.session.act(Exclude(first))
+    bench.look()
+    bench.session.act(Restore(first))
+    bench.contacts = {first: gone, **bench.contacts}
+    bench.look()
+    np.testing.assert_allclose(bench.guide._pokes.hand(bench.guide._places), there, atol=1e-3)
+    newest = max(bench.contacts)
+    del bench.contacts[newest]
+    bench.session.act(Exclude(newest))
+    bench.look()
+    assert bench.guide._pokes.hand(bench.guide._places) is not None
+
+
+def test_the_target_stays_while_a_poke_is_only_told_again():
+    bench = Bench(Method.FREE, conditions=Conditions())
+    for _ in range(12):
+        target = bench.guidance.target
+        bench.poke(target.place, target.push)
+        asked = bench.guidance.target
+        newest = max(bench.contacts)
+        told = bench.contacts[newest]
+        again = replace(told, force=told.force + np.array([0.3, -0.2, 0.1]), tare_change=0.3)
+        bench.contacts[newest] = again
+        bench.session.add(again)
+        bench.look()
+        assert bench.guidance.target.channel == asked.channel
+        assert bench.guidance.target.push @ asked.push == pytest.approx(1.0)
+        bench.contacts[newest] = told
+        bench.session.add(told)
+        bench.look()
+    first = bench.guidance.target
+    bench.guide.skip()
+    assert bench.look().target.channel != first.channel
 
 
 def bare(method):
@@ -227,7 +315,7 @@ def bare(method):
     return Session(scene, PART.surface), guide
 
 
-@pytest.mark.parametrize("method", list(Method))
+@pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
 def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     session, guide = bare(method)
     rig, rng = PART.rig(Conditions(), 1), np.random.default_rng(5)

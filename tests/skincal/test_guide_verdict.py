@@ -9,12 +9,13 @@ import pytest
 from scipy import stats
 
 from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Method
+from skincal.estimate.result import Estimate, Method, State
 from skincal.estimate.solve import estimate_taxels
 from skincal.guide.check import INSIDE, ONE_IN, Check, check, held_out
 from skincal.guide.done import Need, Tried, Why, given_up
 from skincal.guide.guide import Guide
 from skincal.guide.left import PAUSE_S, pace, pokes_left, worked
+from skincal.guide.places import unplaced
 from skincal.guide.settings import GuideSettings
 from skincal.guide.verdict import verdict_of
 from skincal.scene import NoiseSettings
@@ -84,7 +85,7 @@ def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
         assert contact.responses[contact.channels.tolist().index(channel)] == contact.responses.max()
 
 
-@pytest.mark.parametrize("method", list(Method))
+@pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
 def test_it_is_foretold_by_what_all_the_other_pokes_say_and_nothing_else(method):
     """By another route: the taxel is solved anew from the other contacts, and the axis's distance summed up in space."""
     session, _ = poked_session(120)
@@ -113,7 +114,7 @@ def test_it_is_foretold_by_what_all_the_other_pokes_say_and_nothing_else(method)
     assert (found.checked, found.inside) == (count, inside)
 
 
-@pytest.mark.parametrize("method", list(Method))
+@pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
 def test_what_is_predicted_truly_is_believed(method):
     checks = [checked(method, seed=seed) for seed in (1, 2, 3)]
     total, inside = sum(one.checked for one in checks), sum(one.inside for one in checks)
@@ -140,6 +141,12 @@ def test_an_arm_that_tells_a_wrong_pose_is_not_believed():
     moved.snapshot()
     found = check(moved.contacts, moved.channels, moved.evidence, Method.FREE, part().scene.noise, None)
     assert not found.believed
+
+
+def test_the_modules_method_is_not_checked_by_another():
+    assert checked(Method.MODULES) == Check(0, 0)
+    assert not Check(0, 0).tells
+    assert Check(12, 12).tells
 
 
 def test_the_chance_is_that_of_a_binomial():
@@ -217,3 +224,12 @@ def test_a_session_without_pokes_has_a_verdict_too():
     assert {one.why for one in verdict.left} == {Why.EARLY}
     assert verdict.check == Check(0, 0)
     assert verdict.check.believed
+
+
+def test_it_is_not_enough_where_there_is_nothing():
+    session = Session(part().scene, part().surface)
+    guide = Guide(unplaced(np.arange(12)), NoiseSettings(), Method.FREE, 0.005)
+    estimates = {Method.FREE: [Estimate(channel, Method.FREE, State.UNSEEN, 0) for channel in range(12)]}
+    guidance = guide.update({}, estimates, session.evidence)
+    verdict = verdict_of(guidance, estimates[Method.FREE], {}, session.evidence, NoiseSettings(), None, SETTINGS)
+    assert (verdict.done, verdict.used, verdict.enough) == (0, 0, False)
