@@ -142,18 +142,10 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
     if answer.used and answer.correction is not None:
         contacts = [answer.correction.corrected(contact) for contact in session.contacts]
-        estimates = estimate_taxels(
-            contacts,
-            session.channels,
-            session.methods,
-            session.scene.noise,
-            session.surface,
-            session.dead,
-            boards=session.boards,
-        )
+        noise, surface, boards = session.scene.noise, session.surface, session.boards
+        solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, boards=boards)
         rig["methods"] = {
-            f"{method.value}-corrected": report.method_summary(tuple(found.values()), known)
-            for method, found in estimates.items()
+            f"{method.value}-corrected": report.method_summary(tuple(found.values()), known) for method, found in solved.items()
         }
     return rig, [*(() if frame is None else (frame.words,)), *answer.sentences]
 

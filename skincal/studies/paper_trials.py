@@ -117,7 +117,7 @@ class Corrected:
     errors: Mapping[str, Spread]
     """By method, pooled; those without a correction where it is not used."""
     seconds: float
-    """s, of the correction alone."""
+    """s of processor time, of the correction alone."""
 
 
 def corrected(
@@ -125,9 +125,9 @@ def corrected(
 ) -> Corrected:
     """Correct a rig by landmark pokes, and solve what was poked on its skin."""
     scene, surface, _ = part()
-    begin = time.perf_counter()
+    begin = time.process_time()
     answer = correct_rig(RigRequest(scene, surface, contacts, known))
-    seconds = time.perf_counter() - begin
+    seconds = time.process_time() - begin
     right = contacts
     if answer.used and answer.correction is not None:
         right = [answer.correction.corrected(contact) for contact in contacts]
@@ -155,7 +155,7 @@ class Trial:
     pooled: Mapping[str, Spread]
     landmarks: tuple[Corrected, ...]
     seconds: Mapping[str, float]
-    """s, of a solve of all contacts, by method."""
+    """s of processor time, of a solve of all contacts, by method."""
 
 
 def run_trial(seed: int, share: float = 1.0) -> Trial:
@@ -168,9 +168,9 @@ def run_trial(seed: int, share: float = 1.0) -> Trial:
     every = [contact for contacts in of_pose.values() for contact in contacts]
     pooled, seconds = dict[str, Spread](), dict[str, float]()
     for method in METHODS:
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = solved(every, rig, [method])[method]
-        seconds[method.value] = time.perf_counter() - begin
+        seconds[method.value] = time.process_time() - begin
         pooled[method.value] = spread(found, rig)
     known = [poke_landmarks(rig, scene.landmarks, count, rng, FIRST_LANDMARK) for count in LANDMARKS]
     return Trial(

@@ -1,0 +1,102 @@
+"""Modules that were mounted otherwise than planned are named, right ones are not; neighbours lie as far apart as planned."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from skincal.estimate.board_health import MisfitKind, find_misfits, spacing_ratio
+from skincal.estimate.boards import Boards
+from skincal.estimate.result import Method
+from skincal.estimate.solve import estimate_taxels
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.rig import RigErrors
+from skincal.skin import Layout
+from tests.skincal.sim_support import make_rig
+
+
+@lru_cache
+def poked(seed, errors="noise"):
+    rng = np.random.default_rng(seed)
+    rig = make_rig(RigErrors.paper() if errors == "paper" else RigErrors.noise(), seed)
+    contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
+    boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    found = estimate_taxels(
+        contacts,
+        rig.channels.tolist(),
+        [Method.FREE, Method.SURFACE, Method.MODULES],
+        rig.scene.noise,
+        rig.surface,
+        boards=boards,
+    )
+    return rig, found
+
+
+def planned(rig, change):
+    """The boards of a layout with some modules planned otherwise than they are."""
+    layout = rig.scene.skin.layout
+    modules = tuple(change(index, module) for index, module in enumerate(layout.modules))
+    return Boards(Layout(modules, layout.width), rig.scene.skin.anchor, rig.surface)
+
+
+CASES = [("noise", 1), ("noise", 2), ("paper", 1), ("paper", 3)]
+
+
+@pytest.mark.parametrize(("errors", "seed"), CASES)
+def test_modules_that_lie_as_planned_are_left_alone(errors, seed):
+    rig, found = poked(seed, errors)
+    assert find_misfits(planned(rig, lambda _, module: module), found[Method.SURFACE]) == ()
+    assert find_misfits(planned(rig, lambda _, module: module), {}) == ()
+
+
+@pytest.mark.parametrize(("errors", "seed"), CASES)
+@pytest.mark.parametrize("which", [0, 4])
+def test_a_module_that_is_mirrored_is_named(errors, seed, which):
+    rig, found = poked(seed, errors)
+    boards = planned(rig, lambda index, module: replace(module, mirror=index == which))
+    (said,) = find_misfits(boards, found[Method.SURFACE])
+    assert (said.kind, said.module) == (MisfitKind.MIRRORED, boards.layout.modules[which].id)
+    assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
+    assert "mirror" in said.words
+
+
+@pytest.mark.parametrize(("errors", "seed"), CASES)
+@pytest.mark.parametrize("turn", [120, -120])
+def test_a_module_that_is_turned_is_named_with_its_turn(errors, seed, turn):
+    rig, found = poked(seed, errors)
+    boards = planned(rig, lambda index, module: replace(module, angle=module.angle - (np.radians(turn) if index == 2 else 0.0)))
+    (said,) = find_misfits(boards, found[Method.SURFACE])
+    assert (said.kind, said.module) == (MisfitKind.TURNED, 29)
+    assert np.degrees(said.turn) == pytest.approx(turn)
+    assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
+    assert f"{turn} degrees" in said.words
+
+
+# Where a rig bends the whole skin by more than half a module (seed 3) a swap is told as another mistake.
+@pytest.mark.parametrize(("errors", "seed"), CASES[:3])
+def test_modules_that_are_swapped_are_named_both(errors, seed):
+    rig, found = poked(seed, errors)
+    modules = rig.scene.skin.layout.modules
+    other = {1: modules[5], 5: modules[1]}
+    boards = planned(
+        rig,
+        lambda index, module: replace(module, place=other[index].place, angle=other[index].angle) if index in other else module,
+    )
+    said = find_misfits(boards, found[Method.SURFACE])
+    assert [(one.kind, one.module, one.other) for one in said] == [
+        (MisfitKind.SWAPPED, 28, 26), (MisfitKind.SWAPPED, 26, 28)
+    ]  # fmt: skip
+    assert all(one.after < 0.5 * one.before for one in said)
+
+
+def test_neighbours_lie_as_far_apart_as_planned():
+    rig, found = poked(1)
+    layout = rig.scene.skin.layout
+    ratios = {method: spacing_ratio(layout, list(estimates.values())) for method, estimates in found.items()}
+    assert 0.98 < ratios[Method.MODULES] < 1.02
+    assert all(0.6 < ratio < 1.6 for ratio in ratios.values())
+    true = [replace(one, position=rig.places[row]) for row, one in enumerate(found[Method.SURFACE].values())]
+    assert spacing_ratio(layout, true) == pytest.approx(1.0, abs=0.02)
+    assert spacing_ratio(layout, [replace(one, position=1.1 * one.position) for one in true]) == pytest.approx(1.1, abs=0.03)
+    assert spacing_ratio(layout, []) is None
