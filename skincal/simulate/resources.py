@@ -60,6 +60,37 @@ base_from_sensor = [[-1, 0, 0, 0], [0, 0, 1, -0.08428], [0, 1, 0, 0], [0, 0, 0, 
 # m. A sensor whose matrix is wrong by 2 % gives single pokes a pitch of 9 mm rms, and of 25 mm to one in a hundred; the
 # default of 8 mm, for a good sensor, would reject four in ten. A second touch shows here as taxels far apart that answer.
 pitch_max = 0.025
+
+# Screw heads of the cover, around the skin: known points, from which the rig's own errors are told.
+[[landmarks]]
+name = "elbow, outer"
+place = [0.0252, 0.0132, -0.0039]
+normal = [0.990, -0.135, -0.037]
+
+[[landmarks]]
+name = "side, inner"
+place = [-0.0296, 0.0590, 0.0000]
+normal = [-0.991, -0.071, 0.110]
+
+[[landmarks]]
+name = "wrist, top"
+place = [0.0027, 0.0881, 0.0319]
+normal = [0.154, -0.032, 0.987]
+
+[[landmarks]]
+name = "side, outer"
+place = [0.0299, 0.0602, -0.0021]
+normal = [0.997, -0.072, 0.037]
+
+[[landmarks]]
+name = "elbow, inner"
+place = [-0.0250, 0.0123, -0.0049]
+normal = [-0.990, -0.135, -0.037]
+
+[[landmarks]]
+name = "elbow, top"
+place = [0.0000, 0.0047, 0.0249]
+normal = [0.051, -0.135, 0.989]
 """
 
 FLAT_SCENE = """\
