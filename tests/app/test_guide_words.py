@@ -198,3 +198,14 @@ def test_without_a_layout_on_the_part_taxels_are_guided_on_once_they_answered():
         assert says.channels.tolist() == [5, 6]
         assert says.own.tolist() == [3, 0]
         assert says.target.channel in (5, 6)
+
+
+def test_a_poke_that_is_taken_back_is_not_said_to_count():
+    poke = touch(1, (3,))
+    before = NowMemory.of(session())
+    now, memory = now_line(before, frame(session(2, pokes=[poke]), now_s=1.0))
+    assert now.headline.startswith("accepted")
+    now, memory = now_line(memory, frame(session(3, pokes=[poke], excluded=[1]), now_s=1.1))
+    assert not now.headline.startswith(("accepted", "counted"))
+    later, _ = now_line(memory, frame(session(3, pokes=[poke], excluded=[1]), now_s=1.2))
+    assert not later.headline.startswith(("accepted", "counted"))

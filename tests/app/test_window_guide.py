@@ -351,7 +351,7 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     assert changed(view, pixels(desk.workspace.view)) == 0
     assert changed(on_map, pixels(desk.workspace.map)) == 0
 
-    for method in (Method.SURFACE, Method.FREE):
+    for method in (Method.SURFACE, Method.FREE, Method.MODULES):
         assert desk.frame.guidance.method is method
         before, on_map = desk.frame.target, pixels(desk.workspace.map)
         bench.key(Qt.Key.Key_N)

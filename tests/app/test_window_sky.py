@@ -11,11 +11,13 @@ from PySide6.QtGui import QColor
 from whole_window import Paints
 from window_support import NAMES, changed, frame, pixels, session
 
+from app.guide_words import FOLLOWS, WHAT, sky_words
 from app.panels.inspect import InspectPanel
-from app.panels.sky import SKY_PX, SkyPanel
+from app.panels.sky import LEGENDS, SKY_PX, SkyPanel
 from app.scene3d.camera import PLAIN, Eye
 from app.theme import DARK, LIGHT
 from app.top_view import AROUND_TAXEL, EDGE, GRAIN, sky_view
+from app.words import METHOD_NAMES
 from skincal.estimate.result import Method
 from skincal.guide.choose import directions
 from skincal.guide.sky import Sky
@@ -195,3 +197,12 @@ def test_the_taxel_tab_shows_the_sky_of_the_target_before_anything_is_selected(q
     assert tab.title.text() == "No taxel selected"
     tab.show_frame(replace(framed(sky([push(20, 0)]), generation=2), guidance=None, sky=lambda _channel: None))
     assert not tab.sky.isVisible()
+
+
+def test_every_method_has_its_words_and_its_picture():
+    for words in (FOLLOWS, LEGENDS, WHAT, METHOD_NAMES):
+        assert set(words) == set(Method)
+    of = sky([push(28, 0)] * 2)
+    for method in Method:
+        assert sky_words(of, method)
+        assert (sky_view(of, method, PLAIN).limit > 0) is (method is not Method.MODULES)
