@@ -118,8 +118,9 @@ class Guide:
             told = evidence(dirty)
             pairs = zip(told.channels[told.taxels].tolist(), told.pokes.tolist(), strict=True)
             trust = [doubted[channel].get(poke, 1.0) for channel, poke in pairs]
-            centres = {poke: self._pokes.place(poke, self._places) for poke in set(told.pokes.tolist())}
-            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, self._normals, centres)
+            drawn = self._drawn()
+            centres = {poke: self._pokes.place(poke, drawn) for poke in set(told.pokes.tolist())}
+            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, drawn, self._normals, centres)
             rows = np.array([self._knowledge.row(channel) for channel in dirty])
             self._stale |= np.isin(self._neighbours.rows, rows).any(axis=1)
         self._renew_needs(estimates[self.method], dirty)
@@ -146,7 +147,7 @@ class Guide:
         rejections: Mapping[int, Rejection],
     ) -> set[int]:
         """Take the pokes that are new or changed, leave out those that are gone; return whose channels they touch."""
-        rows, fresh, gone = self._pokes.take(contacts, rejections, self._last, self._places, self._normals, self._pulls)
+        rows, fresh, gone = self._pokes.take(contacts, rejections, self._last, self._drawn(), self._normals, self._pulls)
         if fresh or gone:
             self._kept = None
         if any(isinstance(one, Contact) for one in fresh):
@@ -161,6 +162,14 @@ class Guide:
             self._pushes = choose.directions(self._normals, self._usable)
             self._stale[:], self._kept = True, None
         return {int(self.plan.channels[row]) for row in rows}
+
+    def _drawn(self) -> FloatArray:
+        """Return (n, 3) where the plan draws each taxel, metres; as believed where it does not.
+
+        How far a poke was beside a taxel is told on the plan: it stays what it is while more gets known of where the skin lies,
+        and a session that is opened again knows the same.
+        """
+        return np.where(self._loose[:, None], self._places, self.plan.places)
 
     def _lay_out(self) -> None:
         """Work out what follows from where the taxels are believed to be."""
@@ -411,7 +420,8 @@ class Guide:
             return None
         told, normal, one = evidence([channel]), self._normals[row], self._estimates[row]
         pokes = told.pokes.tolist()
-        off = np.array([self._pokes.place(poke, self._places) for poke in pokes]).reshape(-1, 3) - self._places[row]
+        drawn = self._drawn()
+        off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
         doubted: Mapping[int, float] = {} if one is None else one.doubted
         worth = choose.gains(state, np.array([row]), self._noise, 1.0 if self._gains_of is Phase.SWEEP else OTHERS)[0]
         return Sky(

@@ -59,6 +59,7 @@ class Knowledge:
         channels: Collection[int],
         evidence: Evidence,
         places: FloatArray,
+        drawn: FloatArray,
         normals: FloatArray,
         centres: Mapping[int, FloatArray],
     ) -> None:
@@ -68,7 +69,8 @@ class Knowledge:
         ----------
         evidence : of those of `channels` that answered
         places, normals : (n, 3) float, metres and unit, believed
-        centres : (3,) float, metres, of each poke: the middle of the taxels that answered
+        drawn : (n, 3) float, metres: the places that `centres` are told in
+        centres : (3,) float, metres, of each poke: where it was by the answers
         """
         emptied = np.array([self._row[channel] for channel in channels], dtype=np.int64)
         self.information[emptied], self.moved[emptied] = self._nothing, np.inf
@@ -86,7 +88,7 @@ class Knowledge:
         self.own[rows] = np.add.reduceat((evidence.weights == 1.0).astype(np.int64), starts)
         self.contacts[rows] = evidence.counts
         shares = (evidence.weights**2 * evidence.trust)[:, None]
-        off = np.array([centres[poke] for poke in evidence.pokes.tolist()]) - places[rows][of]
+        off = np.array([centres[poke] for poke in evidence.pokes.tolist()]) - drawn[rows][of]
         whole = np.add.reduceat(shares, starts, axis=0)
         # Where every contact is doubted wholly, nothing is known of their middle.
         off = np.add.reduceat(shares * off, starts, axis=0) / np.where(whole > 0, whole, 1.0)

@@ -105,7 +105,8 @@ class Pokes:
         Parameters
         ----------
         target : the poke that was asked for before these
-        places, normals : (n, 3) float, metres and unit, believed
+        places : (n, 3) float, metres, on the plan
+        normals : (n, 3) float, unit, outward
         pulls : (n, 3) float, metres: `choose.pulls`
 
         Returns

@@ -51,14 +51,17 @@ class Session:
     ----------
     scene : what there is to calibrate
     surface : the scene's mesh; None leaves out the surface method, and modules lie free in space
+    methods : those that are solved; None for all that the scene has
     """
 
-    def __init__(self, scene: Scene, surface: Surface | None) -> None:
+    def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None = None) -> None:
         self.scene = scene
         self.surface = surface
-        self.boards = None if scene.skin.layout is None else Boards(scene.skin.layout, scene.skin.anchor, surface)
-        """The modules; None without a layout, which leaves out the modules method."""
-        self.methods = methods_of(scene, surface)
+        self.methods = tuple(one for one in methods_of(scene, surface) if methods is None or one in methods)
+        layout = scene.skin.layout
+        solved = layout is not None and Method.MODULES in self.methods
+        self.boards = Boards(layout, scene.skin.anchor, surface) if layout is not None and solved else None
+        """The modules; None where their method is not solved."""
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
         # In the order of their numbers, so that a snapshot copies them and makes nothing anew.
@@ -71,7 +74,6 @@ class Session:
         self._history = History()
         self._answers: Counter[int] = Counter()
         """How many contacts that count each channel answered in."""
-        layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._ledger = Ledger()
         self._stale: set[int] = set()

@@ -29,7 +29,7 @@ def told(count=8, weights=(1.0, 0.8, 0.4), tilt=0.5, seed=1):
 
 def knowledge(evidence, in_plane=False, unknown=1e9):
     know = Knowledge(np.array([0]), NOISE, unknown, in_plane)
-    know.renew([0], evidence, TAXEL[None], NORMAL[None], dict.fromkeys(evidence.pokes.tolist(), TAXEL))
+    know.renew([0], evidence, TAXEL[None], TAXEL[None], NORMAL[None], dict.fromkeys(evidence.pokes.tolist(), TAXEL))
     return know
 
 
@@ -103,7 +103,7 @@ def test_contacts_that_are_all_doubted_wholly_tell_nothing():
 def test_what_is_taken_away_leaves_no_trace():
     _, evidence = told()
     know, empty = knowledge(evidence), Ledger().evidence([0])
-    know.renew([0], empty, TAXEL[None], NORMAL[None], {})
+    know.renew([0], empty, TAXEL[None], TAXEL[None], NORMAL[None], {})
     fresh = Knowledge(np.array([0]), NOISE, 1e9, False)
     for name in ("information", "diversity", "own", "contacts", "beside", "moved"):
         np.testing.assert_array_equal(getattr(know, name), getattr(fresh, name))

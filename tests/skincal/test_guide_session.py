@@ -96,13 +96,15 @@ def test_on_a_surface_nobody_is_asked_for_again_before_all_had_their_turn():
     assert 50 < len(had) <= 84
 
 
-def test_a_session_that_is_opened_at_once_knows_what_a_followed_one_knows():
-    followed = after(60)
-    opened = guide().update(followed.contacts, followed.session.snapshot().estimates, followed.session.evidence)
+@pytest.mark.parametrize(("method", "pokes"), [(Method.FREE, 60), (Method.SURFACE, 240)])
+def test_a_session_that_is_opened_at_once_knows_what_a_followed_one_knows(method, pokes):
+    followed = after(pokes, method)
+    opened = guide(method).update(followed.contacts, followed.session.snapshot().estimates, followed.session.evidence)
     np.testing.assert_array_equal(opened.own, followed.guidance.own)
     np.testing.assert_allclose(opened.diversity, followed.guidance.diversity, atol=1e-12)
     np.testing.assert_allclose(opened.places, followed.guidance.places, atol=1e-12)
     np.testing.assert_array_equal(opened.rms, followed.guidance.rms)
+    assert opened.needs == followed.guidance.needs
 
 
 def test_a_poke_that_is_taken_out_and_put_in_again_leaves_no_trace():
