@@ -28,7 +28,8 @@ AGREES = Check(14, 13)
 
 def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
     done = used - sum(one.why is not Why.DEAD for one in left)
-    return Verdict(Method.SURFACE, 0.003, done, used, left, checked, 252, 552.0)
+    enough = all(one.why is not Why.EARLY for one in left)
+    return Verdict(Method.SURFACE, enough, 0.003, done, used, left, checked, 252, 552.0)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +41,9 @@ def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
         (verdict(EARLY), "Not enough yet: 23 of 24 taxels are known to 3 mm, and the held-out pokes agree."),
         (verdict(checked=Check(14, 7)), "All 24 taxels are known to 3 mm, but the held-out pokes speak against it."),
         (verdict(checked=Check(0, 0)), "All 24 taxels are known to 3 mm."),
-        (verdict(UNUSED, used=0), "0 of 0 taxels are known to 3 mm, and the held-out pokes agree."),
+        (verdict(checked=Check(4, 4)), "All 24 taxels are known to 3 mm."),
+        (verdict(UNUSED, used=0), "No taxel is used."),
+        (verdict(used=0), "No taxel has answered yet."),
     ],
 )
 def test_one_sentence_says_what_the_session_has_come_to(what, said):
