@@ -24,13 +24,14 @@ from skincal.surface.nearest import nearest_points
 STEADY = Conditions(aim=0.0, hand=0.0)
 PART = Part()
 SETTINGS = GuideSettings()
+SOLVED = (Method.FREE, Method.SURFACE)
 
 
 class Bench:
     """A guide, a rig, and a hand that pokes where the test says."""
 
     def __init__(self, method=Method.SURFACE, seed=1, conditions=STEADY):
-        self.session, self.conditions = Session(PART.scene, PART.surface), conditions
+        self.session, self.conditions = Session(PART.scene, PART.surface, SOLVED), conditions
         self.guide = Guide(PART.plan, PART.scene.noise, method, PART.spacing)
         self.rig, self.rng = PART.rig(conditions, seed), np.random.default_rng(seed)
         self.contacts, self.rejections, self.count = {}, {}, 0
@@ -312,7 +313,7 @@ def bare(method):
     scene = replace(PART.scene, skin=replace(PART.scene.skin, layout=None, anchor=None))
     channels = np.arange(scene.skin.channels)
     guide = Guide(unplaced(channels), scene.noise, method, TAXELS_APART, cover=Cover(PART.surface))
-    return Session(scene, PART.surface), guide
+    return Session(scene, PART.surface, SOLVED), guide
 
 
 @pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])

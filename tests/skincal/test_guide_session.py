@@ -28,7 +28,8 @@ class Followed:
     """A session whose operator does what the guide asks."""
 
     def __init__(self, method=Method.FREE, seed=1):
-        self.session, self.guide = Session(part().scene, part().surface), guide(method)
+        solved = (Method.FREE, Method.SURFACE, *((method,) if method is Method.MODULES else ()))
+        self.session, self.guide = Session(part().scene, part().surface, solved), guide(method)
         self.rig, self.rng = part().rig(Conditions(), seed), np.random.default_rng(seed)
         self.contacts = {}
         self.guidance = self.look()

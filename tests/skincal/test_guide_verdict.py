@@ -62,7 +62,7 @@ def poked_session(pokes=240, seed=1, conditions=None):
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
     rig = part().rig(conditions, seed)
     contacts, _ = poked(part(), rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
-    session = Session(part().scene, part().surface)
+    session = Session(part().scene, part().surface, (Method.FREE, Method.SURFACE))
     for contact in contacts:
         session.add(contact)
     session.snapshot()
