@@ -288,14 +288,14 @@ class Player:
         """Do something with the device; whatever becomes of it, the program goes on without sound."""
         try:
             do()
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001 - whatever becomes of the device, the program goes on
             if self._there is not False:
                 LOG.info("nothing is heard: %s", error)
             self._retry_s = time.monotonic() + RETRY_S
             self._tell(there=False)
             try:
                 outlet.close()
-            except Exception as second:  # noqa: BLE001
+            except Exception as second:  # noqa: BLE001 - as above
                 LOG.info("the sound device cannot be closed: %s", second)
 
     def _tell(self, *, there: bool) -> None:

@@ -63,7 +63,8 @@ class Measure(QObject):
         """When, how late, and for how much work of the window's thread."""
         self._canvas: QWidget | None = None
         self._pressing_since: float | None = None
-        self._released: list[float] = []
+        self._released: list[tuple[int, float]] = []
+        """Number and time of each poke that ended and is not shown yet."""
         self.sounds = sounds
         self._last_beat, self._worked = time.monotonic(), time.thread_time()
         self._beat = QTimer(self)
@@ -119,8 +120,14 @@ class Measure(QObject):
         if not self.pictures:
             self.first_picture = now - STARTED
         self.pictures.append(now)
-        self.latencies += [now - released for released in self._released]
-        self._released.clear()
+        shown = self._shown_poke()
+        self.latencies += [now - ended for poke, ended in self._released if poke <= shown]
+        self._released[:] = [(poke, ended) for poke, ended in self._released if poke > shown]
+
+    def _shown_poke(self) -> int:
+        """Return the newest poke of the frame that is painted; the target in it is the one after that poke."""
+        frame = None if self.window.desk is None else self.window.desk.frame
+        return frame.snapshot.pokes[-1].outcome.poke if frame is not None and frame.snapshot.pokes else 0
 
     def _take_beat(self) -> None:
         now, worked = time.monotonic(), time.thread_time()
@@ -234,7 +241,7 @@ def percentile(values: list[float], share: float) -> float | None:
     return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else None
 
 
-def _around_feed(road: type[Any], released: list[float]) -> None:
+def _around_feed(road: type[Any], released: list[tuple[int, float]]) -> None:
     """Note the arrival of each reading that ends a poke."""
     before = road.feed
 
@@ -242,7 +249,7 @@ def _around_feed(road: type[Any], released: list[float]) -> None:
         last = self.session.last_poke
         before(self, item)
         if self.session.last_poke != last:
-            released.append(item.host_ns * 1e-9)
+            released.append((self.session.last_poke, item.host_ns * 1e-9))
 
     road.feed = feed
 

@@ -12,6 +12,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
 from PySide6.QtWidgets import QApplication
 from whole_window import Bench
 
+from app.link_server import LinkServer
 from skincal.scene import resource
 
 WAIT_S = 5.0
@@ -83,3 +84,18 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded") / "session"
     simulate_session(scene, load_surface(scene.surface)[0], folder, 3, 3, RigErrors.none())
     return folder
+
+
+@pytest.fixture
+def said():
+    """What the window's process was told, in order."""
+    lines: list[str] = []
+    tell = LinkServer.tell
+
+    def record(server, line):
+        lines.append(line)
+        tell(server, line)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(LinkServer, "tell", record)
+        yield lines

@@ -18,7 +18,7 @@ def test_a_percentile_is_one_of_the_values():
 
 
 def test_the_window_is_measured():
-    command = [sys.executable, "-m", "tools.window_bench", "--seconds", "8", "--scene", "flat-patch", "--json"]
+    command = [sys.executable, "-m", "tools.window_bench", "--seconds", "14", "--scene", "flat-patch", "--json"]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT, timeout=100)
     result = json.loads(done.stdout)
     assert 0.0 < result["first_paint_s"] < 60.0
@@ -27,5 +27,8 @@ def test_the_window_is_measured():
     assert result["first_picture_s"] is None or result["first_picture_s"] > result["first_paint_s"]
     assert result["stalls_above_100_ms"] >= 0
     assert result["sound_device"]
-    assert result["dwell_to_sound_p95_s"] is None or 0.0 < result["dwell_to_sound_p95_s"] < 5.0
+    # Of a machine that may be busy: that it is of these pokes, not that it is quick.
+    for pokes, name in (("sounds", "dwell_to_sound_p95_s"), ("releases", "release_to_painted_p95_s")):
+        assert result[pokes] >= 1
+        assert 0.0 < result[name] < 3.0
     assert "first paint" in table(result)

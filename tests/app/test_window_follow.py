@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 
-import pytest
 from guide_support import guidance, target
 from PySide6.QtCore import Qt
 from whole_window import OPEN_MS
@@ -85,21 +84,6 @@ def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
 def test_the_rig_that_opens_by_default_follows():
     command = server_command(None)
     assert command[command.index("--operator") + 1] == "guided"
-
-
-@pytest.fixture
-def said():
-    """What the window's process was told, in order."""
-    lines: list[str] = []
-    tell = LinkServer.tell
-
-    def record(server, line):
-        lines.append(line)
-        tell(server, line)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LinkServer, "tell", record)
-        yield lines
 
 
 def test_pokes_come_where_the_window_asks_for_them(bench, said):

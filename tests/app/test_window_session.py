@@ -20,7 +20,6 @@ from app.commands import COMMANDS
 from app.dialogs.export import ExportDialog
 from app.dialogs.pedals import PedalsDialog
 from app.dialogs.verdict import VerdictDialog
-from app.link_server import LinkServer
 from app.plan import Plan, server_command
 from app.running import Running
 from app.words import peak_channel
@@ -123,21 +122,6 @@ class Keys:
         """Wait until the window has the keys again; the test's display has no window manager to hand them on."""
         self.bench.window.activateWindow()
         self.bench.until(self.bench.window.isActiveWindow, 5000)
-
-
-@pytest.fixture
-def said():
-    """What the operator was told, in order."""
-    lines: list[str] = []
-    tell = LinkServer.tell
-
-    def record(server, line):
-        lines.append(line)
-        tell(server, line)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LinkServer, "tell", record)
-        yield lines
 
 
 @pytest.mark.timeout(400)
