@@ -13,7 +13,7 @@ from skincal.estimate.ledger import Ledger
 from skincal.estimate.modules import estimate_modules
 from skincal.estimate.result import Method, State
 from skincal.estimate.solve import estimate_taxels
-from skincal.estimate.touches import find_touches
+from skincal.estimate.touches import find_touches, offset_squares
 from skincal.scene import NoiseSettings
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
@@ -347,3 +347,41 @@ def test_errors_of_arm_poses_that_are_told_make_the_ellipses_larger():
 def test_grounds_know_how_many_unknowns_a_board_has():
     assert (OnSurface.unknowns, InSpace.unknowns) == (3, 6)
     assert isinstance(boards_of("flat-patch").plan(0), Poses)
+
+
+def test_contacts_are_off_the_middle_of_the_pads_that_answer_by_what_is_said():
+    """By another route: the simulated tip's true place beside the middle of the true places of the pads."""
+    off: dict[int, list[float]] = {}
+    for seed in range(1, 5):
+        rng = np.random.default_rng(seed)
+        rig = make_rig(RigErrors.noise(), seed)
+        pokes = unguided(rig, 3, rng)
+        of = rig.scene.skin.layout.module_of
+        for contact in simulate_contacts(rig, pokes, rng, habits=Habits.careful()):
+            if len(set(of[contact.channels].tolist())) > 1:
+                continue
+            rows = [rig.row_of(channel) for channel in contact.channels.tolist()]
+            aside = pokes.points[contact.poke - 1] - contact.responses @ rig.places[rows] / contact.responses.sum()
+            normal = rig.normals[rows[0]]
+            aside -= (aside @ normal) * normal
+            off.setdefault(len(rows), []).append(float(aside @ aside) / 2.0)
+    for pads in (1, 2, 3):
+        assert len(off[pads]) > 30
+        said = offset_squares(np.array([pads]), np.zeros(1), NOISE)[0]
+        assert 0.6 < np.sqrt(np.mean(off[pads]) / said) < 1.5
+    beside = offset_squares(np.array([2, 2]), np.array([0.0, 0.3]), NOISE)
+    assert beside[1] - beside[0] == pytest.approx(0.001**2)
+
+
+@pytest.mark.parametrize(("other", "counts"), [(0.9, True), (1.0, False), (1.1, True)])
+def test_a_poke_between_two_modules_counts_for_the_one_that_answers_more_and_for_none_where_both_do_alike(other, counts, rng):
+    boards = boards_of()
+    poses = [boards.plan(module) for module in range(7)]
+    contact = press(boards, poses, rng, 1, modules=[0])[0]
+    here, there = (int(boards.layout.modules[module].channels[0]) for module in (0, 1))
+    channels = np.sort([here, there])
+    responses = np.where(channels == here, 100.0, 100.0 * other)
+    ledger = Ledger([replace(contact, channels=channels, responses=responses)])
+    evidence = ledger.evidence(boards.channels_of([0, 1]))
+    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [0, 1])
+    assert touches.boards.tolist() == ([0 if other < 1.0 else 1] if counts else [])
