@@ -14,6 +14,7 @@ from skincal.guide.coach import Coaching
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.sky import Sky
 from skincal.scene import Scene
+from skincal.session.review import Review
 from skincal.session.snapshot import LiveView, Snapshot
 
 
@@ -44,7 +45,8 @@ class Frame:
     """What the contacts of a channel are like; None where nobody guides, or nothing is known of it."""
     coaching: Coaching | None = None
     """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
-
+    review: Review | None = None
+    """What pokes at landmarks tell of the rig, and the places with and without its correction; None while nothing does."""
     eye: Eye = PLAIN
     """How the 3D view's camera stands: small pictures stand upright beside it."""
 

@@ -25,7 +25,7 @@ class Target:
     """The poke that is asked for, link frame."""
 
     channel: int | None
-    """None where it is a place on the part at which a taxel may be."""
+    """None where it is a place on the part: at which a taxel may be, or a landmark."""
     place: FloatArray
     """(3,) float, metres."""
     normal: FloatArray
@@ -38,6 +38,8 @@ class Target:
     """m, the taxel's predicted rms error now; infinite without a taxel."""
     after: float
     """m, and after the poke."""
+    landmark: str = ""
+    """Name of the landmark that is asked for; empty for a poke on the skin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
