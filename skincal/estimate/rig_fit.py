@@ -13,7 +13,7 @@ lies elsewhere.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from skincal.contacts.outcome import Contact
 from skincal.estimate.board_fit import FULL, NONE
 from skincal.estimate.boards import Boards, rotations
 from skincal.estimate.clouds import Clouds, board_clouds, taxel_clouds
+from skincal.estimate.correction import Correction
 from skincal.estimate.ledger import Ledger
 from skincal.estimate.result import Method
 from skincal.estimate.rig import Readings, RigPrior, RigState, Rows, rig_rows
@@ -87,28 +88,10 @@ class RigRequest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RigCorrection:
-    """What a wrench and an arm pose really are, of those that the rig tells."""
-
-    matrix: FloatArray
-    """(6, 6) float, SI: the true wrench is (I + matrix) times the measured one."""
-    motions: Mapping[str, FloatArray]
-    """For each arm pose (4, 4) float: link_from_sensor is the one told times this."""
-
-    def corrected(self, contact: Contact) -> Contact:
-        """Return a contact as a right rig would have told it; of an arm pose that is not known, the wrench alone."""
-        wrench = np.concatenate([contact.force, contact.moment])
-        wrench = wrench + self.matrix @ wrench
-        motion = self.motions.get(contact.pose)
-        told = contact.link_from_sensor
-        return replace(contact, force=wrench[:3], moment=wrench[3:], link_from_sensor=told if motion is None else told @ motion)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RigAnswer:
     """What came out."""
 
-    correction: RigCorrection | None
+    correction: Correction | None
     """None where there is nothing to correct with."""
     used: bool
     """Whether the correction foretells held-out landmark pokes better than the rig as it tells itself."""
@@ -309,10 +292,10 @@ def _cloud_move(top: FloatArray, step: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(top[:, :unknowns], right, rcond=1e-9)[0], dtype=np.float64)
 
 
-def _correction(state: RigState, names: list[str]) -> RigCorrection:
+def _correction(state: RigState, names: list[str]) -> Correction:
     motions: dict[str, FloatArray] = {}
     for index, name in enumerate(names):
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = rotations(state.turns[index : index + 1])[0], state.shifts[index]
         motions[name] = motion
-    return RigCorrection(state.matrix, motions)
+    return Correction(np.eye(6) + state.matrix, motions=motions)

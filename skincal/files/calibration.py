@@ -9,6 +9,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.errors import InputError
+from skincal.estimate.correction import UsedCorrection
 from skincal.estimate.result import Estimate, Method
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
@@ -24,7 +25,7 @@ class Calibration:
     estimates: Mapping[Method, tuple[Estimate, ...]]
     """For each method one estimate a taxel, in the order of `channels`."""
     contacts: tuple[Contact, ...]
-    """Accepted contacts; those whose poke is in `excluded` did not count."""
+    """Accepted contacts, as the rig told them; those whose poke is in `excluded` did not count."""
     mesh_sha256: str | None
     """Of the mesh file that the surface method used; None without a surface."""
     version: str
@@ -33,6 +34,8 @@ class Calibration:
     """Numbers of the pokes that the operator took out."""
     dead: Mapping[int, str] = field(default_factory=dict[int, str])
     """Channels that were not used, with the reason."""
+    corrections: tuple[UsedCorrection, ...] = ()
+    """Of what the rig tells: the estimates are those of the contacts under them, one after another."""
 
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.

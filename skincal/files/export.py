@@ -69,7 +69,7 @@ def write_calibration(
     shape = _part(calibration)
     text = _text(calibration, format, method, part, shape)
     methods = (method,) if format in ("icub", "ply") else tuple(calibration.estimates)
-    sentences = list(shape.troubles)
+    sentences = [*(f"{one.words}." for one in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
         sentences += _left_out(calibration.of(each), each, format)

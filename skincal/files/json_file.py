@@ -18,12 +18,15 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.errors import InputError
+from skincal.estimate.correction import Correction, UsedCorrection
 from skincal.estimate.result import Estimate, Method, Rival, State
 from skincal.files.calibration import Calibration
 from skincal.readings import FloatArray
 from skincal.scene import ContactSettings, NoiseSettings
 
-FORMAT = "skincal-calibration/2"
+FORMAT = "skincal-calibration/3"
+OLDER = "skincal-calibration/2"
+"""Knows no corrections of the rig."""
 CONTACT_UNITS = {
     "force_min": "N", "force_max": "N", "touch_force": "N", "release_force": "N", "still_s": "", "still_change": "",
     "slide_max": "m", "pitch_max": "m", "taxels_max": "", "response_min": "raw", "response_noises": "", "quiet_s": "",
@@ -57,16 +60,21 @@ class CalibrationFile:
     noise: NoiseSettings
     channels: tuple[int, ...]
     contacts: tuple[Contact, ...]
-    """Accepted contacts, in their order; those in `excluded` did not count."""
+    """Accepted contacts as the rig told them, in their order; those in `excluded` did not count."""
     excluded: tuple[int, ...]
     """Numbers of the pokes that the operator took out."""
     dead: Mapping[int, str]
     estimates: Mapping[Method, tuple[Estimate, ...]]
+    corrections: tuple[UsedCorrection, ...] = ()
+    """Of what the rig told, to be applied one after another."""
 
     @property
     def used_contacts(self) -> tuple[Contact, ...]:
-        """Contacts from which the estimates were computed."""
-        return tuple(contact for contact in self.contacts if contact.poke not in self.excluded)
+        """Contacts from which the estimates were computed, as they were corrected."""
+        used = [contact for contact in self.contacts if contact.poke not in self.excluded]
+        for one in self.corrections:
+            used = [one.correction.corrected(contact) for contact in used]
+        return tuple(used)
 
 
 def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> str:
@@ -89,6 +97,7 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         "noise": _settings(scene.noise, NOISE_UNITS),
         "channels": [int(channel) for channel in calibration.channels],
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
+        "corrections": [_correction(one) for one in calibration.corrections],
         "excluded_pokes": [int(poke) for poke in calibration.excluded],
         "contacts": [_contact(contact) for contact in calibration.contacts],
         "estimates": {
@@ -167,6 +176,19 @@ def _contact(contact: Contact) -> dict[str, Any]:
     }
 
 
+def _correction(used: UsedCorrection) -> dict[str, Any]:
+    found = used.correction
+    return {
+        "of": used.of,
+        "landmark_pokes": int(used.pokes),
+        "miss_before_m": float(used.before),
+        "miss_after_m": float(used.after),
+        "wrench_matrix": _array(found.matrix),
+        "sensor_motion_m": _array(found.everywhere),
+        "pose_motions_m": {name: _array(motion) for name, motion in sorted(found.motions.items())},
+    }
+
+
 def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
     rival = estimate.rival
     return {
@@ -208,7 +230,7 @@ def read_json(path: Path) -> CalibrationFile:
         found: Any = document["format"]
     except (TypeError, KeyError, IndexError):
         found = None
-    if found != FORMAT:
+    if found not in (FORMAT, OLDER):
         raise InputError(f"{path}: its format is {found!r}; expected {FORMAT!r}.")
     try:
         return _calibration_file(document)
@@ -235,6 +257,7 @@ def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
             Method(name): tuple(_read_estimate(item, Method(name)) for item in items)
             for name, items in document["estimates"].items()
         },
+        corrections=tuple(_read_correction(one) for one in document["corrections"]) if document["format"] == FORMAT else (),
     )
 
 
@@ -265,6 +288,17 @@ def _read_contact(values: dict[str, Any]) -> Contact:
         pose=values["pose"],
         tare_change=math.nan if change is None else change,
         final=values["final"],
+    )
+
+
+def _read_correction(values: dict[str, Any]) -> UsedCorrection:
+    motions = {name: _read_array(motion) for name, motion in values["pose_motions_m"].items()}
+    return UsedCorrection(
+        of=values["of"],
+        correction=Correction(_read_array(values["wrench_matrix"]), _read_array(values["sensor_motion_m"]), motions),
+        before=values["miss_before_m"],
+        after=values["miss_after_m"],
+        pokes=values["landmark_pokes"],
     )
 
 

@@ -23,6 +23,7 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "format ascii 1.0",
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {_one_line(calibration.scene.link)}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
+        *(f"comment {one.words}" for one in calibration.corrections),
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
         "property int channel",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 from skincal.errors import InputError
 
@@ -68,7 +68,34 @@ class AtLandmark:
     name: str
 
 
-Action: TypeAlias = Exclude | Restore | Undo | SetPose | MarkDead | Revive | AddLandmark | AtLandmark
+@dataclass(frozen=True, slots=True)
+class Correct:
+    """Use a correction of what the rig tells, in place of one of its kind; the numbers travel with it, SI units."""
+
+    of: str
+    """`FRAME` or `RIG` of `skincal.estimate.correction`, where the rest is described, too."""
+    matrix: tuple[float, ...]
+    """36, row by row."""
+    everywhere: tuple[float, ...]
+    """16, row by row."""
+    poses: tuple[str, ...]
+    """Names of the arm poses that are moved."""
+    motions: tuple[float, ...]
+    """16 a pose, row by row."""
+    before: float
+    after: float
+    """m."""
+    pokes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Uncorrect:
+    """Use the correction of that kind no more."""
+
+    of: str
+
+
+Action: TypeAlias = Exclude | Restore | Undo | SetPose | MarkDead | Revive | AddLandmark | AtLandmark | Correct | Uncorrect
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +115,11 @@ _KINDS: dict[str, type[Action]] = {
     "revive": Revive,
     "add_landmark": AddLandmark,
     "at_landmark": AtLandmark,
+    "correct": Correct,
+    "uncorrect": Uncorrect,
 }
 _TYPES = {"str": str, "int": int, "float": float}
+_LISTS = {f"tuple[{name}, ...]": kind for name, kind in _TYPES.items()}
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
@@ -109,8 +139,20 @@ def from_json(document: Mapping[str, Any]) -> Action:
     kind = _KINDS.get(str(document.get("do")))
     if kind is None:
         raise InputError(f"action {document.get('do')!r}: expected one of {', '.join(_KINDS)}; a newer skincal may know it.")
-    values = {key: value for key, value in document.items() if key != "do"}
-    wanted = {item.name: _TYPES[str(item.type)] for item in fields(kind)}
-    if values.keys() != wanted.keys() or any(type(values[key]) is not wanted[key] for key in wanted):
-        raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v.__name__})' for k, v in wanted.items())}.")
+    values = {key: _frozen(value) for key, value in document.items() if key != "do"}
+    wanted = {item.name: str(item.type) for item in fields(kind)}
+    if values.keys() != wanted.keys() or not all(_is(values[key], type_) for key, type_ in wanted.items()):
+        raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v})' for k, v in wanted.items())}.")
     return kind(**values)
+
+
+def _frozen(value: Any) -> Any:
+    """Return a JSON list as a tuple."""
+    return tuple(cast("list[Any]", value)) if isinstance(value, list) else value
+
+
+def _is(value: object, type_: str) -> bool:
+    """Return whether a value is of a field's type, as its annotation has it."""
+    if isinstance(value, tuple):
+        return type_ in _LISTS and all(type(each) is _LISTS[type_] for each in cast("tuple[object, ...]", value))
+    return type(value) is _TYPES.get(type_)

@@ -133,7 +133,8 @@ class Road:
     def live(self, now_ns: int) -> LiveView:
         """Return the newest readings."""
         detector = self._detector
-        progress = detector.progress(self._poses.current[1])
+        name, link_from_sensor = self._poses.current
+        progress = self.session.corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name)
         if now_ns * 1e-9 - detector.last_s > SILENT_S:
             progress = replace(progress, phase=Phase.NO_DATA)
         times, wrench = self._intake.recent_wrench()

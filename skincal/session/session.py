@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal import __version__
-from skincal.contacts.outcome import Contact, Outcome
+from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.errors import InputError
 from skincal.estimate.boards import Boards
+from skincal.estimate.correction import UsedCorrection
 from skincal.estimate.ledger import Ledger
 from skincal.estimate.modules import estimate_modules
 from skincal.estimate.result import PER_TAXEL, Estimate, Method
@@ -24,7 +25,20 @@ from skincal.estimate.rig_fit import LandmarkPoke, RigRequest
 from skincal.estimate.solve import estimate_from
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Landmark, Scene
-from skincal.session.actions import Action, AddLandmark, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Undo
+from skincal.session.actions import (
+    Action,
+    AddLandmark,
+    AtLandmark,
+    Correct,
+    Exclude,
+    MarkDead,
+    Restore,
+    Revive,
+    SetPose,
+    Uncorrect,
+    Undo,
+)
+from skincal.session.corrections import Corrections
 from skincal.session.history import History, PokeStep, Step
 from skincal.session.known_points import KnownPoints
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -66,10 +80,9 @@ class Session:
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
         # In the order of their numbers, so that a snapshot copies them and makes nothing anew.
         self._records: dict[int, PokeRecord] = {}
-        self._excluded: set[int] = set()
+        self._corrections = Corrections(self._correct_all)
+        self._excluded, self._marked, self._revived = set[int](), set[int](), set[int]()
         self._found: Mapping[int, str] = {}
-        self._marked: set[int] = set()
-        self._revived: set[int] = set()
         self._known = KnownPoints(scene.landmarks)
         self._history = History()
         self._answers: Counter[int] = Counter()
@@ -87,7 +100,7 @@ class Session:
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """The contacts that count: accepted and not excluded, in the order of their numbers."""
+        """The contacts that count, as they are corrected: accepted and not excluded, in the order of their numbers."""
         return tuple(self._kept(self._records))
 
     @property
@@ -126,19 +139,34 @@ class Session:
 
     @property
     def landmark_pokes(self) -> tuple[LandmarkPoke, ...]:
-        """The pokes that were at a landmark and count, in the order of their numbers."""
-        records = [record for record in self._records.values() if not record.excluded]
-        return self._known.pokes(record.outcome for record in records)
+        """The pokes that were at a landmark and count, in the order of their numbers, in the right frame."""
+        return self._known.pokes(self._framed())
+
+    @property
+    def corrections(self) -> Mapping[str, UsedCorrection]:
+        """The corrections in use, by what they are of."""
+        return self._corrections.used
 
     def rig_request(self) -> RigRequest:
         """Return what a correction of the rig is worked out from, here or in another process."""
-        return RigRequest(self.scene, self.surface, self.contacts, self.landmark_pokes, self.dead)
+        contacts = [one for one in self._framed() if isinstance(one, Contact)]
+        return RigRequest(self.scene, self.surface, contacts, self.landmark_pokes, self.dead)
+
+    def corrected_progress(self, progress: Progress, link_from_sensor: FloatArray | None, pose: str) -> Progress:
+        """Return a poke in progress as the corrections in use have it.
+
+        Parameters
+        ----------
+        link_from_sensor : (4, 4) float of the arm pose of that name, as told; None while unknown
+        """
+        force, point = self._corrections.of_progress(progress, link_from_sensor, pose)
+        return progress if force is progress.force else replace(progress, force=force, axis_point=point)
 
     def add(self, outcome: Outcome) -> None:
         """Take a poke's outcome; one with the same number replaces the earlier."""
         before = self._records.get(outcome.poke)
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
-        self._put(PokeRecord(outcome, outcome.poke in self._excluded))
+        self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded))
         if now and not was:
             self._history.add_poke(outcome.poke)
         if was and not now:
@@ -146,14 +174,12 @@ class Session:
 
     def settle(self) -> None:
         """Make every outcome final as it stands: what could have changed it will not come."""
-        for record in list(self._records.values()):
-            if not record.outcome.final:
-                self.add(replace(record.outcome, final=True))
+        for outcome in [one for one in self._corrections.told.values() if not one.final]:
+            self.add(replace(outcome, final=True))
 
     def outcome(self, poke: int) -> Outcome | None:
-        """Return how a poke ended; None where there is no such poke."""
-        record = self._records.get(poke)
-        return None if record is None else record.outcome
+        """Return how a poke ended, as the rig told it; None where there is no such poke."""
+        return self._corrections.told.get(poke)
 
     def find_dead(self, found: Mapping[int, str]) -> None:
         """Take the channels that the detector found to be dead, in place of those before."""
@@ -190,6 +216,10 @@ class Session:
             self._history.add(self._known.add(action))
         elif isinstance(action, AtLandmark):
             self._history.add(self._known.put(action, self.outcome(action.poke)))
+        elif isinstance(action, Correct):
+            self._history.add(self._corrections.use(action))
+        elif isinstance(action, Uncorrect):
+            self._history.add(self._corrections.drop(action))
         else:
             self._choose_channel(action)
         self._changed()
@@ -215,6 +245,7 @@ class Session:
             can_undo="" if last is None else last.words,
             landmarks=self.landmarks,
             at_landmarks=self._known.named,
+            corrections=self.corrections,
         )
         return self._snapshot
 
@@ -231,11 +262,12 @@ class Session:
             scene=self.scene,
             channels=self.channels,
             estimates=estimates,
-            contacts=tuple(one.outcome for one in self._records.values() if isinstance(one.outcome, Contact)),
+            contacts=tuple(one for one in map(self._corrections.told.__getitem__, self._records) if isinstance(one, Contact)),
             mesh_sha256=None if self.surface is None else self.surface.sha256,
             version=__version__,
             excluded=self.excluded,
             dead=self.dead,
+            corrections=tuple(self.corrections.values()),
         )
 
     def _solve(self, channels: tuple[int, ...]) -> None:
@@ -259,6 +291,17 @@ class Session:
         """Return those of `pokes` that count, in the order of their numbers."""
         records = (self._records[poke] for poke in sorted(pokes))
         return [one.outcome for one in records if isinstance(one.outcome, Contact) and not one.excluded]
+
+    def _framed(self) -> list[Outcome]:
+        """Return the pokes that were not taken out, in the right frame, in the order of their numbers."""
+        return [self._corrections.framed(poke) for poke, one in self._records.items() if not one.excluded]
+
+    def _correct_all(self) -> None:
+        """Correct every poke anew, from what the rig told."""
+        for poke, record in self._records.items():
+            self._records[poke] = replace(record, outcome=self._corrections.corrected(poke))
+        self._dirty.update(self.channels)
+        self._stale.update(poke for poke, one in self._records.items() if isinstance(one.outcome, Contact))
 
     def _put(self, record: PokeRecord) -> None:
         """Take a poke as it stands now, in place of what it was."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from skincal.contacts.outcome import Outcome, Progress
+from skincal.estimate.correction import UsedCorrection
 from skincal.estimate.result import Estimate, Method
 from skincal.readings import FloatArray, IntArray, LinkHealth
 from skincal.scene import Landmark
@@ -43,6 +44,8 @@ class Snapshot:
     """Known points of the part: those of the scene, then those that the operator added."""
     at_landmarks: Mapping[int, str] = field(default_factory=dict[int, str])
     """Pokes that were at a landmark: number to its name."""
+    corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
+    """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,146 @@
+"""The pokes as the rig told them, the corrections of the rig that the operator uses, and what these make of a poke.
+
+There are two kinds, one of each at most: of the sensor's frame, then of the rig's small errors, which was found under that
+frame and therefore goes where the frame is changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from skincal.contacts.outcome import Outcome, Progress
+from skincal.errors import InputError
+from skincal.estimate.correction import FRAME, RIG, Correction, UsedCorrection
+from skincal.readings import FloatArray
+from skincal.session.actions import Correct, Uncorrect
+from skincal.session.history import Step
+from skincal.wrench import axis_point, move_wrench
+
+KINDS = {FRAME: "the sensor's frame", RIG: "the rig"}
+
+
+class Corrections:
+    """Those in use, and the pokes as told.
+
+    Parameters
+    ----------
+    changed : called where pokes are to be corrected anew
+    """
+
+    def __init__(self, changed: Callable[[], None]) -> None:
+        self._changed = changed
+        self.used: Mapping[str, UsedCorrection] = {}
+        """Those in use, by what they are of."""
+        self.told: dict[int, Outcome] = {}
+        """Every poke as the rig told it, by its number."""
+
+    def use(self, action: Correct) -> Step:
+        """Use a correction; return how it is taken back.
+
+        Raises
+        ------
+        InputError
+            It is none.
+        """
+        used = UsedCorrection(action.of, correction_of(action), action.before, action.after, action.pokes)
+        return self._set({**self._kept_beside(action.of), action.of: used}, f"correction of {KINDS[action.of]}")
+
+    def drop(self, action: Uncorrect) -> Step:
+        """Use a correction no more; return how that is taken back.
+
+        Raises
+        ------
+        InputError
+            None of that kind is in use.
+        """
+        if action.of not in self.used:
+            raise InputError(f"No correction of {action.of!r} is in use; expected one of {', '.join(self.used) or 'none'}.")
+        return self._set(self._kept_beside(action.of), f"end of the correction of {KINDS[action.of]}")
+
+    def _kept_beside(self, of: str) -> dict[str, UsedCorrection]:
+        return {kind: one for kind, one in self.used.items() if kind == FRAME and of == RIG}
+
+    def _set(self, used: Mapping[str, UsedCorrection], words: str) -> Step:
+        before, self.used = self.used, used
+        self._changed()
+
+        def take_back() -> None:
+            self.used = before
+            self._changed()
+
+        return Step(words, take_back)
+
+    def take(self, poke: Outcome) -> Outcome:
+        """Keep a poke as told, in place of one with its number; return it as a right rig would have told it."""
+        self.told[poke.poke] = poke
+        return self.corrected(poke.poke)
+
+    def corrected(self, number: int) -> Outcome:
+        """Return a poke as a right rig would have told it."""
+        poke = self.told[number]
+        for one in self.used.values():
+            poke = one.correction.corrected(poke)
+        return poke
+
+    def framed(self, number: int) -> Outcome:
+        """Return a poke in the right frame, with the rig's small errors: what these are found from."""
+        poke = self.told[number]
+        return self.used[FRAME].correction.corrected(poke) if FRAME in self.used else poke
+
+    def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
+        """Return the true (4, 4) link_from_sensor of the one that is told."""
+        for one in self.used.values():
+            link_from_sensor = one.correction.pose(link_from_sensor, name)
+        return link_from_sensor
+
+    def of_progress(self, progress: Progress, told: FloatArray | None, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return force (3,), N, and a point of the axis (3,), metres, link frame, of a poke in progress.
+
+        Parameters
+        ----------
+        told : (4, 4) float, link_from_sensor of the arm pose of that name; None while unknown
+        """
+        force, point = progress.force, progress.axis_point
+        if not self.used or told is None or not np.isfinite(point).all() or not force.any():
+            return force, point
+        force, moment = move_wrench(np.asarray(np.linalg.inv(told), dtype=np.float64), force, np.cross(point, force))
+        for one in self.used.values():
+            force, moment = one.correction.wrench(force, moment)
+        force, moment = move_wrench(self.pose(told, name), force, moment)
+        return force, axis_point(force, moment)
+
+
+def correction_of(action: Correct) -> Correction:
+    """Return the correction that an action names.
+
+    Raises
+    ------
+    InputError
+        Its kind is not known, its numbers are too few or not finite, or its matrix is not regular.
+    """
+    sizes = (len(action.matrix), len(action.everywhere), len(action.motions))
+    wanted = (36, 16, 16 * len(action.poses))
+    if action.of not in KINDS or sizes != wanted:
+        raise InputError(f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(KINDS)}, with {wanted}.")
+    matrix, everywhere = np.reshape(action.matrix, (6, 6)), np.reshape(action.everywhere, (4, 4))
+    motions = np.reshape(action.motions, (-1, 4, 4))
+    if not all(np.isfinite(one).all() for one in (matrix, everywhere, motions)) or not abs(np.linalg.det(matrix)) > 0:
+        raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
+    return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)))
+
+
+def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int) -> Correct:
+    """Return the action that uses a correction; see `Correct` for the rest."""
+    names = tuple(sorted(correction.motions))
+    return Correct(
+        of=of,
+        matrix=tuple(correction.matrix.ravel().tolist()),
+        everywhere=tuple(correction.everywhere.ravel().tolist()),
+        poses=names,
+        motions=tuple(value for name in names for value in correction.motions[name].ravel().tolist()),
+        before=before,
+        after=after,
+        pokes=pokes,
+    )

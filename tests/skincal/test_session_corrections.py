@@ -1,0 +1,248 @@
+"""Corrections of the rig in a session: used, taken back, journalled, played again, and exported so that they can be redone."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Contact, Phase, Progress, Reason, Rejection
+from skincal.errors import InputError
+from skincal.estimate.correction import FRAME, RIG, Correction, frame_correction
+from skincal.estimate.frame_doctor import diagnose
+from skincal.estimate.result import Method
+from skincal.estimate.rig_fit import correct_rig
+from skincal.estimate.solve import estimate_taxels
+from skincal.files.export import write_calibration
+from skincal.files.json_file import read_json
+from skincal.readings import Chunk
+from skincal.session.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
+from skincal.session.corrections import correct_action
+from skincal.session.journal import create_session
+from skincal.session.replay import load, replay
+from skincal.session.road import Road
+from skincal.session.session import Session
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.rig import RigErrors
+from skincal.wrench import axis_point, move_wrench
+from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene
+from tests.skincal.sim_support import make_rig
+
+FORCE, POINT = np.array([1.0, 2.0, -8.0]), np.array([0.02, 0.05, 0.10])
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rejected(poke):
+    nobody = np.empty(0, dtype=np.int64)
+    return Rejection(
+        poke.poke, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", nobody, True, poke.force, poke.moment,
+        poke.link_from_sensor, poke.pose,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def poked():
+    """A rig with the paper's errors, contacts on it, and three landmark pokes in each arm pose."""
+    rig, rng = make_rig(RigErrors.paper(), 1), np.random.default_rng(8)
+    contacts = simulate_contacts(rig, unguided(rig, 2, rng), rng)
+    return rig, contacts, poke_landmarks(rig, rig.scene.landmarks, 3, rng, 5001)
+
+
+@pytest.fixture
+def bad(poked):
+    """A session of these pokes, and the rig."""
+    rig, contacts, landmarks = poked
+    session = Session(rig.scene, rig.surface)
+    for contact in contacts:
+        session.add(contact)
+    for poke in landmarks:
+        session.add(rejected(poke))
+        session.act(AtLandmark(poke.poke, poke.name))
+    return session, rig
+
+
+def found_in(session):
+    answer = correct_rig(session.rig_request())
+    assert answer.used
+    return correct_action(RIG, answer.correction, answer.before, answer.after, len(session.landmark_pokes))
+
+
+def mean_error(session, rig, method=Method.MODULES):
+    truth = dict(zip(rig.channels.tolist(), rig.places, strict=True))
+    off = [
+        np.linalg.norm(one.position - truth[one.channel])
+        for one in session.snapshot().estimates[method]
+        if one.position is not None and one.channel in truth
+    ]
+    return float(np.mean(off))
+
+
+def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad):
+    session, rig = bad
+    before, error = session.snapshot(), mean_error(session, rig)
+    told = [record.outcome for record in before.pokes if not record.excluded]
+    action = found_in(session)
+    session.act(action)
+    now = session.snapshot()
+    assert now.can_undo == "correction of the rig"
+    assert mean_error(session, rig) < 0.5 * error
+    correction = now.corrections[RIG].correction
+    contacts = [correction.corrected(one) for one in told if isinstance(one, Contact)]
+    solved = estimate_taxels(
+        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, boards=session.boards
+    )
+    for method, found in solved.items():
+        for one, other in zip(now.estimates[method], found.values(), strict=True):
+            assert np.array_equal(one.position, other.position), method
+    assert found_in(session) == action, "what is asked for does not hang on what is in use"
+    session.act(Undo())
+    assert same_estimates(session.snapshot(), before)
+    assert not session.snapshot().corrections
+
+
+def test_a_poke_that_comes_later_is_corrected_too(bad):
+    session, _ = bad
+    session.act(found_in(session))
+    told = session.outcome(7)
+    session.add(replace(told, poke=6000))
+    first, last = (next(r.outcome for r in session.snapshot().pokes if r.outcome.poke == n) for n in (7, 6000))
+    assert np.array_equal(first.force, last.force)
+    assert not np.array_equal(last.force, told.force)
+    assert session.outcome(6000).force is told.force
+    session.act(Exclude(6000))
+    session.act(Uncorrect(RIG))
+    assert np.array_equal(session.snapshot().pokes[-1].outcome.force, told.force)
+    with pytest.raises(InputError, match="No correction of 'rig' is in use"):
+        session.act(Uncorrect(RIG))
+
+
+def test_another_frame_drops_what_was_found_under_the_one_before(bad):
+    session, _ = bad
+    rig = found_in(session)
+    frame = correct_action(FRAME, Correction(np.eye(6)), 0.05, 0.004, 3)
+    session.act(rig)
+    session.act(frame)
+    assert list(session.snapshot().corrections) == [FRAME]
+    session.act(rig)
+    assert list(session.snapshot().corrections) == [FRAME, RIG]
+    session.act(Uncorrect(FRAME))
+    assert not session.snapshot().corrections
+    session.act(Undo())
+    assert list(session.snapshot().corrections) == [FRAME, RIG]
+    for _ in range(3):
+        session.act(Undo())
+    assert not session.snapshot().corrections
+
+
+def test_a_frame_that_is_named_wrong_is_put_right():
+    """Axes turned by 90 degrees and newton millimetres: what the doctor offers makes the axes pass the landmarks again."""
+    rig, rng = make_rig(RigErrors()), np.random.default_rng(3)
+    session = Session(rig.scene, rig.surface)
+    for poke in poke_landmarks(rig, rig.scene.landmarks, 6, rng)[:6]:
+        session.add(rejected(replace(poke, force=TURN @ poke.force, moment=1e3 * TURN @ poke.moment)))
+        session.act(AtLandmark(poke.poke, poke.name))
+    normals = {one.name: one.normal for one in session.landmarks}
+
+    def diagnosis():
+        return diagnose(session.landmark_pokes, [normals[one.name] for one in session.landmark_pokes])
+
+    found = diagnosis()
+    assert not found.right
+    correction = frame_correction(found.correction)
+    np.testing.assert_array_equal(correction.matrix, np.kron(np.diag([1.0, 1e-3]), TURN.T))
+    session.act(correct_action(FRAME, correction, found.miss, found.corrected_miss, 6))
+    again = diagnosis()
+    assert again.right
+    assert again.miss == pytest.approx(found.corrected_miss)
+    assert 3.0 * again.miss < found.miss
+
+
+@pytest.mark.parametrize("again", [replay, load])
+def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
+    scene = write_scene(tmp_path / "source")
+    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    script = Script(scene).quiet()
+    for _ in range(3):
+        script.press(FORCE, POINT, {3: 80.0}).quiet()
+    items = as_chunks(script.samples)
+    for item in items:
+        road.feed(item)
+    last = max(item.host_ns for item in items if isinstance(item, Chunk))
+    rng = np.random.default_rng(1)
+    matrix, motion = np.eye(6) + 0.02 * rng.standard_normal((6, 6)), np.eye(4)
+    motion[:3, 3] = 1e-3, -2e-3, 1 / 3
+    pose = road.snapshot().pokes[0].outcome.pose
+    told = road.snapshot()
+    road.act(AddLandmark("head", *POINT.tolist()), last + 1)
+    road.act(correct_action(RIG, Correction(matrix, motions={pose: motion}), 0.007, 0.001, 21), last + 2)
+    assert not same_estimates(road.snapshot(), told)
+    road.close()
+    other = again(tmp_path / "s")
+    assert same_estimates(other.snapshot(), road.snapshot())
+    here, there = (one.session.snapshot().corrections[RIG] for one in (road, other))
+    assert here.correction.matrix.tobytes() == there.correction.matrix.tobytes()
+    assert (there.before, there.after, there.pokes) == (0.007, 0.001, 21)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"of": "arm"},
+        {"matrix": (1.0,) * 35},
+        {"matrix": (0.0,) * 36},
+        {"everywhere": (float("inf"),) * 16},
+        {"poses": ("one",)},
+    ],
+    ids=str,
+)
+def test_what_is_no_correction_is_refused(change):
+    session = Session(small_scene(), None)
+    good = correct_action(RIG, Correction(np.eye(6)), 0.007, 0.001, 21)
+    assert from_json(json.loads(json.dumps(to_json(good)))) == good
+    with pytest.raises(InputError, match="expected"):
+        session.act(replace(good, **change))
+    assert not session.snapshot().corrections
+    with pytest.raises(InputError, match="expected"):
+        from_json({**to_json(good), "matrix": ["1.0"] * 36})
+    assert isinstance(from_json(to_json(good)), Correct)
+
+
+def test_what_is_felt_now_is_corrected_as_its_poke_will_be(bad):
+    """A poke in progress, told in the link frame, is the poke that comes of it; a moment along the force it does not carry."""
+    session, _ = bad
+    session.act(found_in(session))
+    told = session.outcome(7)
+    told = replace(told, moment=np.cross(axis_point(told.force, told.moment), told.force))
+    session.add(told)
+    force, moment = move_wrench(told.link_from_sensor, told.force, told.moment)
+    nobody = np.empty(0)
+    felt = Progress(Phase.PRESSING, force, axis_point(force, moment), nobody.astype(np.int64), nobody, 0.0)
+    true = session.corrected_progress(felt, told.link_from_sensor, told.pose)
+    poke = next(one.outcome for one in session.snapshot().pokes if one.outcome.poke == 7)
+    force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+    np.testing.assert_allclose(true.force, force, atol=1e-12)
+    np.testing.assert_allclose(true.axis_point, axis_point(force, moment), atol=1e-9)
+    assert session.corrected_progress(felt, None, "") is felt
+    session.act(Undo())
+    assert session.corrected_progress(felt, told.link_from_sensor, told.pose) is felt
+
+
+def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
+    session, _ = bad
+    session.act(found_in(session))
+    sentences = write_calibration(session.calibration(), "json", tmp_path / "c.json", Method.MODULES)
+    assert any("held-out ones pass at" in one for one in sentences)
+    file = read_json(tmp_path / "c.json")
+    assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig told it"
+    solved = estimate_taxels(
+        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, boards=session.boards
+    )
+    for method, found in solved.items():
+        for one, other in zip(file.estimates[method], found.values(), strict=True):
+            assert np.array_equal(one.position, other.position), method
+    used = session.snapshot().corrections[RIG]
+    assert (file.corrections[0].before, file.corrections[0].after) == (used.before, used.after)
+    for kind in ("icub", "ply"):
+        write_calibration(session.calibration(), kind, tmp_path / kind, Method.MODULES)
+        assert used.words in (tmp_path / kind).read_text(encoding="utf-8")
