@@ -55,6 +55,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("space", "Poke", "Pause", ("Space",), "Do the obvious thing: pause, go on, or show the verdict once it is enough"),
     Command("pause", "Poke", "Pause", ("P",), "Pause or go on, whatever the guide says"),
     Command("another", "Poke", "Another target", ("N",), "Ask for another poke; a side that is skipped twice is left out"),
+    Command("no landmarks", "Poke", "No landmarks in this pose", ("Shift+N",), "Go on with the skin; N skips one landmark"),
     Command("undo", "Poke", "Undo", ("Backspace", "Ctrl+Z"), "Take back the last poke or action"),
     Command("exclude", "Poke", "Exclude selected pokes", ("E",), "Selected pokes count no more, or count again"),
     Command("last", "Poke", "Select last poke", ("L",), "Show the newest poke in the list"),
@@ -172,6 +173,7 @@ class Commands(QObject):
             ("difference", may.switch_method),
             ("keep", can_keep),
             ("another", may.another),
+            ("no landmarks", may.skip_landmarks),
             ("verdict", may.verdict),
         ):
             _set(actions[name], enabled, actions[name].text())

@@ -115,17 +115,21 @@ class Desk(QObject):
         """Start with a session whose pokes are known already."""
         self.set_addresses()
         self._ear = Ear.of(snapshot)
+        self.guiding.landmarks.begin(snapshot)
         self.workspace.session_opened(snapshot)
 
     # What is shown
 
     def take_picture(self, picture: Picture) -> None:
         """Show what a tick found."""
+        at_landmark = self.guiding.landmarks.poked(picture.snapshot)
+        if at_landmark is not None and self._controller.act(at_landmark):
+            return  # that showed a newer picture already
         before = self.frame
         if before is None or not same_results(before.snapshot, picture.snapshot):
             self._revision += 1
         self._picture = picture
-        guidance = self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence)
+        guidance = self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence, picture.now_ns * 1e-9)
         self.frame = Frame(
             snapshot=picture.snapshot,
             live=picture.live,
@@ -172,8 +176,15 @@ class Desk(QObject):
 
     def skip_target(self) -> None:
         """Ask for another target."""
-        self.guiding.skip()
-        self.show_again()
+        if self._picture is not None:
+            self.guiding.skip(self._picture.snapshot.pose)
+            self.show_again()
+
+    def skip_landmarks(self) -> None:
+        """Ask for no landmarks in this arm pose."""
+        if self._picture is not None:
+            self.guiding.landmarks.skip(self._picture.snapshot.pose, all_of_pose=True)
+            self.show_again()
 
     def refresh_allowed(self) -> None:
         """Enable what may be done now."""

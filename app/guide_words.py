@@ -72,6 +72,8 @@ def _neighbour(guidance: Guidance, target: Target, along: FloatArray) -> int | N
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
     """Return what to do, verb first: `"poke 17-04, tilt 28° toward 17-05"`."""
+    if target.landmark:
+        return f"poke the landmark {target.landmark}"
     if target.channel is None:
         return "poke at the ring, straight"
     poke = f"poke {names.short(target.channel)}"
@@ -82,8 +84,16 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
     return f"{poke}, tilt {degrees(target.tilt)}{side}"
 
 
+def landmark_poked_words(poke: int, name: str) -> str:
+    """Return that a poke was at a landmark."""
+    return f"poke {poke} at the landmark {name}"
+
+
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
     """Return by which method the guide asks, what the poke is for, and how far the session is."""
+    if guidance.landmark is not None:
+        wish = guidance.landmark
+        return f"{wish.done + 1} of {wish.wanted} in this arm pose{BETWEEN}a known point: it tells the rig's own errors"
     reason = f"{METHOD_NAMES[guidance.method]} method: {_reason(guidance, target)}"
     return BETWEEN.join(filter(None, (reason, progress_words(guidance, dead), left_words(guidance))))
 
@@ -115,7 +125,7 @@ def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
 
 def left_words(guidance: Guidance) -> str:
     """Return how much is left: `"about 120 pokes, 6 min left"`; empty where nothing is, or where nobody knows."""
-    if not guidance.pokes_left or guidance.phase is Phase.COVER:
+    if not guidance.pokes_left or guidance.phase in (Phase.COVER, Phase.LANDMARKS):
         return ""
     # More digits than it is good to would be a lie.
     pokes = guidance.pokes_left if guidance.pokes_left < 10 else 10 * round(guidance.pokes_left / 10)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 
+from app.landmark_round import Landmarks
 from app.opening import Part
 from app.scene3d.entry import skin_point
 from skincal.contacts.outcome import Contact, Progress, Rejection
@@ -32,11 +33,15 @@ class Guiding:
         self._scene, self._surface = part.scene, part.surface
         self._cover = part.cover
         self._plan = plan_of(part)
+        self.landmarks = Landmarks(part, dict(zip(self._plan.channels.tolist(), self._plan.places, strict=True)))
         self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
         self._told: tuple[int, Method] | None = None
+        self._skin_guidance: Guidance | None = None
+        """Of the skin alone."""
         self._guidance: Guidance | None = None
+        """What is shown."""
         self._smoothed: Smoothed | None = None
         self._skin: tuple[Target, FloatArray] | None = None
         """The target and its place on the skin, (3,) float, metres."""
@@ -44,7 +49,12 @@ class Guiding:
         """The operator wants to be guided."""
 
     def follow(
-        self, snapshot: Snapshot, revision: int, method: Method, evidence: Callable[[Collection[int]], Evidence]
+        self,
+        snapshot: Snapshot,
+        revision: int,
+        method: Method,
+        evidence: Callable[[Collection[int]], Evidence],
+        now_s: float,
     ) -> Guidance | None:
         """Return what to poke next; worked out anew only where the revision or the method is another. None: no guide.
 
@@ -52,17 +62,20 @@ class Guiding:
         ----------
         revision : another number where pokes, estimates or dead taxels changed
         evidence : what the contacts of this snapshot say of some channels
+        now_s : host's monotonic clock, seconds
         """
         if not self.wanted:
-            self._told = None
+            self._told = self._guidance = None
             return None
         if (revision, method) != self._told:
             guide = self._guide_of(method)
-            if self._told is None or self._told[1] is not method:
+            if self._told is None or self._told[1] is not method or self._guidance is not self._skin_guidance:
                 # Meanwhile another target was shown, or none.
                 guide.forget_target()
-            self._guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence, _rejections(snapshot))
+            self._skin_guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence, _rejections(snapshot))
             self._told = revision, method
+        assert self._skin_guidance is not None
+        self._guidance = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
         return self._guidance
 
     def verdict(self, guidance: Guidance, snapshot: Snapshot, evidence: Callable[[Collection[int]], Evidence]) -> Verdict:
@@ -80,7 +93,8 @@ class Guiding:
         """Return the poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
         self._smoothed = smooth(self._smoothed, progress)
         target = None if self._guidance is None or not self.wanted else self._guidance.target
-        if target is None or self._smoothed is None:
+        # What a rig's errors make of a tip on a landmark is what is to be found: nobody is told to aim by it.
+        if target is None or target.landmark or self._smoothed is None:
             return None
         if self._skin is None or self._skin[0] is not target:
             self._skin = target, skin_point(self._surface, target.place, target.normal)
@@ -95,9 +109,11 @@ class Guiding:
         """
         return self._guides[self._told[1]].sky(channel, evidence) if self.wanted and self._told is not None else None
 
-    def skip(self) -> None:
-        """Ask for another poke than the one that was asked for last."""
-        if self._told is not None:
+    def skip(self, pose: str) -> None:
+        """Ask for another poke than the one that was asked for last, in the arm pose of that name."""
+        if self._guidance is not None and self._guidance.landmark is not None:
+            self.landmarks.skip(pose)
+        elif self._told is not None:
             self._guides[self._told[1]].skip()
             self._told = None
 

@@ -47,6 +47,8 @@ class Ear:
     outcome: Outcome | None = None
     """The newest poke that was seen."""
     phase: Phase = Phase.NO_DATA
+    at_landmark: bool = False
+    """That poke was at a landmark, where no taxel need answer."""
     held: bool = False
     """The press in progress was said to be enough."""
     guidance: Guidance | None = None
@@ -64,8 +66,10 @@ def heard(ear: Ear, at: Frame) -> tuple[Heard | None, Ear]:
     """Return the sound that is due now, None where none is, and what has to be remembered."""
     phase = at.live.progress.phase
     lost = frozenset(link.name for link in at.links if link.look is LinkLook.LOST)
+    newest = newest_outcome(at.snapshot) or ear.outcome
     following = Ear(
-        outcome=newest_outcome(at.snapshot) or ear.outcome,
+        outcome=newest,
+        at_landmark=newest is not None and newest.poke in at.snapshot.at_landmarks,
         phase=phase,
         held=phase is Phase.HELD or (ear.held and phase in PRESSING),
         guidance=at.guidance,
@@ -86,7 +90,7 @@ def _of_poking(before: Ear, now: Ear) -> Heard | None:
     if _became_enough(before.guidance, now.guidance):
         return Heard(Sound.ENOUGH)
     verdict = now.outcome if now.outcome is not None and is_news(before.outcome, now.outcome) else None
-    if isinstance(verdict, Rejection):
+    if isinstance(verdict, Rejection) and not now.at_landmark:
         return Heard(Sound.REJECTED, verdict.reason.value)
     if _came(before.outcome, now.outcome) and newly_done(before.guidance, now.guidance):
         return Heard(Sound.DONE)

@@ -16,7 +16,17 @@ import numpy as np
 from app.coaching import SILENT, CoachMemory, Force, follow, force_words, hint_words, pressing_words
 from app.display_units import newtons, number
 from app.frame import Frame
-from app.guide_words import BETWEEN, asked_words, done_words, end_words, enough_words, newly_done, target_words, why_words
+from app.guide_words import (
+    BETWEEN,
+    asked_words,
+    done_words,
+    end_words,
+    enough_words,
+    landmark_poked_words,
+    newly_done,
+    target_words,
+    why_words,
+)
 from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
@@ -181,6 +191,9 @@ def _pressing(memory: NowMemory, at: Frame) -> Now:
 
 
 def _verdict(outcome: Outcome, memory: NowMemory, at: Frame) -> Now:
+    name = at.snapshot.at_landmarks.get(outcome.poke)
+    if name is not None:
+        return Now(Tone.GOOD, landmark_poked_words(outcome.poke, name), _next(at))
     detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
     if isinstance(outcome, Rejection):
         return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
@@ -268,6 +281,8 @@ class Allowed:
     """What the entry beside the space bar's does, which never shows the verdict."""
     another: bool = False
     """A target may be left for another."""
+    skip_landmarks: bool = False
+    """A landmark is asked for."""
     verdict: bool = False
     """There is a guide, so the session has come to something."""
     ends: bool = False
@@ -307,6 +322,7 @@ def allowed(
         space="Verdict" if ends else pause,
         pause=pause,
         another=guidance is not None and guidance.target is not None,
+        skip_landmarks=guidance is not None and guidance.landmark is not None,
         verdict=guidance is not None,
         ends=ends,
     )

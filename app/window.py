@@ -85,6 +85,7 @@ class Window(QMainWindow):
             "pause": self.controller.toggle,
             "verdict": self._of_desk(lambda desk: desk.ask_verdict(self)),
             "another": self._of_desk(lambda desk: desk.skip_target()),
+            "no landmarks": self._of_desk(lambda desk: desk.skip_landmarks()),
             "undo": self._of_desk(lambda desk: desk.undo()),
             "exclude": self._of_desk(lambda desk: desk.exclude_or_restore()),
             "last": self._of_desk(lambda desk: desk.select_last()),

@@ -12,7 +12,7 @@ lies elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -124,8 +124,17 @@ class RigAnswer:
         return tuple(said)
 
 
-def correct_rig(request: RigRequest) -> RigAnswer:
-    """Find what is wrong with a rig, as far as landmark pokes tell."""
+def _nothing() -> None:
+    pass
+
+
+def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> RigAnswer:
+    """Find what is wrong with a rig, as far as landmark pokes tell.
+
+    Parameters
+    ----------
+    between : called between the steps, some 50 ms apart; may raise to give up
+    """
     names = sorted({one.pose for one in request.contacts} | {one.pose for one in request.landmarks})
     scales = request.prior.scales(len(names))
     if len(request.landmarks) < FEWEST:
@@ -134,7 +143,9 @@ def correct_rig(request: RigRequest) -> RigAnswer:
         return RigAnswer(None, False, float("nan"), float("nan"), trust, {}, nothing, nothing + 1.0)
     fit = _Fit(request, names, scales)
     for _ in range(STEPS):
+        between()
         fit.step()
+    between()
     return fit.answer(names)
 
 

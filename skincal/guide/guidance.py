@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from skincal.estimate.result import Method
 from skincal.guide.done import Need, Why
+from skincal.guide.landmarks import LandmarkWish
 from skincal.readings import FloatArray, IntArray
 
 
 class Phase(Enum):
     """What the guide is after; the value is its name."""
 
+    LANDMARKS = "landmarks"
     COVER = "looking for taxels"
     SWEEP = "sweep"
     OWN = "own pokes"
@@ -70,8 +72,23 @@ class Guidance:
     """How many pokes it takes until it is enough, about."""
     seconds_left: float | None
     """s, and how long, at the pace of the last pokes; None while that is unknown."""
+    landmark: LandmarkWish | None = None
+    """The landmark that is asked for before the skin; None where none is."""
 
     @property
     def done(self) -> int:
         """How many taxels are done."""
         return sum(not each for each in self.needs)
+
+    def before_skin(self, wish: LandmarkWish, normal: FloatArray) -> Guidance:
+        """Return the guidance that asks for a landmark first.
+
+        Parameters
+        ----------
+        normal : (3,) float, unit, outward there
+        """
+        place = wish.landmark.place
+        target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), wish.landmark.name)
+        left = self.pokes_left + wish.wanted - wish.done
+        pace = None if self.seconds_left is None else self.seconds_left / max(self.pokes_left, 1) * left
+        return replace(self, phase=Phase.LANDMARKS, target=target, landmark=wish, pokes_left=left, seconds_left=pace)

@@ -35,6 +35,8 @@ class Corrections:
         """Those in use, by what they are of."""
         self.told: dict[int, Outcome] = {}
         """Every poke as the rig told it, by its number."""
+        self.framed: dict[int, Outcome] = {}
+        """The same in the right frame, with the rig's small errors: what these are found from."""
 
     def use(self, action: Correct) -> Step:
         """Use a correction; return how it is taken back.
@@ -63,31 +65,29 @@ class Corrections:
         return {kind: one for kind, one in self.used.items() if kind == FRAME and of == RIG}
 
     def _set(self, used: Mapping[str, UsedCorrection], words: str) -> Step:
-        before, self.used = self.used, used
+        before = self.used
+        self._put(used)
+        return Step(words, lambda: self._put(before))
+
+    def _put(self, used: Mapping[str, UsedCorrection]) -> None:
+        self.used = used
+        for told in self.told.values():
+            self._frame(told)
         self._changed()
-
-        def take_back() -> None:
-            self.used = before
-            self._changed()
-
-        return Step(words, take_back)
 
     def take(self, poke: Outcome) -> Outcome:
         """Keep a poke as told, in place of one with its number; return it as a right rig would have told it."""
         self.told[poke.poke] = poke
+        self._frame(poke)
         return self.corrected(poke.poke)
+
+    def _frame(self, told: Outcome) -> None:
+        self.framed[told.poke] = self.used[FRAME].correction.corrected(told) if FRAME in self.used else told
 
     def corrected(self, number: int) -> Outcome:
         """Return a poke as a right rig would have told it."""
-        poke = self.told[number]
-        for one in self.used.values():
-            poke = one.correction.corrected(poke)
-        return poke
-
-    def framed(self, number: int) -> Outcome:
-        """Return a poke in the right frame, with the rig's small errors: what these are found from."""
-        poke = self.told[number]
-        return self.used[FRAME].correction.corrected(poke) if FRAME in self.used else poke
+        poke = self.framed[number]
+        return self.used[RIG].correction.corrected(poke) if RIG in self.used else poke
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
         """Return the true (4, 4) link_from_sensor of the one that is told."""

@@ -1,26 +1,161 @@
-"""What pokes at landmarks tell of the rig, and where the taxels lie with and without its correction."""
+"""What pokes at landmarks tell of the rig, and where the taxels lie with and without its correction.
+
+It takes some tenths of a second, so it is worked out beside the session (`review_process.py`), from what has changed since the
+last time.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from skincal.estimate.frame_doctor import FrameDiagnosis
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Outcome
+from skincal.estimate.boards import Boards
+from skincal.estimate.correction import RIG
+from skincal.estimate.frame_doctor import FrameDiagnosis, diagnose
 from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import RigAnswer
+from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
+from skincal.estimate.solve import estimate_taxels
 from skincal.readings import FloatArray, IntArray
+from skincal.scene import Landmark, Scene
+from skincal.session.known_points import poke_at
+from skincal.session.session import Session, methods_of
+
+if TYPE_CHECKING:
+    from skincal.surface.mesh import Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Review:
     """The answer, as of one moment of a session."""
 
+    generation: int
+    """Of what was asked."""
+    pokes: tuple[LandmarkPoke, ...]
+    """Those at landmarks that count, in the right frame."""
     frame: FrameDiagnosis | None
     """What the sensor's frame looks like; None from too few pokes."""
     rig: RigAnswer
     channels: IntArray
     """(n,) of the taxels, ascending."""
     before: Mapping[Method, FloatArray]
-    """For each method (n, 3) float, metres, link frame: the taxels as the rig tells; NaN where not known."""
+    """For each method (n, 3) float, metres, link frame: the taxels as the rig tells, NaN where not known; only while a
+    correction of the rig is in use: else the session's estimates are these."""
     after: Mapping[Method, FloatArray]
-    """The same under the correction that was found, whether it is in use or not; empty where there is none."""
+    """The same under the correction that was found; only where it is worth using and none is in use."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """What is new since the last time that was asked."""
+
+    generation: int
+    """Counts up."""
+    pokes: Mapping[int, Outcome]
+    """Pokes that count and are new or others than they were, in the right frame, by their number."""
+    gone: tuple[int, ...]
+    """Numbers of pokes that count no more."""
+    landmarks: tuple[Landmark, ...]
+    at_landmarks: Mapping[int, str]
+    """Pokes that were at a landmark: number to its name."""
+    channels: tuple[int, ...]
+    dead: Mapping[int, str]
+    corrected: bool
+    """A correction of the rig is in use."""
+
+
+@dataclass(slots=True)
+class Asked:
+    """What was asked last, on the side that asks."""
+
+    generation: int = 0
+    pokes: Mapping[int, Outcome] = field(default_factory=dict[int, Outcome])
+
+    def change(self, session: Session) -> Change:
+        """Return what is new in a session."""
+        before, now = self.pokes, session.framed()
+        self.generation, self.pokes = self.generation + 1, now
+        snapshot = session.snapshot()
+        return Change(
+            generation=self.generation,
+            pokes={number: poke for number, poke in now.items() if before.get(number) is not poke},
+            gone=tuple(before.keys() - now.keys()),
+            landmarks=snapshot.landmarks,
+            at_landmarks=snapshot.at_landmarks,
+            channels=session.channels,
+            dead=snapshot.dead,
+            corrected=RIG in snapshot.corrections,
+        )
+
+
+class Reviewer:
+    """Follows a session by what changes.
+
+    Parameters
+    ----------
+    scene, surface : of the session
+    """
+
+    def __init__(self, scene: Scene, surface: Surface | None) -> None:
+        self._scene, self._surface = scene, surface
+        self._methods = methods_of(scene, surface)
+        layout = scene.skin.layout
+        self._boards = None if layout is None else Boards(layout, scene.skin.anchor, surface)
+        self._pokes: dict[int, Outcome] = {}
+        self._newest: Change | None = None
+
+    def take(self, change: Change) -> None:
+        """Take what is new."""
+        for number in change.gone:
+            self._pokes.pop(number, None)
+        self._pokes.update(change.pokes)
+        self._newest = change
+
+    def review(self, between: Callable[[], None]) -> Review:
+        """Return what the pokes tell.
+
+        Parameters
+        ----------
+        between : called every tenth of a second or so; may raise to give up
+        """
+        newest = self._newest
+        if newest is None:
+            raise ValueError("nothing was asked yet")
+        ordered = [self._pokes[number] for number in sorted(self._pokes)]
+        contacts = [one for one in ordered if isinstance(one, Contact)]
+        known = {one.name: one for one in newest.landmarks}
+        pokes = _at_landmarks(ordered, known, newest.at_landmarks)
+        frame = diagnose(pokes, [known[one.name].normal for one in pokes])
+        between()
+        rig = correct_rig(RigRequest(self._scene, self._surface, contacts, pokes, newest.dead), between)
+        between()
+        found = None if rig.correction is None or not rig.used else rig.correction
+        after = [found.corrected(one) for one in contacts] if found is not None and not newest.corrected else None
+        return Review(
+            generation=newest.generation,
+            pokes=tuple(pokes),
+            frame=frame,
+            rig=rig,
+            channels=np.array(newest.channels, dtype=np.int64),
+            before=self._places(contacts, newest) if newest.corrected else {},
+            after={} if after is None else self._places(after, newest),
+        )
+
+    def _places(self, contacts: Sequence[Contact], of: Change) -> dict[Method, FloatArray]:
+        """Return for each method (n, 3) where the taxels lie, metres; NaN where not known."""
+        noise, unknown = self._scene.noise, np.full(3, np.nan)
+        solved = estimate_taxels(contacts, of.channels, self._methods, noise, self._surface, of.dead, boards=self._boards)
+        return {
+            method: np.array([unknown if one.position is None else one.position for one in found.values()]).reshape(-1, 3)
+            for method, found in solved.items()
+        }
+
+
+def _at_landmarks(
+    outcomes: Sequence[Outcome], landmarks: Mapping[str, Landmark], named: Mapping[int, str]
+) -> list[LandmarkPoke]:
+    found = [poke_at(one, landmarks[named[one.poke]]) for one in outcomes if one.poke in named and named[one.poke] in landmarks]
+    return [one for one in found if one is not None]

@@ -140,7 +140,7 @@ class Session:
     @property
     def landmark_pokes(self) -> tuple[LandmarkPoke, ...]:
         """The pokes that were at a landmark and count, in the order of their numbers, in the right frame."""
-        return self._known.pokes(self._framed())
+        return self._known.pokes(self.framed().values())
 
     @property
     def corrections(self) -> Mapping[str, UsedCorrection]:
@@ -148,9 +148,16 @@ class Session:
         return self._corrections.used
 
     def rig_request(self) -> RigRequest:
-        """Return what a correction of the rig is worked out from, here or in another process."""
-        contacts = [one for one in self._framed() if isinstance(one, Contact)]
+        """Return what a correction of the rig is worked out from."""
+        contacts = [one for one in self.framed().values() if isinstance(one, Contact)]
         return RigRequest(self.scene, self.surface, contacts, self.landmark_pokes, self.dead)
+
+    def framed(self) -> dict[int, Outcome]:
+        """Return the pokes that were not taken out, in the right frame, without what corrects the rig, by their number.
+
+        What did not change is the same object as in the last answer.
+        """
+        return {poke: self._corrections.framed[poke] for poke, one in self._records.items() if not one.excluded}
 
     def corrected_progress(self, progress: Progress, link_from_sensor: FloatArray | None, pose: str) -> Progress:
         """Return a poke in progress as the corrections in use have it.
@@ -291,10 +298,6 @@ class Session:
         """Return those of `pokes` that count, in the order of their numbers."""
         records = (self._records[poke] for poke in sorted(pokes))
         return [one.outcome for one in records if isinstance(one.outcome, Contact) and not one.excluded]
-
-    def _framed(self) -> list[Outcome]:
-        """Return the pokes that were not taken out, in the right frame, in the order of their numbers."""
-        return [self._corrections.framed(poke) for poke, one in self._records.items() if not one.excluded]
 
     def _correct_all(self) -> None:
         """Correct every poke anew, from what the rig told."""

@@ -138,28 +138,28 @@ class Asked:
 def test_the_guide_is_asked_once_for_what_is_new():
     of, guiding = Session(SCENE, None), Guiding(part())
     asked = Asked(of)
-    first = guiding.follow(of.snapshot(), 1, Method.FREE, asked)
+    first = guiding.follow(of.snapshot(), 1, Method.FREE, asked, 0.0)
     assert first is not None
     assert first.target is not None
-    assert guiding.follow(of.snapshot(), 1, Method.FREE, asked) is first
+    assert guiding.follow(of.snapshot(), 1, Method.FREE, asked, 0.0) is first
     of.add(touch(1, (int(first.target.channel),)))
-    second = guiding.follow(of.snapshot(), 2, Method.FREE, asked)
+    second = guiding.follow(of.snapshot(), 2, Method.FREE, asked, 0.0)
     assert second is not None
     assert second is not first
     assert second.own.sum() == 1
-    assert guiding.follow(of.snapshot(), 2, Method.FREE, asked) is second
+    assert guiding.follow(of.snapshot(), 2, Method.FREE, asked, 0.0) is second
     assert asked.times == 1
     guiding.wanted = False
-    assert guiding.follow(of.snapshot(), 3, Method.FREE, asked) is None
+    assert guiding.follow(of.snapshot(), 3, Method.FREE, asked, 0.0) is None
     assert asked.times == 1
 
 
 def test_a_target_that_is_skipped_gives_way_to_another():
     of, guiding = Session(SCENE, None), Guiding(part())
-    guiding.skip()
-    first = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
-    guiding.skip()
-    second = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
+    guiding.skip("")
+    first = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
+    guiding.skip("")
+    second = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
     assert first is not None
     assert second is not None
     assert first.target is not None
@@ -177,7 +177,7 @@ def test_where_the_plan_leaves_a_taxel_out_the_guide_does():
     of, guiding = Session(SCENE, None), Guiding(whole)
     of.add(touch(1, (5, 6), (50.0, 20.0)))
     of.add(touch(2, (23,)))
-    says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
+    says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
     assert says is not None
     assert dict(zip(says.channels.tolist(), says.own.tolist(), strict=True))[23] == 1
 
@@ -187,13 +187,13 @@ def test_without_a_layout_on_the_part_taxels_are_guided_on_once_they_answered():
     for nowhere in (Part(bare, None, None, np.arange(24), ()), Part(SCENE, None, None, layout().channels, ())):
         guiding = Guiding(nowhere)
         of = Session(nowhere.scene, None)
-        says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence)
+        says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
         assert says.phase is GuidePhase.COVER
         assert says.target is None, "nowhere to look without a surface"
         assert not len(says.channels)
         for poke, (x, y) in enumerate([(0.0, 0.0), (3.0, 0.0), (0.0, 3.0)], 1):
             of.add(touch(poke, (5, 6), (50.0, 20.0), force=(x, y, -10.0)))
-        says = guiding.follow(of.snapshot(), 2, Method.FREE, of.evidence)
+        says = guiding.follow(of.snapshot(), 2, Method.FREE, of.evidence, 0.0)
         assert says.phase is GuidePhase.OWN
         assert says.channels.tolist() == [5, 6]
         assert says.own.tolist() == [3, 0]

@@ -1,0 +1,92 @@
+"""Which landmark to poke next: a few in each arm pose, at the start and after each change of pose.
+
+Three in the first pose tell a wrong frame from a right one, and a few in every pose are what a correction of the rig is found
+from. They come before pokes on the skin, since these are the better for it, and any of them may be skipped.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Outcome
+from skincal.estimate.rig_fit import FEWEST
+from skincal.readings import FloatArray
+from skincal.scene import Landmark
+
+A_POSE = 3
+"""Landmark pokes in each arm pose but the first: with three in each of seven the modules' error on the paper's rig falls to a
+tenth (`skincal study paper`)."""
+ASTRAY = 0.025
+"""m. A poke whose taxels lie farther from the landmark was on the skin: their places are known to a centimetre."""
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkWish:
+    """The landmark that is asked for, and how many there are in this arm pose."""
+
+    landmark: Landmark
+    done: int
+    """Landmark pokes in this pose."""
+    wanted: int
+    """That many are asked for in it."""
+
+
+class LandmarkRound:
+    """Follows the landmark pokes of a session."""
+
+    def __init__(self) -> None:
+        self._skipped = set[tuple[str, str]]()
+        """Pose and name."""
+        self._left_out = set[str]()
+        """Poses in which none is asked for."""
+
+    def next(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> LandmarkWish | None:
+        """Return what to poke; None where there is nothing to ask for.
+
+        Parameters
+        ----------
+        poked : pose and landmark's name of each landmark poke that counts
+        pose : the arm pose that holds
+        """
+        every = list(poked)
+        here = Counter(name for there, name in every if there == pose)
+        open_ = [one for one in landmarks if (pose, one.name) not in self._skipped]
+        # The first pose gets as many as a correction takes: perhaps there is no other.
+        wanted = max(A_POSE, FEWEST - len(every) + here.total())
+        if pose in self._left_out or not open_ or here.total() >= wanted:
+            return None
+        total = Counter(name for _, name in every)
+        known = {one.name: one.place for one in landmarks}
+        done = [known[name] for name in here if name in known]
+        chosen = min(open_, key=lambda one: (here[one.name], total[one.name], -_apart(one.place, done)))
+        return LandmarkWish(chosen, here.total(), wanted)
+
+    def skip(self, name: str, pose: str) -> None:
+        """Ask for that landmark no more in this pose."""
+        self._skipped.add((pose, name))
+
+    def leave_out(self, pose: str) -> None:
+        """Ask for no landmark in this pose."""
+        self._left_out.add(pose)
+
+
+def _apart(place: FloatArray, others: Sequence[FloatArray]) -> float:
+    """Return how far a place lies from the nearest of others, metres; how far from the origin where there is none."""
+    return min((float(np.linalg.norm(place - other)) for other in others), default=float(np.linalg.norm(place)))
+
+
+def was_there(outcome: Outcome, landmark: Landmark, places: Mapping[int, FloatArray]) -> bool:
+    """Return whether a poke that a landmark was asked for may have been there: not where taxels far away answered.
+
+    Parameters
+    ----------
+    places : (3,) float, metres, of taxels by their channel, as far as they are known
+    """
+    if not isinstance(outcome, Contact):
+        return True
+    known = [places[channel] for channel in outcome.channels.tolist() if channel in places]
+    return not known or min(float(np.linalg.norm(place - landmark.place)) for place in known) <= ASTRAY
