@@ -15,9 +15,10 @@ from enum import Enum
 import numpy as np
 
 from skincal.estimate.boards import Boards, board_pads
+from skincal.estimate.compare import places_of
 from skincal.estimate.evidence import across
 from skincal.estimate.result import Estimate
-from skincal.readings import FloatArray
+from skincal.readings import FloatArray, IntArray
 from skincal.skin import Layout
 
 FEWEST = 5
@@ -93,6 +94,11 @@ class _Seen:
         return replace(self, planned=self.planned @ motion[:3, :3].T + motion[:3, 3])
 
 
+def judged_modules(boards: Boards, estimates: Mapping[int, Estimate]) -> int:
+    """Return of how many modules enough is known for `find_misfits` to judge them; parameters as there."""
+    return sum(_known(boards, index, estimates) is not None for index in range(len(boards.pads)))
+
+
 def find_misfits(boards: Boards, estimates: Mapping[int, Estimate]) -> tuple[Misfit, ...]:
     """Return the modules that are mirrored, turned or swapped, in the layout's order.
 
@@ -126,14 +132,19 @@ def _common(places: Sequence[FloatArray], planned: Sequence[FloatArray]) -> Floa
     return motion
 
 
+def _known(boards: Boards, module: int, estimates: Mapping[int, Estimate]) -> dict[int, Estimate] | None:
+    """Return the estimates of a module's pads that have a position and a normal; None where they or the plan do not tell."""
+    told = {row: estimates[channel] for row, channel in enumerate(boards.channels_of([module])) if channel in estimates}
+    known = {row: one for row, one in told.items() if one.position is not None and one.normal is not None}
+    return None if len(known) < FEWEST or boards.plan(module) is None else known
+
+
 def _seen(boards: Boards, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
-    plan, channels = boards.plan(module), boards.channels_of([module])
-    known = {row: estimates[channel] for row, channel in enumerate(channels) if channel in estimates}
-    places = {row: one.position for row, one in known.items() if one.position is not None and one.normal is not None}
-    if plan is None or len(places) < FEWEST:
+    plan, known = boards.plan(module), _known(boards, module, estimates)
+    if plan is None or known is None:
         return None
-    rows, points = list(places), np.array(list(places.values()))
-    normal: FloatArray = np.sum(np.array([known[row].normal for row in rows], dtype=np.float64), axis=0)
+    rows, points = list(known), np.array([one.position for one in known.values()], dtype=np.float64)
+    normal: FloatArray = np.sum(np.array([one.normal for one in known.values()], dtype=np.float64), axis=0)
     normal = normal / np.sqrt(normal @ normal)
     pads = boards.pads[module][rows]
     laid = boards.ground.laid(plan.take(np.zeros(len(rows), dtype=np.int64)), pads)
@@ -198,20 +209,60 @@ def _symmetric(turn: float, layout: Layout, index: int) -> float:
     return turn
 
 
-def spacing_ratio(layout: Layout, estimates: Sequence[Estimate]) -> float | None:
-    """Return how far neighbours of one module lie apart over how far the layout plans it; None where no pair is known.
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """Pairs of taxels of one module that the layout plans next to each other."""
 
-    Least squares draws taxels together to where they are poked: below 1 tells of it; scatter widens, above 1.
-    """
-    places = {one.channel: one.position for one in estimates if one.position is not None}
-    apart, planned = 0.0, 0.0
-    for module in layout.modules:
-        rows = [row for row, channel in enumerate(module.channels.tolist()) if channel in places]
-        if len(rows) < 2:
-            continue
-        pads, found = board_pads(module)[rows], np.array([places[int(module.channels[row])] for row in rows])
-        plan = np.linalg.norm(pads[:, None] - pads[None], axis=2)
-        near = np.triu(plan <= NEIGHBOUR * layout.spacing, 1)
-        apart += float(np.linalg.norm(found[:, None] - found[None], axis=2)[near].sum())
-        planned += float(plan[near].sum())
-    return apart / planned if planned > 0 else None
+    pairs: IntArray
+    """(n, 2) channels."""
+    modules: IntArray
+    """(n,) indices in the layout."""
+    planned: FloatArray
+    """(n,) float, metres: how far apart."""
+    width: int
+    """Channels of a skin frame."""
+    count: int
+    """Modules of the layout."""
+
+    def ratios(self, channels: IntArray, places: FloatArray) -> FloatArray:
+        """Return how far neighbours lie apart over how far the layout plans it, module by module.
+
+        Least squares draws taxels together to where they are poked: below 1 tells of it; scatter widens, above 1.
+
+        Parameters
+        ----------
+        channels, places : (n,) int and (n, 3) float, metres; NaN where unknown
+
+        Returns
+        -------
+        (modules + 1,) float, the last over all modules; NaN where no pair is known
+        """
+        found = np.full((self.width, 3), np.nan)
+        found[channels] = places
+        ways = found[self.pairs[:, 0]] - found[self.pairs[:, 1]]
+        apart = np.sqrt(np.sum(ways * ways, axis=1))
+        known = np.isfinite(apart)
+        sums = [np.bincount(self.modules[known], weights=each[known], minlength=self.count) for each in (apart, self.planned)]
+        apart, planned = (np.append(each, each.sum()) for each in sums)
+        return np.divide(apart, planned, out=np.full(self.count + 1, np.nan), where=planned > 0.0)
+
+
+def neighbours_of(layout: Layout) -> Neighbours:
+    """Return which taxels the layout plans next to each other; once for a layout, since it looks at every pair of a module."""
+    pairs, modules, planned = [np.empty((0, 2), dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0)]
+    for index, module in enumerate(layout.modules):
+        pads = board_pads(module)
+        apart = np.sqrt(np.sum((pads[:, None] - pads[None]) ** 2, axis=2))
+        first, second = np.nonzero(np.triu(apart <= NEIGHBOUR * layout.spacing, 1))
+        pairs.append(module.channels[np.stack([first, second], axis=1)])
+        modules.append(np.full(len(first), index, dtype=np.int64))
+        planned.append(apart[first, second])
+    ends = np.concatenate(pairs), np.concatenate(modules), np.concatenate(planned)
+    return Neighbours(*ends, layout.width, len(layout.modules))
+
+
+def spacing_ratio(layout: Layout, estimates: Sequence[Estimate]) -> float | None:
+    """Return how far neighbours lie apart over how far the layout plans it, over all modules; None where no pair is known."""
+    channels = np.array([one.channel for one in estimates], dtype=np.int64)
+    ratio = float(neighbours_of(layout).ratios(channels, places_of(estimates))[-1])
+    return ratio if ratio == ratio else None
