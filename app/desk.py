@@ -14,6 +14,7 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QFileDialog, QSplitter, QWidget
 
+from app.board_watch import BoardWatch
 from app.commands import Commands
 from app.controller import Controller, Picture
 from app.dialogs.export import ExportDialog
@@ -85,6 +86,7 @@ class Desk(QObject):
         self.tracker = ErrorTracker(part, controller.compute)
         self.guiding = Guiding(part)
         self.workspace.error_course.begin(self.tracker)
+        self.workspace.compare.begin(BoardWatch(part, controller.compute))
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
         self._connect()
         self.workspace.wait("opening", part.scene.name)

@@ -16,6 +16,7 @@ from app.display_units import ChannelNames
 from app.frame import Frame
 from app.opening import Part
 from app.panels.arm import ArmPanel
+from app.panels.compare import ComparePanel
 from app.panels.devices import DevicesPanel
 from app.panels.errors import ErrorsPanel
 from app.panels.inspect import InspectPanel
@@ -39,7 +40,7 @@ RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
 
 
-_TABS = ReadingsPanel | PokesPanel | InspectPanel | DevicesPanel | ErrorsPanel | ArmPanel
+_TABS = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel | ErrorsPanel | ArmPanel
 
 
 class Panel(Protocol):
@@ -72,6 +73,7 @@ class Workspace(QWidget):
         self.readings = ReadingsPanel()
         self.pokes = PokesPanel(names)
         self.inspect = InspectPanel(self.methods, names)
+        self.compare = ComparePanel(part, self.methods, names)
         self.devices = DevicesPanel()
         self.error_course = ErrorsPanel(self.methods, scene.skin.layout)
         self.arm = None if scene.arm is None else ArmPanel(scene.arm)
@@ -113,6 +115,7 @@ class Workspace(QWidget):
             ("Readings", self.readings),
             ("Pokes", self.pokes),
             ("Taxel", self.inspect),
+            ("Compare", self.compare),
             ("Devices", self.devices),
             ("Errors", self.error_course),
         ]
@@ -146,6 +149,8 @@ class Workspace(QWidget):
         self.map.taxel_clicked.connect(self.taxel_selected)
         self.pokes.taxel_wanted.connect(self.taxel_selected)
         self.inspect.taxel_wanted.connect(self.taxel_selected)
+        self.compare.taxel_wanted.connect(self.taxel_selected)
+        self.compare.comparison_changed.connect(self.view.set_comparison)
         self.method_box.activated.connect(lambda index: self.method_chosen.emit(self.method_box.itemData(index)))
 
     def begin(self) -> None:
@@ -193,7 +198,8 @@ class Workspace(QWidget):
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
-        for panel in (self.now, self.map, self.readings, self.pokes, self.inspect, self.devices, self.error_course):
+        panels = (self.now, self.map, self.readings, self.pokes, self.inspect, self.compare, self.devices, self.error_course)
+        for panel in panels:
             panel.set_colours(colours)
         self.errors.set_colour(QColor(colours.muted))
         self.view.set_dark(colours.dark)

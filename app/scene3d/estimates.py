@@ -59,6 +59,7 @@ class EstimatesLayer:
         self._ink: ColourArray = np.zeros(3, dtype=np.uint8)
         self._faint: ColourArray = np.zeros(3, dtype=np.uint8)
         self._key: object = None
+        self._compared = False
         for shape in (self.balls, self.marks, self.differences):
             if shape is not None:
                 renderer.AddActor(shape.actor)
@@ -79,11 +80,11 @@ class EstimatesLayer:
         near = ~(self._normals @ towards < FAR_SIDE)
         if not np.array_equal(near, self.near):
             self.near = near
-            self.balls.set(self.places[near], self._hues[near])
+            self._show_balls()
 
     def show(self, frame: Frame) -> bool:
         """Show a session's estimates by one method; return whether anything changed."""
-        key = (frame.snapshot.generation, frame.method, frame.selected, frame.difference)
+        key = (frame.snapshot.generation, frame.method, frame.selected, frame.difference, frame.comparison is None)
         if key == self._key:
             return False
         self._key = key
@@ -97,12 +98,18 @@ class EstimatesLayer:
         else:
             self._normals = np.full((len(rows), 3), np.nan)
         self.near = np.ones(len(rows), dtype=bool)
-        self.balls.set(self.places, self._hues)
+        self._compared = frame.comparison is not None
+        self._show_balls()
         self._show_marks(frame, estimates)
         if self.differences is not None:
             self._show_differences(frame, rows)
         self._show_alternative(frame, estimates)
         return True
+
+    def _show_balls(self) -> None:
+        # Balls would hide the places that are compared; a click still finds the taxels.
+        drawn = np.zeros_like(self.near) if self._compared else self.near
+        self.balls.set(self.places[drawn], self._hues[drawn])
 
     def _show_alternative(self, frame: Frame, estimates: tuple[Estimate, ...]) -> None:
         """Draw a line from the selected taxel to its rival, or along which a blind one lies."""

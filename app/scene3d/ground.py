@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from app.scene3d.looks import ColourArray, module_hues
+from app.scene3d.looks import ColourArray, Tint, module_hues
 from app.scene3d.shading import Shaded, shade
 from skincal.estimate.result import Estimate, Method
 from skincal.guide.guidance import Target
@@ -26,6 +26,24 @@ ONE_SIDED = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """One set of places."""
+
+    tint: Tint
+    places: FloatArray
+    """(n, 3) float, metres, in the order of `Ground.channels`; NaN where unknown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Sets of places over each other, in place of the estimates' balls."""
+
+    clouds: tuple[Cloud, ...]
+    arrows: FloatArray
+    """(n, 2, 3) float, metres: from one set towards another, in the order of `Ground.channels`; NaN where there is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One picture's content."""
 
@@ -40,6 +58,8 @@ class Frame:
     """The poke that is asked for."""
     leeway: float = 0.0
     """rad, how far its push may be off; 0 where that is not said."""
+    comparison: Comparison | None = None
+    """None while nothing is compared."""
 
     def estimates(self) -> tuple[Estimate, ...]:
         """Return the chosen method's estimates; empty where the scene has no such method."""

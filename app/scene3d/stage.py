@@ -16,6 +16,7 @@ from vtkmodules.vtkRenderingCore import vtkLight, vtkRenderer
 
 from app.scene3d import camera
 from app.scene3d.axes import AxesLayer
+from app.scene3d.compare import CompareLayer
 from app.scene3d.estimates import EstimatesLayer
 from app.scene3d.ground import DEFAULT_RADIUS, Frame, Ground
 from app.scene3d.hints import HintsLayer
@@ -67,6 +68,7 @@ class Stage:
         """The operator moved the camera: it is theirs from then on."""
         self.estimates = EstimatesLayer(renderer, ground)
         self.hints = HintsLayer(renderer)
+        self.compare = CompareLayer(renderer, ground)
         self.target: TargetLayer | None = None
         """None where no skin is laid on the part: nobody guides there."""
         self.layers = self._build(renderer, ground)
@@ -91,7 +93,7 @@ class Stage:
             layers.append(ModulesLayer(renderer, ground, layout, ground.laid))
         others = (self.estimates, AxesLayer(renderer, ground), UncertaintyLayer(renderer, ground))
         target = () if self.target is None else (self.target,)
-        return (*layers, *others, *target, self.hints)
+        return (*layers, *others, *target, self.compare, self.hints)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""
@@ -185,6 +187,7 @@ class Stage:
         self.estimates.follow(scale, towards)
         if self.target is not None:
             self.target.follow(scale, towards)
+        self.compare.follow(scale, towards)
         self.hints.follow(active, (size[0], size[1]))
 
 

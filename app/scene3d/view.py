@@ -19,7 +19,7 @@ from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
-from app.scene3d.ground import Frame, Ground
+from app.scene3d.ground import Comparison, Frame, Ground
 from app.scene3d.loading import Loaded, load, mount
 from app.scene3d.looks import DARK, LIGHT
 from app.scene3d.pointer import Pointer
@@ -65,6 +65,7 @@ class View3D(QWidget):
         self._ground: Ground | None = None
         self._frame: Frame | None = None
         self._difference = False
+        self._comparison: Comparison | None = None
         self._turning = True
         self._stage: Stage | None = None
         self._canvas: AnyCanvas | None = None
@@ -136,7 +137,7 @@ class View3D(QWidget):
         if snapshot is None:
             super().show()
             return None
-        self._frame = Frame(snapshot, live, method, selected, self._difference, target, leeway)
+        self._frame = Frame(snapshot, live, method, selected, self._difference, target, leeway, self._comparison)
         return self.isVisible() and self._show_frame()
 
     def set_difference(self, wanted: bool) -> None:
@@ -144,6 +145,13 @@ class View3D(QWidget):
         self._difference = wanted
         if self._frame is not None:
             self._frame = replace(self._frame, difference=wanted)
+            self._show_frame()
+
+    def set_comparison(self, comparison: Comparison | None) -> None:
+        """Lay sets of places over each other in place of the estimates; None shows the estimates again."""
+        self._comparison = comparison
+        if self._frame is not None and self._frame.comparison is not comparison:
+            self._frame = replace(self._frame, comparison=comparison)
             self._show_frame()
 
     def set_turning(self, wanted: bool) -> None:

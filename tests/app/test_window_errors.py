@@ -353,7 +353,7 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     assert calls.count == 0
     assert paints.count == 0
     assert workspace.error_course.plot is None
-    bench.key(Qt.Key.Key_5)
+    bench.key(Qt.Key.Key_6)
     assert workspace.tabs.currentWidget() is workspace.error_course
     bench.until(lambda: workspace.error_course.plot is not None, OPEN_MS)
     accepted = len(bench.accepted())
@@ -370,7 +370,7 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
 def open_errors(bench, folder) -> ErrorsPanel:
     bench.open(Plan(session=folder))
     bench.until_all_is_there()
-    bench.key(Qt.Key.Key_5)
+    bench.key(Qt.Key.Key_6)
     panel = bench.window.desk.workspace.error_course
     bench.until(lambda: panel.ready and not panel._tracker.series().missing, OPEN_MS)
     return panel
@@ -401,7 +401,7 @@ def test_excluded_by_key_a_poke_leaves_the_course_and_comes_back(bench, recorded
     first = bench.accepted()[0].poke
     bench.window.desk.select_poke(first)
     bench.key(Qt.Key.Key_E)
-    bench.key(Qt.Key.Key_5)
+    bench.key(Qt.Key.Key_6)
     bench.until(lambda: first not in panel._tracker.series().pokes and not panel._tracker.series().missing, 5000)
     bench.key(Qt.Key.Key_Backspace)
     bench.until(lambda: first in panel._tracker.series().pokes and not panel._tracker.series().missing, 5000)

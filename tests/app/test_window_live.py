@@ -42,7 +42,7 @@ def known(snapshot) -> dict[tuple[Method, int], bytes]:
 def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.open_served()
     window, workspace = bench.window, bench.window.desk.workspace
-    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Devices", "Errors", "Arm"]
+    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Arm"]
     bench.until_all_is_there()
     empty_map, empty_view = pixels(workspace.map), pixels(workspace.view)
 
@@ -80,7 +80,7 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.key(Qt.Key.Key_V)
     assert window.desk.frame.method is Method.FREE
     assert workspace.method_box.currentData() is Method.FREE
-    bench.key(Qt.Key.Key_4)
+    bench.key(Qt.Key.Key_5)
     assert workspace.tabs.currentWidget() is workspace.devices
     assert set(workspace.devices.cards) == {"wrench", "skin", "joints"}
 
@@ -212,7 +212,7 @@ def test_light_and_dark_reach_every_panel(bench, qtbot, recorded):
 def test_an_arm_pose_is_chosen_by_hand_where_no_joints_stream(bench, recorded):
     bench.open(Plan(session=recorded))
     workspace = bench.window.desk.workspace
-    bench.key(Qt.Key.Key_6)
+    bench.key(Qt.Key.Key_7)
     arm = workspace.arm
     assert arm is not None
     arm.pose_requested.emit("3")

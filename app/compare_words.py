@@ -1,0 +1,114 @@
+"""What is said of two sets of places beside each other; pure functions, without Qt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from app.comparing import Origin, Pair, Source
+from app.display_units import DASH, TIMES, ChannelNames, count, millimetres, number
+from app.words import METHOD_NAMES
+from skincal.estimate.board_health import Misfit
+from skincal.estimate.compare import ModuleDifference, Summary
+from skincal.estimate.result import Method
+
+MODULE_HEADINGS = ("Module", "Mean", "Shift", "Shape", "Spacing")
+MODULE_HINTS = (
+    "Its number, and how many of its taxels are known in both where some are not",
+    "Mean length of its taxels' differences",
+    "What it is moved by as a whole: the length of the mean difference",
+    "What is left after its best turn and shift (rms): a board that is only moved has none",
+    "How far its neighbouring taxels lie apart in the second set, in shares of the layout's spacing",
+)
+SCALES = (1, 3, 10)
+"""How many times their own length arrows can be drawn."""
+
+
+def source_words(source: Source) -> str:
+    """Return what a set of places is called: `"Layout"`, `"Surface method"`, `"Free before correction"`."""
+    if source.method is None:
+        return "Layout"
+    name = METHOD_NAMES[source.method].capitalize()
+    return f"{name} method" if source.origin is Origin.METHOD else f"{name} {source.origin.value}"
+
+
+def difference_words(summary: Summary | None, pair: Pair, names: ChannelNames, channels: Sequence[int]) -> str:
+    """Return one line on how far two sets lie apart: `"84 taxels, mean 2.1 mm, largest 6.3 mm (17-04)"`.
+
+    Parameters
+    ----------
+    channels : of the rows
+    """
+    if pair[0] == pair[1]:
+        return "The same places twice: choose another set to compare with."
+    if summary is None:
+        return "No taxel is known in both yet."
+    largest = f"largest {millimetres(summary.largest)} ({names.short(channels[summary.row])})"
+    return f"{count(summary.known, 'taxel')}, mean {millimetres(summary.mean)}, {largest}"
+
+
+def module_cells(one: ModuleDifference, number_of: int, taxels: int, spacing: float) -> tuple[str, ...]:
+    """Return the cells of `MODULE_HEADINGS` for one module.
+
+    Parameters
+    ----------
+    number_of : its id
+    taxels : that it has
+    spacing : of its neighbours over the layout's; NaN where unknown
+    """
+    some = "" if one.known == taxels else f"  ({one.known} of {taxels})"
+    lengths = (one.mean, one.shift, one.shape)
+    return (f"{number_of}{some}", *(millimetres(length) for length in lengths), number(spacing, 2))
+
+
+def worst_words(channel: int, length: float, names: ChannelNames) -> str:
+    """Return the line of a taxel in the list of the worst."""
+    return f"{names.short(channel)}   {millimetres(length)}"
+
+
+def arrow_words(pair: Pair, scale: int, *, named: bool) -> str:
+    """Return what arrows show: `"arrows true to scale"`.
+
+    Parameters
+    ----------
+    named : also from where to where they lead
+    """
+    ends = f" from {source_words(pair[0])} to {source_words(pair[1])}," if named else ""
+    return f"arrows{ends} {'true to scale' if scale == 1 else f'{scale} times as long as the differences'}"
+
+
+def scale_choice(scale: int) -> str:
+    """Return the same as a choice: `"x 3"`."""
+    return f"{TIMES} {scale}"
+
+
+def spacing_words(ratios: Mapping[Method, float]) -> str:
+    """Return how far neighbouring taxels lie apart by each method; empty where none knows.
+
+    Parameters
+    ----------
+    ratios : over the layout's spacing; NaN where unknown
+    """
+    known = {method: number(ratio, 2) for method, ratio in ratios.items()}
+    parts = [f"{words} ({METHOD_NAMES[method]})" for method, words in known.items() if words != DASH]
+    return f"Neighbours lie {', '.join(parts)} of the layout's spacing apart." if parts else ""
+
+
+def misfit_words(misfits: Sequence[Misfit], judged: int, method: Method) -> tuple[str, ...]:
+    """Return what is said of modules that do not lie as planned, one sentence each; the first with the sign of a warning.
+
+    Parameters
+    ----------
+    judged : modules of which enough is known to say it
+    method : whose estimates were judged
+    """
+    if misfits:
+        by = f"by the {METHOD_NAMES[method]} method"
+        head = f"\N{WARNING SIGN} {count(len(misfits), 'module')} not as planned, {by}. Nothing is changed by itself:"
+        return (head, *(one.words for one in misfits))
+    if not judged:
+        return ()
+    return (f"{_none_of(judged)} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
+
+
+def _none_of(judged: int) -> str:
+    return "The one module that is known well does not look" if judged == 1 else f"None of {judged} modules looks"

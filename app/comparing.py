@@ -1,0 +1,118 @@
+"""Sets of places that can be laid over each other: the layout, each method, and each method before and after a correction.
+
+Pure: which sets there are and what they hold follows from a frame. Places stand in the order of the part's channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from app.frame import Frame
+from skincal.estimate.compare import places_of
+from skincal.estimate.result import Method
+from skincal.readings import FloatArray, IntArray
+from skincal.session.review import Review
+
+
+class Origin(Enum):
+    """Where places come from."""
+
+    LAYOUT = "layout"
+    METHOD = "method"
+    BEFORE = "before correction"
+    AFTER = "after correction"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One set of places."""
+
+    origin: Origin
+    method: Method | None = None
+    """None for the layout."""
+
+
+LAYOUT = Source(Origin.LAYOUT)
+Pair = tuple[Source, Source]
+
+
+def sources_of(methods: Sequence[Method], review: Review | None, *, laid: bool) -> tuple[Source, ...]:
+    """Return the sets of places that there are.
+
+    Parameters
+    ----------
+    methods : of the scene, in the order in which they are offered
+    review : of the rig; None where there is none
+    laid : whether the layout has a place on the part
+    """
+    found = [LAYOUT] if laid else []
+    found += [Source(Origin.METHOD, method) for method in methods]
+    if review is not None:
+        found += [Source(Origin.BEFORE, method) for method in methods if method in review.before]
+        found += [Source(Origin.AFTER, method) for method in methods if method in review.after]
+    return tuple(found)
+
+
+def default_pair(sources: Sequence[Source], shown: Method) -> Pair:
+    """Return what is compared while the operator chose nothing: the layout with the shown method, or free with surface."""
+    free, surface = Source(Origin.METHOD, Method.FREE), Source(Origin.METHOD, Method.SURFACE)
+    if LAYOUT in sources:
+        return LAYOUT, Source(Origin.METHOD, shown)
+    others = [one for one in sources if one != free]
+    return free, surface if surface in sources else next(iter(others), free)
+
+
+class Places:
+    """Where each source puts the taxels of a part, worked out once for what it follows from.
+
+    Parameters
+    ----------
+    channels : (n,) int, of the taxels
+    laid : (width, 3) float, metres, of the layout by channel; None where it has no place on the part
+    """
+
+    def __init__(self, channels: IntArray, laid: FloatArray | None) -> None:
+        self.channels = channels
+        self._laid = None if laid is None or not np.isfinite(laid[channels]).any() else laid[channels]
+        self._kept: dict[Source, tuple[object, FloatArray]] = {}
+
+    @property
+    def laid(self) -> bool:
+        """Whether the layout has a place on the part."""
+        return self._laid is not None
+
+    def find(self, source: Source, frame: Frame) -> FloatArray:
+        """Return the places of a source in a frame, (n, 3) float, metres, link frame; NaN where unknown."""
+        if source.method is None:
+            return self._unknown() if self._laid is None else self._laid
+        told = frame.snapshot.estimates.get(source.method, ()) if source.origin is Origin.METHOD else frame.review
+        kept, places = self._kept.get(source, (None, None))
+        if kept is not told or places is None:
+            places = self._worked_out(source, source.method, frame)
+            self._kept[source] = told, places
+        return places
+
+    def _worked_out(self, source: Source, method: Method, frame: Frame) -> FloatArray:
+        if source.origin is Origin.METHOD:
+            estimates = frame.snapshot.estimates.get(method, ())
+            return places_of(estimates) if len(estimates) == len(self.channels) else self._unknown()
+        if frame.review is None:
+            return self._unknown()
+        found = (frame.review.before if source.origin is Origin.BEFORE else frame.review.after).get(method)
+        return self._unknown() if found is None else self._in_order(frame.review.channels, found)
+
+    def _in_order(self, channels: IntArray, found: FloatArray) -> FloatArray:
+        places = self._unknown()
+        row_of = {channel: row for row, channel in enumerate(self.channels.tolist())}
+        there = [(row_of[channel], row) for row, channel in enumerate(channels.tolist()) if channel in row_of]
+        if there:
+            own, theirs = np.array(there).T
+            places[own] = found[theirs]
+        return places
+
+    def _unknown(self) -> FloatArray:
+        return np.full((len(self.channels), 3), np.nan)
