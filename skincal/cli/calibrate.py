@@ -70,7 +70,8 @@ def solve(
     road = _opened(session, replay, speed)
     snapshot = road.snapshot()
     counts = report.poke_counts(snapshot)
-    methods = {method.value: report.method_summary(items, known) for method, items in snapshot.estimates.items()}
+    layout = road.session.scene.skin.layout
+    methods = {method.value: report.method_summary(items, known, layout) for method, items in snapshot.estimates.items()}
     if per_pose:
         methods |= _per_pose(road, known)
     rig, rig_lines = _corrected(road, known)
@@ -81,7 +82,8 @@ def solve(
     losses = report.loss_counts(totals.links, totals.unpaired)
     text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += rig_lines
+    misfits = [misfit.words for misfit in report.misfits_of(road.session)]
+    text += [*rig_lines, *misfits]
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -90,6 +92,7 @@ def solve(
         "methods": methods,
         **losses,
         **({"rig": rig} if rig else {}),
+        "misfits": misfits,
         "dead": dead,
         "files": files,
         "findings": findings,
@@ -117,7 +120,9 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
         averaged = average_over_poses(
             session.contacts, session.channels, method, session.scene.noise, session.surface, boards=session.boards
         )
-        summaries[f"{method.value}-per-pose"] = report.method_summary(tuple(averaged.values()), known)
+        summaries[f"{method.value}-per-pose"] = report.method_summary(
+            tuple(averaged.values()), known, session.scene.skin.layout
+        )
     return summaries
 
 
@@ -145,7 +150,8 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
         noise, surface, boards = session.scene.noise, session.surface, session.boards
         solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, boards=boards)
         rig["methods"] = {
-            f"{method.value}-corrected": report.method_summary(tuple(found.values()), known) for method, found in solved.items()
+            f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)
+            for method, found in solved.items()
         }
     return rig, [*(() if frame is None else (frame.words,)), *answer.sentences]
 
@@ -203,7 +209,7 @@ def export(
         known = " or ".join(method.value for method in calibration.estimates)
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
     findings = [*road.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
-    summary = report.method_summary(calibration.estimates[chosen], None)
+    summary = report.method_summary(calibration.estimates[chosen], None, road.session.scene.skin.layout)
     text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]
     report.print_result(
         {"file": str(out), "format": format_.value, "method": chosen.value, **summary, "findings": findings, "text": text},

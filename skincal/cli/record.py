@@ -246,7 +246,8 @@ def finish(
     counts = report.poke_counts(snapshot)
     live = road.live(0)
     losses = report.loss_counts(live.links, live.losses_unpaired)
-    methods = {method.value: report.method_summary(items, reference) for method, items in snapshot.estimates.items()}
+    layout = road.session.scene.skin.layout
+    methods = {method.value: report.method_summary(items, reference, layout) for method, items in snapshot.estimates.items()}
     found = [*findings, *report.link_notes(live.links)]
     text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     text += [*report.loss_lines(losses), f"session {out}"]

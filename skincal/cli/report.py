@@ -11,11 +11,14 @@ import numpy as np
 import typer
 
 from skincal.contacts.outcome import Contact, Rejection
+from skincal.estimate.board_health import Misfit, find_misfits, spacing_ratio
 from skincal.estimate.result import Estimate, Method, State
 from skincal.files.reference import error_summary
 from skincal.readings import FloatArray, LinkHealth, LinkState
+from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.session.totals import LinkTotals
+from skincal.skin import Layout
 
 
 def print_result(result: Mapping[str, Any], as_json: bool) -> None:
@@ -39,13 +42,19 @@ def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     }
 
 
-def method_summary(estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None) -> dict[str, Any]:
-    """Summarise one method: taxels by state, predicted error, and the error where a reference is known; millimetres."""
+def method_summary(
+    estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None, layout: Layout | None
+) -> dict[str, Any]:
+    """Summarise one method: taxels by state, predicted error, and the error where a reference is known; millimetres.
+
+    `spacing_ratio` is how far neighbours lie apart over how far the layout plans it; None without a layout.
+    """
     states = Counter(e.state.value for e in estimates)
     rms = [e.rms * 1e3 for e in estimates if e.rms is not None]
     summary: dict[str, Any] = {
         "states": {state.value: states.get(state.value, 0) for state in State},
         "predicted_rms_mm": {"mean": float(np.mean(rms)), "max": float(np.max(rms))} if rms else None,
+        "spacing_ratio": None if layout is None else spacing_ratio(layout, estimates),
     }
     if reference is not None:
         error = error_summary(estimates, reference)
@@ -54,6 +63,13 @@ def method_summary(estimates: tuple[Estimate, ...], reference: Mapping[int, Floa
             "p95": error.p95 * 1e3, "max": error.max * 1e3, "worst_channel": error.worst_channel,
         }  # fmt: skip
     return summary
+
+
+def misfits_of(session: Session) -> tuple[Misfit, ...]:
+    """Return the modules that do not lie as the layout plans them, by the surface method where there is one, else by free."""
+    estimates = session.snapshot().estimates
+    told = estimates.get(Method.SURFACE) or estimates.get(Method.FREE, ())
+    return () if session.boards is None else find_misfits(session.boards, {one.channel: one for one in told})
 
 
 def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict[str, Any]:
@@ -85,6 +101,8 @@ def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:
         line += (
             f"; predicted error {summary['predicted_rms_mm']['mean']:.2f} mm mean, {summary['predicted_rms_mm']['max']:.2f} max"
         )
+    if summary["spacing_ratio"] is not None:
+        line += f"; neighbours {summary['spacing_ratio']:.2f} of the layout's spacing apart"
     error = summary.get("error_mm")
     if error is not None:
         line += f"; error against the reference {error['mean']:.2f} mm mean (sd {error['sd']:.2f}, max {error['max']:.2f})"

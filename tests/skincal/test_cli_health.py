@@ -1,0 +1,57 @@
+"""`solve` says whether the modules lie as the layout plans them, and how far neighbours lie apart."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from skincal.cli import main
+from skincal.scene import resource
+
+
+def sample(folder: Path, file: str, old: str, new: str) -> Path:
+    """A copy of the sample session whose scene says something else in one place."""
+    made = folder / "session"
+    shutil.copytree(resource("sessions/sample"), made)
+    path = made / "scene" / file
+    text = path.read_text(encoding="utf-8")
+    assert text.count(old) >= 1
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return made
+
+
+def solved(folder: Path, capsys) -> dict:
+    assert main(["solve", str(folder), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_modules_that_lie_as_planned_are_left_alone(capsys):
+    said = solved(resource("sessions/sample"), capsys)
+    assert said["misfits"] == []
+    ratios = {name: method["spacing_ratio"] for name, method in said["methods"].items()}
+    assert ratios["modules"] == pytest.approx(1.0, abs=0.02)
+    assert 0.9 < ratios["surface"] < 1.3 < ratios["free"]
+
+
+def test_a_module_that_is_planned_mirrored_is_said(tmp_path, capsys):
+    assert main(["solve", str(sample(tmp_path, "modules.toml", "mirror = false", "mirror = true"))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    said = [line for line in lines if line.startswith("Module ")]
+    assert len(said) == 1
+    assert said[0].startswith("Module 17 is mirrored against the layout: change its mirror.")
+    assert any("neighbours 1.0" in line and line.startswith("surface") for line in lines)
+
+
+def test_without_a_layout_nothing_is_said_of_modules(tmp_path, capsys):
+    folder = sample(tmp_path, "scene.toml", 'modules = "modules.toml"\n', "")
+    scene = folder / "scene" / "scene.toml"
+    text = scene.read_text(encoding="utf-8")
+    start = text.index("[skin.anchor]")
+    scene.write_text(text[:start] + text[text.index("[surface]") :], encoding="utf-8")
+    said = solved(folder, capsys)
+    assert said["misfits"] == []
+    assert set(said["methods"]) == {"free", "surface"}
+    assert [method["spacing_ratio"] for method in said["methods"].values()] == [None, None]
