@@ -19,6 +19,8 @@ MODULE_HINTS = (
     "What is left after its best turn and shift (rms): a board that is only moved has none",
     "How far its neighbouring taxels lie apart in the second set, in shares of the layout's spacing",
 )
+MOST_MODULES = 40
+"""Modules in the list at most: of more, those that lie farthest apart. Nobody reads 350, and each costs with every poke."""
 SCALES = (1, 3, 10)
 """How many times their own length arrows can be drawn."""
 
@@ -44,6 +46,16 @@ def difference_words(summary: Summary | None, pair: Pair, names: ChannelNames, c
         return "No taxel is known in both yet."
     largest = f"largest {millimetres(summary.largest)} ({names.short(channels[summary.row])})"
     return f"{count(summary.known, 'taxel')}, mean {millimetres(summary.mean)}, {largest}"
+
+
+def listed_modules(modules: Sequence[ModuleDifference]) -> Sequence[ModuleDifference]:
+    """Return the modules that are listed: all in the layout's order, or of too many the worst, the worst first."""
+    return modules if len(modules) <= MOST_MODULES else sorted(modules, key=lambda one: -one.mean)[:MOST_MODULES]
+
+
+def listed_words(modules: int) -> str:
+    """Return what is said over the list of so many modules; nothing where it holds them all."""
+    return f"The {MOST_MODULES} of {modules} modules that lie farthest apart" if modules > MOST_MODULES else ""
 
 
 def module_cells(one: ModuleDifference, number_of: int, taxels: int, spacing: float) -> tuple[str, ...]:
@@ -102,8 +114,8 @@ def misfit_words(misfits: Sequence[Misfit], judged: int, method: Method) -> tupl
     method : whose estimates were judged
     """
     if misfits:
-        by = f"by the {METHOD_NAMES[method]} method"
-        head = f"\N{WARNING SIGN} {count(len(misfits), 'module')} not as planned, {by}. Nothing is changed by itself:"
+        many = count(len(misfits), "module")
+        head = f"\N{WARNING SIGN} {many} not as planned ({METHOD_NAMES[method]}). Nothing is changed by itself:"
         return (head, *(one.words for one in misfits))
     if not judged:
         return ()

@@ -31,6 +31,8 @@ from app.compare_words import (
     SCALES,
     arrow_words,
     difference_words,
+    listed_modules,
+    listed_words,
     misfit_words,
     module_cells,
     scale_choice,
@@ -49,6 +51,7 @@ from skincal.estimate.board_health import Neighbours, neighbours_of
 from skincal.estimate.compare import compare_modules, differences, summarise, worst_rows
 from skincal.estimate.result import Method
 from skincal.readings import FloatArray
+from skincal.skin import Layout
 
 if TYPE_CHECKING:
     from app.board_watch import BoardWatch
@@ -98,6 +101,7 @@ class ComparePanel(QScrollArea):
         self.summary = QLabel()
         self.health = QLabel()
         self.spacing = quiet(wrap=True)
+        self.listed = quiet()
         self.modules = _module_list()
         self.worst = QListWidget()
         self._fill()
@@ -139,11 +143,12 @@ class ComparePanel(QScrollArea):
         column = QVBoxLayout(inner)
         column.setContentsMargins(GAP, GAP, GAP, GAP)
         column.addLayout(choices)
-        for widget in (self.legend, self.summary, self.health, self.modules, self.spacing):
+        for widget in (self.legend, self.summary, self.health, self.listed, self.modules, self.spacing):
             column.addWidget(widget)
         column.addWidget(quiet("Farthest apart"))
         column.addWidget(self.worst, 1)
         self.health.hide()
+        self.listed.hide()
         for widget in (self.modules, self.spacing):
             widget.setVisible(self._layout is not None)
         self.setWidget(inner)
@@ -216,12 +221,18 @@ class ComparePanel(QScrollArea):
         )
         if self._layout is None:
             return
-        spacing = self._ratios(there)
-        modules = self._layout.modules
-        _list_modules(self.modules, [
+        self._show_modules(self._layout, here, there)
+
+    def _show_modules(self, layout: Layout, here: FloatArray, there: FloatArray) -> None:
+        spacing, modules = self._ratios(there), layout.modules
+        every = compare_modules(layout, self._channels, here, there)
+        put(self.listed, listed_words(len(every)))
+        self.listed.setVisible(bool(self.listed.text()))
+        cells = [
             module_cells(one, modules[one.module].id, len(modules[one.module].channels), float(spacing[one.module]))
-            for one in compare_modules(self._layout, self._channels, here, there)
-        ])  # fmt: skip
+            for one in listed_modules(every)
+        ]
+        _list_modules(self.modules, cells)
 
     def _ratios(self, places: FloatArray) -> FloatArray:
         """Return how far neighbours lie apart over the layout's spacing, module by module and at last over all."""

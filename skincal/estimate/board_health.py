@@ -113,7 +113,8 @@ def find_misfits(boards: Boards, estimates: Mapping[int, Estimate]) -> tuple[Mis
     seen = {index: one.replanned(motion) for index, one in seen.items()}
     turns = np.array([one.turn for one in seen.values()], dtype=np.float64)
     usual = float(np.arctan2(np.median(np.sin(turns)), np.median(np.cos(turns))))
-    found = (_misfit(boards, index, one, seen, usual) for index, one in seen.items())
+    elsewhere = _in_place_of(seen)
+    found = (_misfit(boards, index, one, seen, elsewhere[index], usual) for index, one in seen.items())
     return tuple(one for one in found if one is not None)
 
 
@@ -140,14 +141,14 @@ def _known(boards: Boards, module: int, estimates: Mapping[int, Estimate]) -> di
 
 
 def _seen(boards: Boards, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
-    plan, known = boards.plan(module), _known(boards, module, estimates)
-    if plan is None or known is None:
+    plan, planned = boards.plan(module), boards.planned(module)
+    known = _known(boards, module, estimates)
+    if plan is None or planned is None or known is None:
         return None
     rows, points = list(known), np.array([one.position for one in known.values()], dtype=np.float64)
     normal: FloatArray = np.sum(np.array([one.normal for one in known.values()], dtype=np.float64), axis=0)
     normal = normal / np.sqrt(normal @ normal)
     pads = boards.pads[module][rows]
-    laid = boards.ground.laid(plan.take(np.zeros(len(rows), dtype=np.int64)), pads)
     x = plan.x[0] - (plan.x[0] @ normal) * normal
     length = float(np.sqrt(x @ x))
     x = x / length if length > 0.1 else across(normal[None])[0, 0]
@@ -155,7 +156,7 @@ def _seen(boards: Boards, module: int, estimates: Mapping[int, Estimate]) -> _Se
     flat = np.stack([points @ x, points @ y], axis=1)
     straight, turn = _fit(pads, flat)
     mirrored, other = _fit(pads * np.array([-1.0, 1.0]), flat)
-    return _Seen(points, laid.points, straight, mirrored, turn if straight <= mirrored else other)
+    return _Seen(points, planned[rows], straight, mirrored, turn if straight <= mirrored else other)
 
 
 def _fit(pads: FloatArray, flat: FloatArray) -> tuple[float, float]:
@@ -171,11 +172,12 @@ def _rms(off: FloatArray) -> float:
     return float(np.sqrt(np.sum(off * off) / len(off)))
 
 
-def _misfit(boards: Boards, index: int, one: _Seen, seen: Mapping[int, _Seen], usual: float) -> Misfit | None:
-    """Return what is wrong with a module; the largest mistake first."""
+def _misfit(
+    boards: Boards, index: int, one: _Seen, seen: Mapping[int, _Seen], other: int | None, usual: float
+) -> Misfit | None:
+    """Return what is wrong with a module that lies in the place of an `other`, or of none; the largest mistake first."""
     number = boards.layout.modules[index].id
     before = _rms(one.places - one.planned)
-    other = _in_place_of(index, one, seen)
     if other is not None:
         after = float(np.linalg.norm(one.places.mean(axis=0) - seen[other].planned.mean(axis=0)))
         return Misfit(number, MisfitKind.SWAPPED, before, float(np.hypot(after, one.straight)),
@@ -190,12 +192,17 @@ def _misfit(boards: Boards, index: int, one: _Seen, seen: Mapping[int, _Seen], u
     return None
 
 
-def _in_place_of(index: int, one: _Seen, seen: Mapping[int, _Seen]) -> int | None:
-    """Return the module in whose planned place one lies; None where it lies in its own."""
-    here = one.places.mean(axis=0)
-    ways = {other: float(np.linalg.norm(here - them.planned.mean(axis=0))) for other, them in seen.items()}
-    nearest = min(ways, key=lambda other: ways[other])
-    return nearest if nearest != index and ways[nearest] < SWAP_SHARE * ways[index] else None
+def _in_place_of(seen: Mapping[int, _Seen]) -> dict[int, int | None]:
+    """Return for each module in whose planned place it lies; None where it lies in its own."""
+    here = np.array([one.places.mean(axis=0) for one in seen.values()])
+    there = np.array([one.planned.mean(axis=0) for one in seen.values()])
+    ways = np.sqrt(np.sum((here[:, None] - there) ** 2, axis=2))
+    indices = list(seen)
+    found: dict[int, int | None] = {}
+    for row, nearest in enumerate(np.argmin(ways, axis=1).tolist()):
+        elsewhere = nearest != row and ways[row, nearest] < SWAP_SHARE * ways[row, row]
+        found[indices[row]] = indices[nearest] if elsewhere else None
+    return found
 
 
 def _symmetric(turn: float, layout: Layout, index: int) -> float:

@@ -162,6 +162,7 @@ class Boards:
             self.place_of[module.channels] = np.arange(len(module.channels))
         self._anchor = anchor
         self._plans: dict[int, Poses | None] = {}
+        self._planned: dict[int, FloatArray] = {}
 
     def plan(self, module: int) -> Poses | None:
         """Return where the plan puts a module, one pose; None where it does not say, or is of another part."""
@@ -173,6 +174,14 @@ class Boards:
                 # Whoever lays the layout out says it.
                 self._plans[module] = None
         return self._plans[module]
+
+    def planned(self, module: int) -> FloatArray | None:
+        """Return where the plan puts a module's pads, (k, 3) float, metres; None where it does not say."""
+        plan = self.plan(module)
+        if plan is not None and module not in self._planned:
+            pads = self.pads[module]
+            self._planned[module] = self.ground.laid(plan.take(np.zeros(len(pads), dtype=np.int64)), pads).points
+        return self._planned.get(module)
 
     def modules_of(self, channels: Iterable[int]) -> list[int]:
         """Return the indices of the modules that some channels belong to, ascending."""

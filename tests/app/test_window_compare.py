@@ -15,7 +15,16 @@ from whole_window import OPEN_MS, Bench, Paints
 from window_support import NAMES, PLAN, SCENE, frame, session
 
 from app.board_watch import BoardWatch
-from app.compare_words import difference_words, misfit_words, module_cells, source_words, spacing_words
+from app.compare_words import (
+    MOST_MODULES,
+    difference_words,
+    listed_modules,
+    listed_words,
+    misfit_words,
+    module_cells,
+    source_words,
+    spacing_words,
+)
 from app.comparing import LAYOUT, Origin, Places, Source, default_pair, sources_of
 from app.display_units import ChannelNames
 from app.opening import Part
@@ -136,6 +145,17 @@ def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
     assert cells == ("17  (2 of 12)", "2.1 mm", "2.0 mm", "\N{EN DASH}", "\N{EN DASH}")
 
 
+def test_of_too_many_modules_the_worst_are_listed():
+    few = [ModuleDifference(index, 12, 0.001 * (index % 7), 0.0, 0.0) for index in range(MOST_MODULES)]
+    assert listed_modules(few) == few
+    assert listed_words(MOST_MODULES) == ""
+    many = [*few, ModuleDifference(99, 12, 0.02, 0.0, 0.0)]
+    listed = listed_modules(many)
+    assert (len(listed), listed[0].module) == (MOST_MODULES, 99)
+    assert [one.mean for one in listed] == sorted((one.mean for one in listed), reverse=True)
+    assert listed_words(41) == "The 40 of 41 modules that lie farthest apart"
+
+
 def test_spacing_is_said_of_every_method_that_knows():
     ratios = {Method.SURFACE: 0.93, Method.FREE: float("nan"), Method.MODULES: 1.0}
     assert spacing_words(ratios) == "Neighbours lie 0.93 (surface), 1.00 (modules) of the layout's spacing apart."
@@ -145,7 +165,7 @@ def test_spacing_is_said_of_every_method_that_knows():
 def test_a_misfit_is_an_offer_with_a_sign():
     misfit = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
     head, sentence = misfit_words((misfit,), 7, Method.SURFACE)
-    assert head.startswith("\N{WARNING SIGN} 1 module not as planned, by the surface method.")
+    assert head.startswith("\N{WARNING SIGN} 1 module not as planned (surface).")
     assert "Nothing is changed by itself" in head
     assert sentence == misfit.words
     assert misfit_words((), 7, Method.FREE) == ("None of 7 modules looks mirrored, turned or swapped (free).",)
