@@ -19,4 +19,6 @@ def wish_of(guidance: Guidance | None, running: Running) -> Wish:
     if guidance is None:
         return NoTarget.ANY
     target = guidance.target
-    return NoTarget.WAIT if target is None else TargetOrder(target.channel, target.place, target.push)
+    if target is None:
+        return NoTarget.WAIT
+    return TargetOrder(target.channel, target.place, target.push, known=bool(target.landmark))

@@ -92,8 +92,8 @@ def simulate(
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
 
     Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME. With --operator guided:
-    target CHANNEL|- X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame), wait (nothing is to be poked),
-    or any (nobody guides); until the first of them it pokes as auto does.
+    target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame; - is a place, + a known point
+    of the part), wait (nothing is to be poked), or any (nobody guides); until the first of them it pokes as auto does.
     """
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.operator import Habits

@@ -3,6 +3,9 @@
 The guide's ring is drawn where it believes the taxel to be, on the part; that is where the hand goes, beside the true taxel if
 need be. The person looks at the screen until the hand goes down: a target that comes earlier than a reaction before the touch
 still counts, a later one is for the next poke.
+
+A known point of the part, such as a screw head, is seen and felt: the hand goes to it more exactly, and neither slides off nor
+pokes something else instead.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import numpy as np
 
 from skincal.errors import InputError
 from skincal.readings import FloatArray
+from skincal.simulate.landmarks import LandmarkHabits
 from skincal.simulate.operator import Action, Auto, Habits, Press, aim, press
 from skincal.simulate.orders import NoTarget, Order, TargetOrder, Wish
 from skincal.simulate.poke import Pokes, by_hand, held, tangents
@@ -41,6 +45,7 @@ class Guided(Auto):
         channels: Sequence[int] | None = None,
     ) -> None:
         super().__init__(rig, habits, rng, pokes, poses, channels)
+        self._firm = LandmarkHabits()
         self._told: Wish = NoTarget.ANY
         """The newest, from any thread."""
         self._wish: Wish = NoTarget.ANY
@@ -83,6 +88,9 @@ class Guided(Auto):
         touch, self._touch = max(self._touch, now), None
         self.begun += 1
         at_once = replace(self._habits, approach_s=(0.0, 0.0))
+        if self._wish.known:
+            firm = replace(at_once, slide_rate=0.0)
+            return press(self._rig, self._at_point(self._wish), touch, firm, self._rng)
         return press(self._rig, self._aimed(self._wish), touch, at_once, self._rng)
 
     def _aimed(self, target: TargetOrder) -> Pokes:
@@ -100,6 +108,17 @@ class Guided(Auto):
         return Pokes(
             channel, place[None], normal[None], push, rng.uniform(*habits.force, 1), rng.uniform(0.0, np.pi / 2, 1)
         )  # fmt: skip
+
+    def _at_point(self, target: TargetOrder) -> Pokes:
+        """Return how the hand pokes a known point: there, whether or not the surface and the skin pass through it."""
+        surface, rng = self._rig.surface, self._rng
+        normal = -target.push if surface is None else surface.normals[nearest_points(surface, target.place[None])[1][0]]
+        e1, e2 = tangents(normal[None])
+        beside = self._firm.aim * rng.standard_normal(2)
+        place = target.place + beside[0] * e1[0] + beside[1] * e2[0]
+        push = held(by_hand(target.push[None], self._habits.hand, rng), normal[None], self._firm.cone)
+        nobody = np.array([-1], dtype=np.int64)
+        return Pokes(nobody, place[None], normal[None], push, rng.uniform(*self._firm.force, 1), np.zeros(1))
 
     def _row(self, target: TargetOrder) -> int:
         """Return the index of the taxel that is shown, or of the one that is nearest to the place that is."""

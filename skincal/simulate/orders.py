@@ -15,7 +15,9 @@ from skincal.errors import InputError
 from skincal.readings import FloatArray
 
 NO_TAXEL = "-"
-"""Stands for the channel of a target that is a place."""
+"""Stands for the channel of a target that is a place at which a taxel may be."""
+KNOWN_POINT = "+"
+"""Stands for the channel of a target that is a known point of the part: a screw head, a corner."""
 FAR = 10.0
 """m. No part reaches so far from its frame's origin: coordinates beyond are a mistake."""
 
@@ -45,11 +47,13 @@ class TargetOrder:
     """What a guide's ring and arrow show."""
 
     channel: int | None
-    """None where it is a place at which a taxel may be."""
+    """None where it is a place at which a taxel may be, or a known point."""
     place: FloatArray
-    """(3,) float, metres, link frame: where the guide believes the taxel to be, which may be beside it."""
+    """(3,) float, metres, link frame: where the guide believes the taxel to be, which may be beside it; or the known point."""
     push: FloatArray
     """(3,) float, unit, link frame."""
+    known: bool = False
+    """The place is a known point of the part, which one sees and feels."""
 
 
 class NoTarget(Enum):
@@ -65,7 +69,8 @@ Wish: TypeAlias = TargetOrder | NoTarget
 Order: TypeAlias = PokeOrder | PoseOrder | TargetOrder | NoTarget
 
 ORDER_HELP = (
-    "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME, target CHANNEL|- X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z, any or wait"
+    "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME, "
+    "target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (- a place, + a known point), any or wait"
 )
 
 
@@ -94,7 +99,8 @@ def write_wish(wish: Wish) -> str:
     if isinstance(wish, NoTarget):
         return wish.value
     place, push = (" ".join(f"{v:.{d}f}" for v in vs) for vs, d in ((wish.place * 1e3, 2), (wish.push, 4)))
-    return f"target {NO_TAXEL if wish.channel is None else wish.channel} {place} {push}"
+    nobody = KNOWN_POINT if wish.known else NO_TAXEL
+    return f"target {nobody if wish.channel is None else wish.channel} {place} {push}"
 
 
 def _poke(words: list[str]) -> PokeOrder | None:
@@ -121,7 +127,8 @@ def _target(words: list[str]) -> TargetOrder | None:
     # NaN fails every comparison.
     if not (np.abs(place) < FAR).all() or not 0.5 < size < 2.0:
         return None
-    return TargetOrder(None if words[1] == NO_TAXEL else int(words[1]), place, push / size)
+    channel = None if words[1] in (NO_TAXEL, KNOWN_POINT) else int(words[1])
+    return TargetOrder(channel, place, push / size, known=words[1] == KNOWN_POINT)
 
 
 def _no_target(words: list[str]) -> NoTarget | None:

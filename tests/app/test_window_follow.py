@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 from guide_support import guidance, target
 from PySide6.QtCore import Qt
@@ -24,6 +25,10 @@ def test_the_wish_is_what_the_window_shows():
     wish = wish_of(guidance(asked), Running.STREAMING)
     assert isinstance(wish, TargetOrder)
     assert (wish.channel, wish.place.tolist(), wish.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
+    assert not wish.known
+    head = wish_of(guidance(replace(asked, channel=None, landmark="elbow, outer")), Running.STREAMING)
+    assert isinstance(head, TargetOrder)
+    assert (head.channel, head.known) == (None, True)
     assert wish_of(None, Running.STREAMING) is NoTarget.ANY, "nobody guides"
     assert wish_of(guidance(None), Running.STREAMING) is NoTarget.WAIT, "it is enough"
     for running in (Running.OPENING, Running.PAUSED, Running.OFFLINE):

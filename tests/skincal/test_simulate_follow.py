@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.contacts.outcome import Reason
 from skincal.errors import InputError
 from skincal.estimate.result import Method
 from skincal.guide.guide import Guide
 from skincal.guide.places import plan_from
 from skincal.readings import Chunk, LinkEvent, LinkState
+from skincal.scene import Landmark
+from skincal.session.known_points import poke_at
 from skincal.session.road import Road
 from skincal.simulate.device import Timeline
 from skincal.simulate.follow import Guided
@@ -20,6 +23,7 @@ from skincal.simulate.rig import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.surface.lay import lay
 from skincal.surface.nearest import nearest_points
+from skincal.wrench import move_wrench
 from tests.skincal.sim_support import make_rig
 
 FOLLOWS = replace(Habits.careful(), ignores=0.0)
@@ -99,6 +103,33 @@ def test_a_place_without_a_taxel_is_poked_too(rig):
     done = presses(guided, 100)
     off = np.concatenate([p.pokes.points for p in done]) - nearest_points(rig.surface, shown.place[None])[0]
     assert np.linalg.norm(off.mean(axis=0)) < 0.001
+
+
+@pytest.mark.parametrize("name", ["icub-forearm", "flat-patch"])
+def test_a_known_point_is_poked_at_its_own_height_and_never_left_for_another(name):
+    rig = make_rig(RigErrors.none(), name=name)
+    row = 20
+    normal, across = rig.normals[row], tangents(rig.normals[row : row + 1])[0][0]
+    # A screw's head, 3 mm above the skin and beside every taxel; the push that is shown leans more than a tip holds on metal.
+    head = rig.places[row] + 0.004 * across + 0.003 * normal
+    lean = np.radians(40)
+    shown = TargetOrder(None, head, np.sin(lean) * across - np.cos(lean) * normal, known=True)
+    guided = Guided(rig, replace(Habits(), ignores=1.0, slide_rate=1.0, double_rate=0.0), np.random.default_rng(1))
+    guided.accept(shown)
+    done = presses(guided, 300)
+    assert all((press.pokes.targets == -1).all() and (press.slide == 0.0).all() for press in done)
+    off = np.concatenate([press.pokes.points for press in done]) - head
+    assert np.linalg.norm(off.mean(axis=0)) < 0.0002
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) == pytest.approx(0.0007 * np.sqrt(2), rel=0.15)
+    forces = np.concatenate([press.pokes.forces for press in done])
+    assert 8.0 <= forces.min() < 8.5
+    assert 12.5 < forces.max() <= 13.0
+    pushes, normals = (np.concatenate([getattr(press.pokes, k) for press in done]) for k in ("directions", "normals"))
+    leans = np.degrees(np.arccos(-np.sum(pushes * normals, axis=1)))
+    assert np.abs(off @ normals[0]).max() < 1e-12, "at the point's own height"
+    assert leans.max() <= 28.0 + 1e-6 or rig.surface is None
+    guided.accept(target_at(rig, 204 if name == "icub-forearm" else int(rig.channels[0])))
+    assert any(press.slide.any() for press in presses(guided, 20)), "elsewhere it slides as ever"
 
 
 def test_it_goes_where_it_likes_in_one_poke_of_twelve(rig):
@@ -187,7 +218,11 @@ def test_a_target_survives_its_line():
     assert read.channel == 204
     np.testing.assert_allclose(read.place, shown.place, atol=6e-6)
     np.testing.assert_allclose(read.push, shown.push, atol=1e-4)
-    assert read_order(write_wish(replace(shown, channel=None))).channel is None
+    assert not read.known
+    for known, start in ((False, "target - 12.35 "), (True, "target + 12.35 ")):
+        line = write_wish(replace(shown, channel=None, known=known))
+        assert line.startswith(start)
+        assert (read_order(line).channel, read_order(line).known) == (None, known)
     assert np.linalg.norm(read.push) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -195,13 +230,13 @@ def test_a_target_survives_its_line():
     "line",
     [
         "target", "target 204", "target 204 1 2 3", "target 204 1 2 3 0 0", "target x 1 2 3 0 0 -1",
-        "target 204 1 2 3 0 0 -1 5",
+        "target 204 1 2 3 0 0 -1 5", "target ++ 1 2 3 0 0 -1",
         "target 204 nan 2 3 0 0 -1", "target 204 1 inf 3 0 0 -1", "target 204 1 2 20000 0 0 -1", "target 204 1 2 3 0 0 0",
         "target 204 1 2 3 nan 0 -1", "target 204 1 2 3 0 0 -9", "target 20.5 1 2 3 0 0 -1", "wait 3", "any taxel", "Wait",
     ],
 )  # fmt: skip
 def test_a_line_that_is_no_target_is_named(line):
-    with pytest.raises(InputError, match=r"is not an order; expected poke .*target CHANNEL\|- X_MM"):
+    with pytest.raises(InputError, match=r"is not an order; expected poke .*target CHANNEL\|-\|\+ X_MM"):
         read_order(line)
 
 
@@ -249,3 +284,37 @@ def test_most_pokes_of_a_guided_session_are_those_that_were_asked_for():
     hits, counted = guided_session(make_rig(RigErrors.noise(), name="flat-patch"), 40)
     assert counted >= 36
     assert hits >= 0.6 * counted
+
+
+def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_through_it():
+    """The wrench is that of a press there; the skin says what it feels: nothing beside it, something upon it."""
+    rig = make_rig(RigErrors.noise())
+    scene, normal = rig.scene, rig.normals[20]
+    beside = nearest_points(rig.surface, rig.surface.vertices[rig.surface.vertices[:, 0].argmax()][None])
+    heads = (
+        (beside[0][0], rig.surface.normals[beside[1][0]]),
+        (nearest_points(rig.surface, rig.places[20:21])[0][0], normal),
+    )
+    assert np.linalg.norm(rig.places - heads[0][0], axis=1).min() > 0.03, "no taxel feels it"
+    for (head, outward), felt in zip(heads, (False, True), strict=True):
+        operator = Guided(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
+        operator.accept(read_order(write_wish(TargetOrder(None, head, -outward, known=True))))
+        line = Timeline(rig, operator, np.random.default_rng(4))
+        road = Road(scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface)
+        for link in line.links:
+            road.feed(LinkEvent(link, 0, LinkState.OPEN))
+        while not line.finished:
+            for at_ns, link, data in line.step():
+                road.feed(Chunk(link, at_ns, data))
+            road.tick(round(line.now * 1e9))
+        outcomes = [record.outcome for record in road.snapshot().pokes]
+        there = [poke for outcome in outcomes if (poke := poke_at(outcome, Landmark("head", head, None))) is not None]
+        assert len(there) >= 5
+        if not felt:
+            assert {outcome.reason for outcome in outcomes} == {Reason.NO_TAXEL}
+        for poke in there:
+            force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+            assert 7.0 < np.linalg.norm(force) < 14.0
+            away = np.linalg.norm(moment - np.cross(head, force)) / np.linalg.norm(force)
+            assert away < 0.004
+        assert any(hasattr(outcome, "responses") for outcome in outcomes) is felt
