@@ -1,11 +1,14 @@
-"""Which taxel is under the mouse: points projected to the screen, no picker and no render."""
+"""What is under the mouse: taxels projected to the screen, and the line of sight through the part; no picker and no render."""
 
 from __future__ import annotations
 
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
+from app.scene3d.camera import eye_of
+from app.scene3d.entry import entry_points
 from skincal.readings import FloatArray
+from skincal.surface.mesh import Surface
 
 REACH = 14.0
 """Pixels. A click this near to a ball means it: half a finger's width on a common screen."""
@@ -52,3 +55,43 @@ def nearest_at(screen: FloatArray, x: float, y: float, ball: float) -> int | Non
     if len(away) == 0 or not away.min() <= REACH:
         return None
     return int(np.argmin(away))
+
+
+def ray(renderer: vtkRenderer, x: float, y: float) -> tuple[FloatArray, FloatArray]:
+    """Return the line of sight through a place of the picture: the camera's place, (3,) metres, and (3,) unit, away from it.
+
+    Parameters
+    ----------
+    x, y : pixels from the lower left
+    """
+    camera = renderer.GetActiveCamera()
+    width, height = renderer.GetSize()
+    eye, ahead = eye_of(camera), np.array(camera.GetDirectionOfProjection())
+    half = np.tan(np.radians(camera.GetViewAngle() / 2))
+    aside = half * ((2 * x - width) / height * eye.right + (2 * y / height - 1) * eye.up)
+    direction = ahead + aside
+    return np.array(camera.GetPosition()), direction / np.linalg.norm(direction)
+
+
+def seen_point(surface: Surface, place: FloatArray, direction: FloatArray) -> FloatArray | None:
+    """Return where a line of sight meets the outer side of a part, exactly; None where it misses, or sees an inner side first.
+
+    Parameters
+    ----------
+    place, direction : (3,) float, metres and unit: where the eye is, and which way it looks
+
+    Returns
+    -------
+    (3,) float, metres
+    """
+    outer, inner = (_first(entry_points(surface, place, way), place, direction) for way in (direction, -direction))
+    if outer is None or (inner is not None and (inner - place) @ direction < (outer - place) @ direction):
+        return None
+    return outer
+
+
+def _first(points: FloatArray, place: FloatArray, direction: FloatArray) -> FloatArray | None:
+    """Return the one of (n, 3) points on a line that is nearest before an eye there; None where none is before it."""
+    away = (points - place) @ direction
+    away[away <= 0.0] = np.inf
+    return points[away.argmin()] if np.isfinite(away).any() else None

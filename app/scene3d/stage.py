@@ -1,6 +1,7 @@
 """The layers of one scene in one renderer, and the camera before them.
 
-Only what the scene supports is built: no mesh, no surface layer; no layout, or a layout without a place, no outlines.
+Only what the scene supports is built: no mesh, no surface layer; no layout, or a layout without a place, no outlines. Landmarks
+may be added to any scene, and be asked for.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from app.scene3d.compare import CompareLayer
 from app.scene3d.estimates import EstimatesLayer
 from app.scene3d.ground import DEFAULT_RADIUS, Frame, Ground
 from app.scene3d.hints import HintsLayer
+from app.scene3d.landmarks import LandmarksLayer
 from app.scene3d.looks import Look, unit
 from app.scene3d.modules import ModulesLayer
-from app.scene3d.picking import nearest_at, project
+from app.scene3d.picking import nearest_at, project, ray, seen_point
 from app.scene3d.shapes import Shape
 from app.scene3d.surface import SurfaceLayer
 from app.scene3d.target import TargetLayer
@@ -69,13 +71,10 @@ class Stage:
         self.estimates = EstimatesLayer(renderer, ground)
         self.hints = HintsLayer(renderer)
         self.compare = CompareLayer(renderer, ground)
-        self.target: TargetLayer | None = None
-        """None where no skin is laid on the part: nobody guides there."""
+        self.landmarks = LandmarksLayer(renderer, ground)
+        self.target = TargetLayer(renderer, ground)
         self.layers = self._build(renderer, ground)
-        self.turner: Turner | None = None
-        """None where there is never a target."""
-        if self.target is not None:
-            self.turner = Turner(ground.surface, camera.level_of(ground.extent))
+        self.turner = Turner(ground.surface, camera.level_of(ground.extent))
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
         # Blending without sorting: the stage orders its translucent faces by culling (see `surface`), at half the time.
@@ -89,11 +88,9 @@ class Stage:
         if ground.shaded is not None:
             layers.append(SurfaceLayer(renderer, ground.shaded))
         if layout is not None and ground.laid is not None and np.isfinite(ground.places[:, 0]).any():
-            self.target = TargetLayer(renderer, ground)
             layers.append(ModulesLayer(renderer, ground, layout, ground.laid))
         others = (self.estimates, AxesLayer(renderer, ground), UncertaintyLayer(renderer, ground))
-        target = () if self.target is None else (self.target,)
-        return (*layers, *others, *target, self.compare, self.hints)
+        return (*layers, *others, self.landmarks, self.target, self.compare, self.hints)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""
@@ -115,20 +112,16 @@ class Stage:
     def turn(self, frame: Frame, now_s: float) -> bool:
         """Turn the camera to the target where it has to; return whether it moved."""
         width, height = self.renderer.GetSize()
-        if self.turner is None:
-            return False
         return self.turner.step(self.renderer.GetActiveCamera(), max(width, 1) / max(height, 1), frame, now_s)
 
     def touch(self, now_s: float) -> None:
         """Note that the operator moved the camera."""
         self.moved = True
-        if self.turner is not None:
-            self.turner.touch(now_s)
+        self.turner.touch(now_s)
 
     def hold(self, down: bool) -> None:
         """Note that a button of the mouse went down on the picture, or up."""
-        if self.turner is not None:
-            self.turner.held = down
+        self.turner.held = down
 
     def warm(self, draw: Callable[[], object]) -> None:
         """Draw a picture with something of every kind in it, so that no later one waits for a shader to be compiled."""
@@ -145,7 +138,7 @@ class Stage:
     def fit(self) -> None:
         """Bring the whole part into the picture."""
         self.moved = False
-        points = self.ground.extent if len(self.ground.extent) else self.estimates.places
+        points = self.ground.extent if len(self.ground.extent) else self._known()
         width, height = self.renderer.GetSize()
         active = self.renderer.GetActiveCamera()
         least = SMALLEST if len(self.ground.extent) else DEFAULT_RADIUS
@@ -155,9 +148,13 @@ class Stage:
         if len(self.ground.extent):
             camera.orbit(active, *LEAN_DEG)
 
+    def _known(self) -> FloatArray:
+        """Return (n, 3) float, metres, what the session knows of the part: estimates and landmarks."""
+        return np.concatenate([self.estimates.places, self.landmarks.places])
+
     def _follow_estimates(self) -> None:
-        """Where nothing but the estimates tells where the part is, keep them in the picture."""
-        places, (middle, half) = self.estimates.places, self._reach
+        """Where nothing but the session tells where the part is, keep them in the picture."""
+        places, (middle, half) = self._known(), self._reach
         if not self.moved and len(places) and np.linalg.norm(places - middle, axis=1).max() > half:
             self.fit()
 
@@ -167,6 +164,16 @@ class Stage:
         screen[~self.estimates.near] = np.nan
         row = nearest_at(screen, x, y, self.estimates.balls.actor.GetProperty().GetPointSize() / 2)
         return None if row is None else int(self.estimates.shown[row])
+
+    def pick_surface(self, x: float, y: float) -> FloatArray | None:
+        """Return the point of the part that is seen at a place of the picture, (3,) float, metres; None beside the part.
+
+        Parameters
+        ----------
+        x, y : pixels from the lower left
+        """
+        surface = self.ground.surface
+        return None if surface is None else seen_point(surface, *ray(self.renderer, x, y))
 
     def screen_places(self) -> tuple[IntArray, FloatArray]:
         """Return the channels that have a ball, (k,), and where the balls appear, (k, 3): see `picking.project`."""
@@ -185,8 +192,8 @@ class Stage:
         scale = camera.pixels_per_metre(active, size[1])
         towards = -np.array(active.GetDirectionOfProjection())
         self.estimates.follow(scale, towards)
-        if self.target is not None:
-            self.target.follow(scale, towards)
+        self.landmarks.follow(scale, towards)
+        self.target.follow(scale, towards)
         self.compare.follow(scale, towards)
         self.hints.follow(active, (size[0], size[1]))
 

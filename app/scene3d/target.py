@@ -77,8 +77,9 @@ class TargetLayer:
             return False
         self._key, self._target, self._leeway = key, target, width
         if target is not None:
-            # A believed place lies above or below the skin; seen from outside, the ring must not.
-            self._at = skin_point(self.ground.surface, target.place, target.normal)
+            # A believed place lies above or below the skin; seen from outside, the ring must not. A landmark is where it is.
+            surface = None if target.landmark else self.ground.surface
+            self._at = skin_point(surface, target.place, target.normal)
         self._draw()
         return True
 

@@ -53,6 +53,8 @@ class View3D(QWidget):
 
     taxel_picked = Signal(int)
     """Channel whose estimate was clicked."""
+    surface_picked = Signal(object)
+    """(3,) float, metres, link frame: the point of the part that was clicked while one was wanted (`set_picking`)."""
     ready = Signal()
     """The picture is there."""
 
@@ -67,6 +69,7 @@ class View3D(QWidget):
         self._difference = False
         self._comparison: Comparison | None = None
         self._turning = True
+        self._picking = False
         self._stage: Stage | None = None
         self._canvas: AnyCanvas | None = None
         self._worker: ThreadPoolExecutor | None = None
@@ -157,9 +160,23 @@ class View3D(QWidget):
     def set_turning(self, wanted: bool) -> None:
         """Turn the camera to the target between pokes, or leave it where it is."""
         self._turning = wanted
-        if self._stage is not None and self._stage.turner is not None:
+        if self._stage is not None:
             self._stage.turner.wanted = wanted
             self._show_frame()
+
+    @property
+    def picking(self) -> bool:
+        """Whether the next click on the part means a point of it."""
+        return self._picking
+
+    def set_picking(self, wanted: bool) -> None:
+        """Take the next click on the part for a point of it, which ends this; or for a taxel again.
+
+        Meanwhile the pointer is a cross, and the camera turns by the mouse alone. A click beside the part means nothing.
+        """
+        self._picking = wanted
+        if self._canvas is not None:
+            self._canvas.setCursor(Qt.CursorShape.CrossCursor if wanted else Qt.CursorShape.ArrowCursor)
 
     def set_dark(self, dark: bool) -> None:
         """Take the dark or the light theme."""
@@ -245,7 +262,8 @@ class View3D(QWidget):
         if self._stage is None or self._frame is None:
             return False
         changed = self._stage.show(self._frame)
-        if not self._stage.turn(self._frame, time.monotonic()) and not changed:
+        turned = not self._picking and self._stage.turn(self._frame, time.monotonic())
+        if not turned and not changed:
             return False
         self._request()
         return True
@@ -279,11 +297,24 @@ class View3D(QWidget):
         self._stage.dress(self._look)
         self._stage.fit()
         self.set_turning(self._turning)
+        self.set_picking(self._picking)
         self._show_frame()
         self._request()
         self.ready.emit()
 
     def _pick(self, x: float, y: float) -> None:
-        channel = None if self._stage is None else self._stage.pick(x, y)
+        if self._stage is None:
+            return
+        if self._picking:
+            self._pick_surface(x, y)
+            return
+        channel = self._stage.pick(x, y)
         if channel is not None:
             self.taxel_picked.emit(channel)
+
+    def _pick_surface(self, x: float, y: float) -> None:
+        # A pixel's place is that of its upper left corner: what is meant is its middle.
+        place = None if self._stage is None else self._stage.pick_surface(x + 0.5, y - 0.5)
+        if place is not None:
+            self.set_picking(False)
+            self.surface_picked.emit(place)

@@ -26,7 +26,7 @@ from skincal.estimate.result import Estimate, Method, State
 PLAN = layout()
 KEPT: list[QMainWindow] = []
 """Windows of this test: Python would delete them with their views."""
-EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "target", "compare", "hints")
+EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "landmarks", "target", "compare", "hints")
 
 
 def make_view(qtbot, canvas=Canvas.RASTER, surface=True, plan=True, skin=None):
@@ -89,11 +89,11 @@ class Drawn:
 def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
     assert make_view(qtbot).list_layers() == EVERY
     bare = make_view(qtbot, surface=False, plan=False)
-    assert bare.list_layers() == (*EVERY[2:5], *EVERY[6:])
+    assert bare.list_layers() == EVERY[2:]
     assert make_view(qtbot, surface=False).list_layers() == EVERY[1:]
     actors = bare._stage.renderer.GetActors()
-    assert actors.GetNumberOfItems() == 8, (
-        "balls, marks, three kinds of axes, uncertainty, two to compare; no differences without a surface"
+    assert actors.GetNumberOfItems() == 12, (
+        "balls, marks, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare; no differences"
     )
 
 

@@ -1,0 +1,200 @@
+"""Known points of the part: a diamond lying on the skin, its corners joined by a cross until it was poked in this arm pose.
+
+A diamond that has no cross, and is paler, was poked as the arm stands. What lies on the far side of the part is left out.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+
+import numpy as np
+from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
+
+from app.scene3d.ground import Frame, Ground
+from app.scene3d.looks import ColourArray, Look, unit
+from app.scene3d.picking import project
+from app.scene3d.shapes import Segments, closed, tangents
+from skincal.readings import FloatArray
+from skincal.scene import Landmark
+from skincal.session.snapshot import Snapshot
+from skincal.surface.mesh import Surface
+from skincal.surface.nearest import nearest_points
+
+DIAMOND = 2.6e-3
+"""m. From the middle of a diamond to its corners: a screw's head, and well inside the target's ring."""
+LEAST_PIXELS = 8.0
+"""The same on the screen at least: on a whole body a diamond of its own size would not be found."""
+NEARER = -500.0
+"""How far towards the camera it is drawn, in VTK's units of depth: the part's curve must not cut it, the target's ring may."""
+MOST_NAMES = 12
+"""More landmarks than this are drawn without their names, which would hide each other."""
+LETTERS = 13
+"""Points, size of the names."""
+BESIDE = 8
+"""Pixels between a diamond's right corner and its name."""
+FAR_SIDE = -0.1
+"""Cosine. A landmark that is turned further from the camera is behind the part; a little less than 0 since the nearer ones of
+a part that fills the picture are seen at such an angle."""
+
+
+class LandmarksLayer:
+    """Diamonds and names; nothing while the session has no landmark."""
+
+    name = "landmarks"
+
+    def __init__(self, renderer: vtkRenderer, ground: Ground) -> None:
+        self.marks = Segments(pixels=2.0)
+        self.names: list[vtkTextActor] = []
+        """Made when they are first needed; the first `named` belong to the landmarks, the others are hidden."""
+        self.named = 0
+        self.places: FloatArray = np.empty((0, 3))
+        """(n, 3) float, metres: where the landmarks are."""
+        self._surface = ground.surface
+        self._renderer = renderer
+        self._landmarks: tuple[Landmark, ...] = ()
+        self._poked: frozenset[str] = frozenset()
+        self._normals: FloatArray = np.empty((0, 3))
+        self._near: NDArray[np.bool_] = np.empty(0, dtype=bool)
+        """(n,) whether each is drawn: not on the far side of the part."""
+        self._generation = -1
+        self._scale = 1.0
+        """How many times larger than its own size each is drawn."""
+        self._look: Look | None = None
+        mapper = self.marks.actor.GetMapper()
+        mapper.SetResolveCoincidentTopologyToPolygonOffset()
+        mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, NEARER)
+        renderer.AddActor(self.marks.actor)
+
+    def dress(self, look: Look) -> None:
+        """Take the colours of a theme."""
+        self._look = look
+        self._draw()
+        self._colour_names()
+
+    def follow(self, pixels_per_metre: float, towards: FloatArray) -> None:
+        """Keep the diamonds large enough to be found when the camera goes away, and leave out those on the part's far side.
+
+        Parameters
+        ----------
+        towards : (3,) float, unit: from the part to the camera
+        """
+        if not self._landmarks:
+            return
+        scale = max(1.0, LEAST_PIXELS / (DIAMOND * pixels_per_metre))
+        near = self._normals @ towards >= FAR_SIDE
+        if scale != self._scale or not np.array_equal(near, self._near):
+            self._scale, self._near = scale, near
+            self._draw()
+        at = project(self._renderer, self.places)
+        beside = BESIDE + scale * DIAMOND * pixels_per_metre
+        for actor, seen, (x, y, depth) in zip(self.names[: self.named], near.tolist(), at.tolist(), strict=False):
+            actor.SetVisibility(seen and abs(depth) <= 1.0)
+            actor.SetPosition(x + beside, y)
+
+    def show(self, frame: Frame) -> bool:
+        """Show a session's landmarks; return whether anything changed."""
+        snapshot = frame.snapshot
+        if not (snapshot.landmarks or self._landmarks) or snapshot.generation == self._generation:
+            return False
+        self._generation = snapshot.generation
+        poked = poked_here(snapshot)
+        if snapshot.landmarks == self._landmarks and poked == self._poked:
+            return False
+        self._poked = poked
+        if snapshot.landmarks != self._landmarks:
+            self._landmarks = snapshot.landmarks
+            self.places = np.array([one.place for one in self._landmarks]).reshape(-1, 3)
+            self._normals = normals_of(self._landmarks, self._surface)
+            self._near = np.ones(len(self._landmarks), dtype=bool)
+            self._put_names()
+        self._draw()
+        self._colour_names()
+        return True
+
+    def _draw(self) -> None:
+        if self._look is None:
+            return
+        near = self._near
+        fresh = np.array([one.name not in self._poked for one in self._landmarks], dtype=bool)[near]
+        diamonds, crosses = strokes(self.places[near], self._normals[near], self._scale * DIAMOND)
+        ink, pale = np.array(self._look.ink, np.uint8), _pale(self._look)
+        sides = np.where(fresh[:, None, None], ink, pale).repeat(4, axis=1)
+        inner = np.tile(ink, (2 * int(fresh.sum()), 1))
+        ends = np.concatenate([diamonds.reshape(-1, 2, 3), crosses[fresh].reshape(-1, 2, 3)])
+        self.marks.join(ends, np.concatenate([sides.reshape(-1, 3), inner]).astype(np.uint8))
+
+    def _put_names(self) -> None:
+        """Write the names beside the diamonds, where there are few."""
+        self.named = len(self._landmarks) if len(self._landmarks) <= MOST_NAMES else 0
+        for _ in range(len(self.names), self.named):
+            self.names.append(_name())
+            self._renderer.AddViewProp(self.names[-1])
+        for actor in self.names[self.named :]:
+            actor.VisibilityOff()
+        for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):
+            actor.SetInput(landmark.name)
+
+    def _colour_names(self) -> None:
+        if self._look is None:
+            return
+        for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):
+            colour = _pale(self._look) if landmark.name in self._poked else np.array(self._look.ink)
+            red, green, blue = (int(value) for value in colour)
+            actor.GetTextProperty().SetColor(*unit((red, green, blue)))
+
+
+def poked_here(snapshot: Snapshot) -> frozenset[str]:
+    """Return the names of the landmarks that were poked in the present arm pose, by pokes that count."""
+    pokes = snapshot.pokes
+    found: set[str] = set()
+    for number, name in snapshot.at_landmarks.items():
+        at = bisect_left(pokes, number, key=lambda record: record.outcome.poke)
+        if at == len(pokes) or pokes[at].outcome.poke != number or pokes[at].excluded:
+            continue
+        if pokes[at].outcome.pose == snapshot.pose:
+            found.add(name)
+    return frozenset(found)
+
+
+def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> FloatArray:
+    """Return the outward normal at each of n landmarks, (n, 3) float, unit: its own, else the surface's, else the link's z."""
+    normals = np.tile([0.0, 0.0, 1.0], (len(landmarks), 1))
+    bare = [row for row, one in enumerate(landmarks) if one.normal is None]
+    if surface is not None and bare:
+        normals[bare] = surface.normals[nearest_points(surface, np.array([landmarks[row].place for row in bare]))[1]]
+    for row, one in enumerate(landmarks):
+        if one.normal is not None:
+            normals[row] = one.normal
+    return normals
+
+
+def strokes(places: FloatArray, normals: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Return diamonds about `places` across `normals`, and the crosses that join their corners.
+
+    Parameters
+    ----------
+    places, normals : (n, 3) float, metres and unit
+    radius : metres, from the middle to the corners
+
+    Returns
+    -------
+    (n, 4, 2, 3) float, the sides; (n, 2, 2, 3) float, the cross
+    """
+    first, second = tangents(normals)
+    corners = places[:, None] + radius * np.stack([first, second, -first, -second], axis=1)
+    sides = np.array([closed(each) for each in corners]).reshape(-1, 4, 2, 3)
+    return sides, np.stack([corners[:, ::2], corners[:, 1::2]], axis=1)
+
+
+def _pale(look: Look) -> ColourArray:
+    return ((np.array(look.ink, float) + 2.0 * np.array(look.faint, float)) / 3.0).astype(np.uint8)
+
+
+def _name() -> vtkTextActor:
+    actor = vtkTextActor()
+    text = actor.GetTextProperty()
+    text.SetFontSize(LETTERS)
+    text.SetJustificationToLeft()
+    text.SetVerticalJustificationToCentered()
+    return actor
