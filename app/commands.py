@@ -63,6 +63,13 @@ COMMANDS: tuple[Command, ...] = (
         "dead", "Poke", "Do not use selected taxel", ("D",), "Leave a taxel out that is stuck or always on, or use it again"
     ),
     Command(
+        "landmark",
+        "Poke",
+        "Add landmark\N{HORIZONTAL ELLIPSIS}",
+        ("K",),
+        "Tell a known point of the part: a screw's head, a corner; click it in the 3D view",
+    ),
+    Command(
         "pedals", "Poke", "Pedals\N{HORIZONTAL ELLIPSIS}", ("F3",), "Learn the keys of foot pedals for Space, Backspace and N"
     ),
     Command("method", "View", "Next method", ("V",), "Show the estimates of the other method"),

@@ -23,6 +23,7 @@ from app.error_tracker import ErrorTracker
 from app.frame import Frame, same_results
 from app.guiding import Guiding
 from app.heard import Ear, heard
+from app.marking import Marking
 from app.opening import Part
 from app.panels.devices import LinkChips
 from app.panels.message_bar import Message
@@ -85,6 +86,7 @@ class Desk(QObject):
         self.chips = LinkChips()
         self.tracker = ErrorTracker(part, controller.compute)
         self.guiding = Guiding(part)
+        self.marking = Marking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self.workspace.error_course.begin(self.tracker)
         self.workspace.compare.begin(BoardWatch(part, controller.compute))
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
@@ -101,6 +103,7 @@ class Desk(QObject):
         for panel in (workspace.map, workspace.inspect):
             panel.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
             panel.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
+        self.marking.said.connect(self.said)
         workspace.pokes.actions_offered = [self._commands.actions[name] for name in ("exclude", "undo")]
         if workspace.arm is not None:
             workspace.arm.pose_requested.connect(lambda name: self._controller.act(SetPose(name)))
@@ -262,6 +265,14 @@ class Desk(QObject):
             self._controller.act(Revive(self.selected) if self._allowed.revive else MarkDead(self.selected))
             self.refresh_allowed()
 
+    def ask_landmark(self, parent: QWidget) -> None:
+        """Ask for a known point of the part and for its name."""
+        if self.frame is not None:
+            self.marking.ask(parent)
+
+    def _landmark_names(self) -> set[str]:
+        return set() if self.frame is None else {one.name for one in self.frame.snapshot.landmarks}
+
     @property
     def ends(self) -> bool:
         """Whether it is enough, so that the next thing to do is to look at the verdict."""
@@ -364,6 +375,7 @@ class Desk(QObject):
 
     def close(self) -> None:
         """Give the 3D view's resources back, and take out of the window what belongs to this session."""
+        self.marking.stop()
         for action in self._tab_actions:
             action.deleteLater()
         self._tab_actions = []

@@ -79,6 +79,11 @@ def in_millimetres(value: Lengths) -> Lengths:
     return value * 1e3
 
 
+def in_metres(value: Lengths) -> Lengths:
+    """Return numbers of millimetres as lengths in metres."""
+    return value * 1e-3
+
+
 def in_minutes(times: FloatArray) -> FloatArray:
     """Return times in seconds as numbers of minutes."""
     return times / 60.0

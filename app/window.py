@@ -102,6 +102,7 @@ class Window(QMainWindow):
             "what": QWhatsThis.enterWhatsThisMode,
             "keys": self._show_keys,
             "pedals": self.ask_pedals,
+            "landmark": self._of_desk(lambda desk: desk.ask_landmark(self)),
         }
 
     def _of_desk(self, do: Callable[[Desk], Any]) -> Callable[[], None]:
@@ -162,6 +163,7 @@ class Window(QMainWindow):
         self.desk = desk
         desk.said.connect(self.tell)
         desk.heard.connect(self._play)
+        desk.marking.unsaid.connect(self.messages.withdraw)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
         # Making the panels, laying them out and showing them each take half of what a window may stand still.
         QTimer.singleShot(0, desk, lambda: self._arrange_desk(desk))
@@ -241,7 +243,9 @@ class Window(QMainWindow):
             self.controller.toggle()
 
     def _escape(self) -> None:
-        if self.messages.isVisible():
+        if self.desk is not None and self.desk.marking.waiting:
+            self.desk.marking.stop()
+        elif self.messages.isVisible():
             self.messages.dismiss()
         elif self.desk is not None:
             self.desk.select_nothing()

@@ -24,6 +24,8 @@ class Message:
     text: str
     error: bool = False
     """It stays until it is dismissed."""
+    asks: bool = False
+    """It asks for something, and stays until that is done."""
 
 
 class MessageBar(QFrame):
@@ -66,6 +68,12 @@ class MessageBar(QFrame):
         self._show_newest()
         self.dismissed.emit()
 
+    def withdraw(self, message: Message) -> None:
+        """Take a message away that holds no more, wherever it waits."""
+        if message in self._waiting:
+            self._waiting.remove(message)
+            self._show_newest()
+
     def stop(self) -> None:
         """Stop the timer before the window goes."""
         self._timer.stop()
@@ -76,7 +84,7 @@ class MessageBar(QFrame):
         self._show_newest()
 
     def _expire(self) -> None:
-        if self._waiting and not self._waiting[-1].error:
+        if self._waiting and not _stays(self._waiting[-1]):
             self.dismiss()
 
     def _show_newest(self) -> None:
@@ -93,6 +101,16 @@ class MessageBar(QFrame):
             palette.setColor(role, text)
         for widget in (self, self.text, self.close_button):
             widget.setPalette(palette)
-        self.text.setText(("\N{BALLOT X}  " if newest.error else "\N{CHECK MARK}  ") + newest.text)
-        if not newest.error:
+        self.text.setText(f"{_sign(newest)}  {newest.text}")
+        if not _stays(newest):
             self._timer.start(INFO_MS)
+
+
+def _stays(message: Message) -> bool:
+    return message.error or message.asks
+
+
+def _sign(message: Message) -> str:
+    if message.error:
+        return "\N{BALLOT X}"
+    return "\N{RIGHTWARDS ARROW}" if message.asks else "\N{CHECK MARK}"

@@ -165,6 +165,11 @@ class View3D(QWidget):
             self._show_frame()
 
     @property
+    def can_pick(self) -> bool:
+        """Whether there is a part to click on, and a picture of it."""
+        return self._stage is not None and self._stage.ground.surface is not None
+
+    @property
     def picking(self) -> bool:
         """Whether the next click on the part means a point of it."""
         return self._picking
