@@ -31,8 +31,8 @@ MOST_NAMES = 12
 """More landmarks than this are drawn without their names, which would hide each other."""
 LETTERS = 13
 """Points, size of the names."""
-BESIDE = 8
-"""Pixels between a diamond's right corner and its name."""
+BESIDE, GAP = 1.8, 4.0
+"""Radii of the diamond, and pixels, from its middle to its name: that begins beyond the target's ring."""
 FAR_SIDE = -0.1
 """Cosine. A landmark that is turned further from the camera is behind the part; a little less than 0 since the nearer ones of
 a part that fills the picture are seen at such an angle."""
@@ -87,7 +87,7 @@ class LandmarksLayer:
             self._scale, self._near = scale, near
             self._draw()
         at = project(self._renderer, self.places)
-        beside = BESIDE + scale * DIAMOND * pixels_per_metre
+        beside = GAP + BESIDE * scale * DIAMOND * pixels_per_metre
         for actor, seen, (x, y, depth) in zip(self.names[: self.named], near.tolist(), at.tolist(), strict=False):
             actor.SetVisibility(seen and abs(depth) <= 1.0)
             actor.SetPosition(x + beside, y)
