@@ -158,6 +158,17 @@ def test_a_landmark_that_is_asked_for_has_the_ring_in_any_scene(qtbot, surface):
         assert 0 < y < view.height()
 
 
+def test_landmarks_come_into_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
+    view = make_view(qtbot, surface=False, plan=False)
+    far = tuple(replace(one, place=one.place + np.array([0.5, 0.4, 0.3])) for one in (HEAD, CORNER))
+    show(view, session(1, far))
+    settle()
+    for one in far:
+        x, y = seen(view, one.place)
+        assert 0 < x < view.width()
+        assert 0 < y < view.height()
+
+
 # The point of the part that a click means
 
 
