@@ -34,6 +34,7 @@ class Command:
 
 SEPARATOR = Command("", "", "")
 SOUNDS = "Sounds"
+CORRECT = "Correct the rig"
 
 COMMANDS: tuple[Command, ...] = (
     Command("new", "Session", "New session\N{HORIZONTAL ELLIPSIS}", ("Ctrl+N",), "Choose a scene, the devices and a folder"),
@@ -56,6 +57,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("pause", "Poke", "Pause", ("P",), "Pause or go on, whatever the guide says"),
     Command("another", "Poke", "Another target", ("N",), "Ask for another poke; a side that is skipped twice is left out"),
     Command("no landmarks", "Poke", "No landmarks in this pose", ("Shift+N",), "Go on with the skin; N skips one landmark"),
+    Command("correct", "Poke", CORRECT, ("C",), "Use the correction that landmark pokes offer; it can be undone"),
     Command("undo", "Poke", "Undo", ("Backspace", "Ctrl+Z"), "Take back the last poke or action"),
     Command("exclude", "Poke", "Exclude selected pokes", ("E",), "Selected pokes count no more, or count again"),
     Command("last", "Poke", "Select last poke", ("L",), "Show the newest poke in the list"),
@@ -172,6 +174,7 @@ class Commands(QObject):
             may.mark_dead or may.revive,
             "Use selected taxel again" if may.revive else "Do not use selected taxel",
         )
+        _set(actions["correct"], bool(may.correct), may.correct or CORRECT)
         _set(actions["space"], bool(may.space), may.space or "Pause")
         _set(actions["pause"], bool(may.pause), may.pause or "Pause")
         for name, enabled in (

@@ -25,11 +25,13 @@ from skincal.errors import InputError
 
 if TYPE_CHECKING:
     from app.opening import Part
+    from app.review_server import ReviewServer
     from skincal.estimate.evidence import Evidence
     from skincal.estimate.result import Method
     from skincal.files.reference import Reference
     from skincal.session.actions import Action
     from skincal.session.road import Road
+    from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
     from skincal.simulate.orders import Wish
     from skincal.streams.links import LinkSpec
@@ -81,6 +83,8 @@ class Controller(QObject):
     """`Running`."""
     said = Signal(object)
     """`Message`."""
+    reviewed = Signal(object)
+    """`Review`: what landmark pokes tell of the rig."""
     truth_found = Signal(object)
     """`Reference`: where the taxels of a simulated rig are."""
     stored = Signal(str)
@@ -98,6 +102,7 @@ class Controller(QObject):
         self._storage: Storage | None = None
         self._part: Part | None = None
         self._recording: Recording | None = None
+        self._reviewing: ReviewServer | None = None
         self._opening = 0
         self._shown: Snapshot | None = None
         self._told_ns = 0
@@ -136,6 +141,9 @@ class Controller(QObject):
         if server is not None:
             server.release()
         recording, self._recording = self._recording, None
+        reviewing, self._reviewing = self._reviewing, None
+        if reviewing is not None:
+            reviewing.release()
         storage, self._storage = self._storage, None
         self._part = self._shown = None
         self._links, self._truth, self._wish = (), b"", ""
@@ -158,6 +166,9 @@ class Controller(QObject):
         if self._server is not None:
             self._server.stop()
             self._server = None
+        if self._reviewing is not None:
+            self._reviewing.stop()
+            self._reviewing = None
         self._background.close()
         try:
             if recording is not None:
@@ -270,10 +281,22 @@ class Controller(QObject):
     def _publish(self, recording: Recording, now_ns: int) -> None:
         self._told_ns = now_ns
         self._shown = recording.road.snapshot()
+        if self._shown.landmarks:
+            self._review(recording.road.session, self._shown)
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
         live = recording.road.live(reached_ns)
         evidence = recording.road.session.evidence
         self.ticked.emit(Picture(self._shown, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence))
+
+    def _review(self, session: Session, snapshot: Snapshot) -> None:
+        """Let another process tell what landmark pokes say of the rig."""
+        if self._reviewing is None:
+            from app.review_server import ReviewServer
+
+            self._reviewing = ReviewServer(session, self)
+            self._reviewing.reviewed.connect(self.reviewed)
+            self._reviewing.failed.connect(lambda sentence: self.said.emit(Message(sentence, error=True)))
+        self._reviewing.follow(snapshot)
 
     # The operator's wishes
 

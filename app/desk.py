@@ -28,13 +28,15 @@ from app.opening import Part
 from app.panels.devices import LinkChips
 from app.panels.message_bar import Message
 from app.policies import Allowed, allowed, link_lines
+from app.rig_offers import Offer, offers_of, used_words
 from app.scene3d.view import View3D
 from app.theme import Colours
 from app.wishes import wish_of
 from app.workspace import Workspace
 from skincal.errors import InputError
 from skincal.estimate.result import Method
-from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
+from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
+from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -79,6 +81,9 @@ class Desk(QObject):
         self._clock_offset = time.time() - time.monotonic()
         self._allowed: Allowed | None = None
         self._ear = Ear()
+        self._review: Review | None = None
+        self._offered: Offer | None = None
+        """What the operator was told of last."""
         self.frame: Frame | None = None
         self.selected: int | None = None
         self.workspace = Workspace(part, make_view)
@@ -105,8 +110,10 @@ class Desk(QObject):
             panel.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
         self.marking.said.connect(self.said)
         workspace.pokes.actions_offered = [self._commands.actions[name] for name in ("exclude", "undo")]
-        if workspace.arm is not None:
-            workspace.arm.pose_requested.connect(lambda name: self._controller.act(SetPose(name)))
+        workspace.rig.correct_requested.connect(self._controller.act)
+        workspace.rig.uncorrect_requested.connect(lambda of: self._controller.act(Uncorrect(of)))
+        if workspace.rig.arm is not None:
+            workspace.rig.arm.pose_requested.connect(lambda name: self._controller.act(SetPose(name)))
 
     def begin(self) -> None:
         """Start to build the 3D view, once the panels are on the screen."""
@@ -149,6 +156,8 @@ class Desk(QObject):
             guidance=guidance,
             sky=lambda channel: self.guiding.sky(channel, picture.evidence),
             coaching=self.guiding.coach(picture.live.progress),
+            review=self._review,
+            offers=offers_of(self._review, picture.snapshot),
             eye=self.workspace.view.eye(),
         )
         self._hear(self.frame, picture.behind_s)
@@ -158,6 +167,25 @@ class Desk(QObject):
         self.chips.show_behind(picture.behind_s)
         if before is None or _allows_other(before, self.frame):
             self.refresh_allowed()
+
+    def take_review(self, review: Review) -> None:
+        """Show what landmark pokes tell of the rig, and say once what could be put right."""
+        self._review = review
+        self.show_again()
+        offer = next(iter(() if self.frame is None else self.frame.offers), None)
+        if offer is not None and (self._offered is None or offer.text != self._offered.text):
+            self.said.emit(Message(f"{offer.words} C uses that, Backspace takes it back; more on the Rig tab."))
+        self._offered = offer
+        self.refresh_allowed()
+
+    def correct(self) -> None:
+        """Use the correction that is offered."""
+        if self.frame is not None and self.frame.offers:
+            offer = self.frame.offers[0]
+            if self._controller.act(offer.action):
+                self.said.emit(
+                    Message(f"{used_words(self.frame.snapshot.corrections[offer.action.of])} Backspace takes it back.")
+                )
 
     def _hear(self, frame: Frame, behind_s: float) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""
@@ -197,7 +225,10 @@ class Desk(QObject):
             return
         frame, pokes = self.frame, self.workspace.pokes.selected()
         running = self._controller.running
-        self._allowed = allowed(frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected, frame.guidance)
+        links, taxel = frame.live.links, self.selected
+        self._allowed = allowed(frame.snapshot, frame.scene, links, running, pokes, taxel, frame.guidance, frame.offers)
+            frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected, frame.guidance, frame.offers
+        )
         self._commands.follow(self._allowed, can_keep=self._controller.can_keep)
 
     def set_colours(self, colours: Colours) -> None:
@@ -387,5 +418,6 @@ def _allows_other(before: Frame, now: Frame) -> bool:
     return (
         before.revision != now.revision
         or before.guidance is not now.guidance
+        or [one.text for one in before.offers] != [one.text for one in now.offers]
         or before.snapshot.can_undo != now.snapshot.can_undo
     )

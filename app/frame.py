@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from app.display_units import ChannelNames
+from app.rig_offers import Offer
 from app.running import Running
 from app.scene3d.camera import PLAIN, Eye
 from app.words import LinkWords
@@ -47,6 +48,8 @@ class Frame:
     """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
     review: Review | None = None
     """What pokes at landmarks tell of the rig, and the places with and without its correction; None while nothing does."""
+    offers: tuple[Offer, ...] = ()
+    """What could put the rig right; none of it happens by itself."""
     eye: Eye = PLAIN
     """How the 3D view's camera stands: small pictures stand upright beside it."""
 
@@ -77,5 +80,5 @@ def same_results(first: Snapshot, second: Snapshot) -> bool:
     """
     return first is second or (
         first.generation == second.generation
-        or (first.pokes == second.pokes and first.estimates == second.estimates and first.dead == second.dead)
+        or all(getattr(first, name) == getattr(second, name) for name in ("pokes", "estimates", "dead", "at_landmarks"))
     )

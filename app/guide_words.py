@@ -11,8 +11,10 @@ from app.display_units import ChannelNames, count, degrees, in_millimetres, mill
 from app.words import METHOD_NAMES
 from skincal.contacts.outcome import Contact
 from skincal.estimate.result import Method
+from skincal.estimate.rig_gain import Gain
 from skincal.guide.done import Need
 from skincal.guide.guidance import Guidance, Phase, Target
+from skincal.guide.landmarks import LandmarkWish
 from skincal.guide.settings import GuideSettings
 from skincal.guide.sky import Sky
 from skincal.readings import FloatArray
@@ -89,11 +91,23 @@ def landmark_poked_words(poke: int, name: str) -> str:
     return f"poke {poke} at the landmark {name}"
 
 
+def landmark_words(wish: LandmarkWish) -> str:
+    """Return which of how many landmark pokes it is."""
+    return f"known point {wish.done + 1} of {wish.wanted} in this arm pose"
+
+
+def gain_words(gain: Gain | None) -> str:
+    """Return what landmark pokes are worth: `"expected error of the rig 7.1 -> 2.5 mm after 6 pokes"`; empty where unknown."""
+    if gain is None:
+        return ""
+    now, after = number(in_millimetres(gain.now), 1), millimetres(gain.after)
+    return f"expected error of the rig {now} \N{RIGHTWARDS ARROW} {after} after {count(gain.pokes, 'poke')}"
+
+
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
     """Return by which method the guide asks, what the poke is for, and how far the session is."""
     if guidance.landmark is not None:
-        wish = guidance.landmark
-        return f"{wish.done + 1} of {wish.wanted} in this arm pose{BETWEEN}a known point: it tells the rig's own errors"
+        return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
     reason = f"{METHOD_NAMES[guidance.method]} method: {_reason(guidance, target)}"
     return BETWEEN.join(filter(None, (reason, progress_words(guidance, dead), left_words(guidance))))
 

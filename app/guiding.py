@@ -33,7 +33,7 @@ class Guiding:
         self._scene, self._surface = part.scene, part.surface
         self._cover = part.cover
         self._plan = plan_of(part)
-        self.landmarks = Landmarks(part, dict(zip(self._plan.channels.tolist(), self._plan.places, strict=True)))
+        self.landmarks = Landmarks(part, self._plan)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from app.opening import Part
-from skincal.contacts.outcome import Outcome
+from skincal.contacts.outcome import Contact, Outcome
+from skincal.estimate.rig import RigPrior
+from skincal.estimate.rig_fit import LandmarkPoke
+from skincal.estimate.rig_gain import Gain, PlannedPoke, expected_error
 from skincal.guide.guidance import Guidance
 from skincal.guide.landmarks import LandmarkRound, LandmarkWish, was_there
+from skincal.guide.places import Plan
 from skincal.readings import FloatArray
 from skincal.scene import Landmark
 from skincal.session.actions import AtLandmark
@@ -24,19 +26,23 @@ class Landmarks:
     Parameters
     ----------
     part : what is calibrated
-    places : (3,) float, metres, of taxels by their channel, as the layout plans them
+    plan : where the layout puts the taxels
     """
 
-    def __init__(self, part: Part, places: Mapping[int, FloatArray]) -> None:
+    def __init__(self, part: Part, plan: Plan) -> None:
         self._scene, self._surface = part.scene, part.surface
-        self._places = places
+        there = np.isfinite(plan.places).all(axis=1)
+        self._taxels, self._outward = plan.places[there], plan.normals[there]
+        """(n, 3) float each, metres and unit: of the taxels that the layout places."""
+        self._places = dict(zip(plan.channels[there].tolist(), self._taxels, strict=True))
         self._round = LandmarkRound()
         self._normals: dict[str, FloatArray] = {}
-        self._wish: LandmarkWish | None = None
+        self._wishes: list[LandmarkWish] = []
+        """All that is asked for in this arm pose."""
         self._asked_s = np.inf
         """Host's monotonic clock, seconds, since when the landmark is asked for."""
         self._told: tuple[object, ...] = ()
-        self._shown: tuple[Guidance, LandmarkWish | None, Guidance] | None = None
+        self._shown: Guidance | None = None
         self._seen = 0
         """Number of the newest poke that was looked at."""
 
@@ -68,24 +74,45 @@ class Landmarks:
         """
         told = ([one.name for one in snapshot.landmarks], snapshot.at_landmarks, snapshot.pose, guidance)
         if told != self._told:
-            self._told = told
-            before, self._wish = self._wish, self._next(snapshot)
-            if self._wish is not None and (before is None or before.landmark is not self._wish.landmark):
-                self._asked_s = now_s
-        if self._shown is None or self._shown[:2] != (guidance, self._wish):
-            self._shown = guidance, self._wish, self._with(guidance, self._wish)
-        return self._shown[2]
+            self._told, before = told, self._wish
+            self._wishes = self._plan(snapshot)
+            now = self._wish
+            if now is None:
+                self._shown = guidance
+            else:
+                if before is None or before.landmark is not now.landmark:
+                    self._asked_s = now_s
+                gain = self._gain_of(snapshot)
+                self._shown = guidance.before_skin(now, self._normal(now.landmark), gain)
+        return self._shown or guidance
 
-    def _with(self, guidance: Guidance, wish: LandmarkWish | None) -> Guidance:
-        return guidance if wish is None else guidance.before_skin(wish, self._normal(wish.landmark))
+    @property
+    def _wish(self) -> LandmarkWish | None:
+        return self._wishes[0] if self._wishes else None
 
-    def _next(self, snapshot: Snapshot) -> LandmarkWish | None:
+    def _plan(self, snapshot: Snapshot) -> list[LandmarkWish]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
+            return []
+        poked = [(one.pose, one.name) for one in self._made(snapshot)]
+        return self._round.plan(snapshot.landmarks, poked, snapshot.pose)
+
+    def _made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
+        """Return the landmark pokes that count."""
+        at, known = snapshot.at_landmarks, {one.name: one for one in snapshot.landmarks}
+        counting = (one.outcome for one in snapshot.pokes if at.get(one.outcome.poke) in known and not one.excluded)
+        found = (poke_at(outcome, known[at[outcome.poke]]) for outcome in counting)
+        return [one for one in found if one is not None]
+
+    def _gain_of(self, snapshot: Snapshot) -> Gain | None:
+        """Foretell what the landmarks of this arm pose are worth for the taxels that are poked in it and in those before."""
+        told = snapshot.link_from_sensor
+        if told is None or not len(self._taxels):
             return None
-        at = snapshot.at_landmarks
-        counting = (one.outcome for one in snapshot.pokes if one.outcome.poke in at and not one.excluded)
-        poked = [(outcome.pose, at[outcome.poke]) for outcome in counting]
-        return self._round.next(snapshot.landmarks, poked, snapshot.pose)
+        contacts = (one.outcome for one in snapshot.pokes if isinstance(one.outcome, Contact) and not one.excluded)
+        poses = {one.pose: one.link_from_sensor for one in contacts} | {snapshot.pose: told}
+        planned = [PlannedPoke(wish.landmark.place, self._normal(wish.landmark), told, snapshot.pose) for wish in self._wishes]
+        made, noise = self._made(snapshot), self._scene.noise
+        return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
 
     def skip(self, pose: str, *, all_of_pose: bool = False) -> None:
         """Ask for that landmark no more in this arm pose, or for none."""
@@ -107,7 +134,7 @@ class Landmarks:
     def _found_normal(self, place: FloatArray) -> FloatArray:
         if self._surface is not None:
             return self._surface.normals[nearest_points(self._surface, place[None])[1][0]]
-        away = place - np.mean(list(self._places.values()), axis=0) if self._places else place
+        away = place - self._taxels.mean(axis=0) if len(self._taxels) else place
         size = float(np.linalg.norm(away))
         return away / size if size > 0 else np.array([0.0, 0.0, 1.0])
 

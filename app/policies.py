@@ -27,6 +27,7 @@ from app.guide_words import (
     target_words,
     why_words,
 )
+from app.rig_offers import Offer
 from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
 from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
@@ -283,6 +284,8 @@ class Allowed:
     """A target may be left for another."""
     skip_landmarks: bool = False
     """A landmark is asked for."""
+    correct: str = ""
+    """What could be put right of the rig; empty where nothing is offered."""
     verdict: bool = False
     """There is a guide, so the session has come to something."""
     ends: bool = False
@@ -297,6 +300,7 @@ def allowed(
     pokes: Sequence[int],
     taxel: int | None,
     guidance: Guidance | None = None,
+    offers: Sequence[Offer] = (),
 ) -> Allowed:
     """Return what may be done with the selection in this state.
 
@@ -305,6 +309,7 @@ def allowed(
     pokes : numbers of the selected pokes
     taxel : the selected channel
     guidance : None where nobody guides
+    offers : what could put the rig right
     """
     pause = {Running.STREAMING: "Pause", Running.PAUSED: "Go on", Running.OFFLINE: "Connect"}.get(running, "")
     ends = running is Running.STREAMING and guidance is not None and guidance.phase is GuidePhase.ENOUGH
@@ -323,6 +328,7 @@ def allowed(
         pause=pause,
         another=guidance is not None and guidance.target is not None,
         skip_landmarks=guidance is not None and guidance.landmark is not None,
+        correct=offers[0].text if offers else "",
         verdict=guidance is not None,
         ends=ends,
     )

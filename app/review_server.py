@@ -1,6 +1,7 @@
 """Lets another process tell what landmark pokes say of the rig, and never waits for it.
 
-It is started when there are landmarks, and told what is new of the session; only its answer to the newest is passed on.
+It is started with the first poke at a landmark, and told what is new of the session; only its answer to the newest is
+passed on.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import skincal
 from skincal.session.review import Asked, Review
 from skincal.session.review_process import Part, Unpacker, packed
 from skincal.session.session import Session
+from skincal.session.snapshot import Snapshot
 
 MODULE = "skincal.session.review_process"
 STOP_MS = 700
@@ -37,6 +39,8 @@ class ReviewServer(QObject):
         self._asked = Asked()
         self._unpacker = Unpacker()
         self._stopping = False
+        self._started = False
+        self._shown: Snapshot | None = None
         self._process = QProcess(self)
         self._process.readyReadStandardOutput.connect(self._read)
         self._process.finished.connect(self._finished)
@@ -47,23 +51,30 @@ class ReviewServer(QObject):
         environment.insert("PYTHONPATH", os.pathsep.join(filter(None, paths)))
         self._process.setProcessEnvironment(environment)
 
-    def start(self) -> None:
-        """Start the process; returns at once."""
+    def follow(self, snapshot: Snapshot) -> None:
+        """Ask for a review of the session where its newest snapshot tells of other pokes or landmarks than the one before."""
+        before, self._shown = self._shown, snapshot
+        if self._stopping or not (self._started or snapshot.at_landmarks):
+            return
+        if not self._started:
+            self._start()
+        elif before is not None and _same(before, snapshot):
+            return
+        self._tell(self._asked.change(self._session))
+
+    def _start(self) -> None:
+        self._started = True
         self._process.start(sys.executable, ["-m", MODULE])
         surface = self._session.surface
         self._tell(Part(self._session.scene, None if surface is None else surface.sha256))
-
-    def ask(self) -> None:
-        """Ask for a review of the session as it stands."""
-        if self._running and not self._stopping:
-            self._tell(self._asked.change(self._session))
 
     @property
     def _running(self) -> bool:
         return self._process.state() is not QProcess.ProcessState.NotRunning
 
     def _tell(self, message: object) -> None:
-        self._process.write(packed(message))
+        if self._running:
+            self._process.write(packed(message))
 
     def release(self) -> None:
         """Ask the process to end, without waiting; this object goes when it has."""
@@ -107,3 +118,10 @@ class ReviewServer(QObject):
     def _error(self, error: QProcess.ProcessError) -> None:
         if error is QProcess.ProcessError.FailedToStart and not self._stopping:
             self._fail(f"What reviews the rig cannot be started: {self._process.errorString()}.")
+
+
+def _same(first: Snapshot, second: Snapshot) -> bool:
+    """Return whether two snapshots tell the same of what is reviewed."""
+    return first is second or all(
+        getattr(first, name) == getattr(second, name) for name in ("pokes", "dead", "at_landmarks", "landmarks", "corrections")
+    )

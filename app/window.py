@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from app.heard import Heard
     from app.opening import Part
     from skincal.files.reference import Reference
+    from skincal.session.review import Review
     from skincal.session.snapshot import Snapshot
 
 LOG = logging.getLogger(__name__)
@@ -85,6 +86,7 @@ class Window(QMainWindow):
             "pause": self.controller.toggle,
             "verdict": self._of_desk(lambda desk: desk.ask_verdict(self)),
             "another": self._of_desk(lambda desk: desk.skip_target()),
+            "correct": self._of_desk(lambda desk: desk.correct()),
             "no landmarks": self._of_desk(lambda desk: desk.skip_landmarks()),
             "undo": self._of_desk(lambda desk: desk.undo()),
             "exclude": self._of_desk(lambda desk: desk.exclude_or_restore()),
@@ -148,6 +150,7 @@ class Window(QMainWindow):
         controller.running_changed.connect(self._running_changed)
         controller.said.connect(self.tell)
         controller.truth_found.connect(self._take_truth)
+        controller.reviewed.connect(self._take_review)
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._set_colours)
         self._sound_found.connect(self._follow_sound)
@@ -190,6 +193,10 @@ class Window(QMainWindow):
     def _take_truth(self, truth: Reference) -> None:
         if self.desk is not None:
             self.desk.offer(truth)
+
+    def _take_review(self, review: Review) -> None:
+        if self.desk is not None:
+            self.desk.take_review(review)
 
     def _take_picture(self, picture: Picture) -> None:
         if self.desk is not None:

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QSplitter, QTabWid
 from app.display_units import ChannelNames
 from app.frame import Frame
 from app.opening import Part
-from app.panels.arm import ArmPanel
 from app.panels.compare import ComparePanel
 from app.panels.devices import DevicesPanel
 from app.panels.errors import ErrorsPanel
@@ -23,6 +22,7 @@ from app.panels.inspect import InspectPanel
 from app.panels.now import NowPanel
 from app.panels.pokes import PokesPanel
 from app.panels.readings import ReadingsPanel
+from app.panels.rig import RigPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.texts import ElidedLabel
 from app.policies import Now, Tone
@@ -40,7 +40,7 @@ RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
 
 
-_TABS = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel | ErrorsPanel | ArmPanel
+_TABS = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel | ErrorsPanel | RigPanel
 
 
 class Panel(Protocol):
@@ -76,7 +76,7 @@ class Workspace(QWidget):
         self.compare = ComparePanel(part, self.methods, names)
         self.devices = DevicesPanel()
         self.error_course = ErrorsPanel(self.methods, scene.skin.layout)
-        self.arm = None if scene.arm is None else ArmPanel(scene.arm)
+        self.rig = RigPanel(scene.arm)
         self.tabs = QTabWidget()
         self.right, self.across = QSplitter(Qt.Orientation.Vertical), QSplitter(Qt.Orientation.Horizontal)
         self._frame: Frame | None = None
@@ -118,8 +118,9 @@ class Workspace(QWidget):
             ("Compare", self.compare),
             ("Devices", self.devices),
             ("Errors", self.error_course),
+            ("Rig", self.rig),
         ]
-        return titled if self.arm is None else [*titled, ("Arm", self.arm)]
+        return titled
 
     def _map_card(self) -> QFrame:
         for method in self.methods:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from skincal.estimate.result import Method
+from skincal.estimate.rig_gain import Gain
 from skincal.guide.done import Need, Why
 from skincal.guide.landmarks import LandmarkWish
 from skincal.readings import FloatArray, IntArray
@@ -74,21 +75,24 @@ class Guidance:
     """s, and how long, at the pace of the last pokes; None while that is unknown."""
     landmark: LandmarkWish | None = None
     """The landmark that is asked for before the skin; None where none is."""
+    gain: Gain | None = None
+    """What the landmarks of this arm pose are worth; None where none is asked for, or where nobody knows."""
 
     @property
     def done(self) -> int:
         """How many taxels are done."""
         return sum(not each for each in self.needs)
 
-    def before_skin(self, wish: LandmarkWish, normal: FloatArray) -> Guidance:
+    def before_skin(self, wish: LandmarkWish, normal: FloatArray, gain: Gain | None) -> Guidance:
         """Return the guidance that asks for a landmark first.
 
         Parameters
         ----------
         normal : (3,) float, unit, outward there
+        gain : of all that are asked for in this arm pose
         """
         place = wish.landmark.place
         target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), wish.landmark.name)
-        left = self.pokes_left + wish.wanted - wish.done
+        left = self.pokes_left + wish.left
         pace = None if self.seconds_left is None else self.seconds_left / max(self.pokes_left, 1) * left
-        return replace(self, phase=Phase.LANDMARKS, target=target, landmark=wish, pokes_left=left, seconds_left=pace)
+        return replace(self, phase=Phase.LANDMARKS, target=target, landmark=wish, gain=gain, pokes_left=left, seconds_left=pace)

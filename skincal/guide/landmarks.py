@@ -34,6 +34,11 @@ class LandmarkWish:
     wanted: int
     """That many are asked for in it."""
 
+    @property
+    def left(self) -> int:
+        """How many more."""
+        return self.wanted - self.done
+
 
 class LandmarkRound:
     """Follows the landmark pokes of a session."""
@@ -43,6 +48,14 @@ class LandmarkRound:
         """Pose and name."""
         self._left_out = set[str]()
         """Poses in which none is asked for."""
+
+    def plan(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> list[LandmarkWish]:
+        """Return all that is asked for in an arm pose, in order; see `next`."""
+        every, wishes = list(poked), list[LandmarkWish]()
+        while (wish := self.next(landmarks, every, pose)) is not None:
+            wishes.append(wish)
+            every.append((pose, wish.landmark.name))
+        return wishes
 
     def next(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> LandmarkWish | None:
         """Return what to poke; None where there is nothing to ask for.

@@ -23,6 +23,7 @@ from skincal.readings import FloatArray, IntArray
 from skincal.scene import Landmark, Scene
 from skincal.session.known_points import poke_at
 from skincal.session.session import Session, methods_of
+from skincal.wrench import axis_point, move_wrench
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
@@ -36,6 +37,8 @@ class Review:
     """Of what was asked."""
     pokes: tuple[LandmarkPoke, ...]
     """Those at landmarks that count, in the right frame."""
+    told: Mapping[int, float]
+    """m: of each, by its number, how far its axis passes the landmark as the rig tells."""
     frame: FrameDiagnosis | None
     """What the sensor's frame looks like; None from too few pokes."""
     rig: RigAnswer
@@ -137,6 +140,7 @@ class Reviewer:
         return Review(
             generation=newest.generation,
             pokes=tuple(pokes),
+            told={one.poke: _passes(one) for one in pokes},
             frame=frame,
             rig=rig,
             channels=np.array(newest.channels, dtype=np.int64),
@@ -159,3 +163,9 @@ def _at_landmarks(
 ) -> list[LandmarkPoke]:
     found = [poke_at(one, landmarks[named[one.poke]]) for one in outcomes if one.poke in named and named[one.poke] in landmarks]
     return [one for one in found if one is not None]
+
+
+def _passes(poke: LandmarkPoke) -> float:
+    """Return how far a poke's axis passes its landmark, metres."""
+    force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+    return float(np.linalg.norm(np.cross(poke.place - axis_point(force, moment), force / np.linalg.norm(force))))

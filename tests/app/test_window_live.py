@@ -213,7 +213,7 @@ def test_an_arm_pose_is_chosen_by_hand_where_no_joints_stream(bench, recorded):
     bench.open(Plan(session=recorded))
     workspace = bench.window.desk.workspace
     bench.key(Qt.Key.Key_7)
-    arm = workspace.arm
+    arm = workspace.rig.arm
     assert arm is not None
     arm.pose_requested.emit("3")
     assert bench.snapshot.pose == "3"

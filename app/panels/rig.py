@@ -1,0 +1,156 @@
+"""The rig: the arm's pose, the known points of the part, and what they tell of the sensor and the arm."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QPushButton,
+    QScrollArea,
+    QTreeWidget,
+    QTreeWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.frame import Frame
+from app.guide_words import gain_words, landmark_words
+from app.panels.arm import ArmPanel
+from app.panels.texts import on_panel, put, quiet
+from app.rig_offers import Offer, landmark_rows, review_words
+from app.theme import GAP
+from skincal.guide.guidance import Guidance
+from skincal.scene import ArmSpec
+
+HEADINGS = ("Known point", "Here", "All", "Off by")
+_HINTS = (
+    "A landmark of the scene, or one that was added; a diamond in the 3D view",
+    "Pokes at it in the present arm pose",
+    "Pokes at it in all arm poses",
+    "How far their axes pass it, as the rig tells and under the correction that was found",
+)
+NO_POINTS = "No known points: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
+NOT_YET = "Poke known points: three tell whether the sensor's frame is right, six or more correct the rig."
+
+
+class RigPanel(QScrollArea):
+    """What is known of the rig, and what could put it right."""
+
+    correct_requested = Signal(object)
+    """`Correct`."""
+    uncorrect_requested = Signal(str)
+    """What is to be corrected no more."""
+
+    def __init__(self, arm: ArmSpec | None, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._shown: tuple[object, ...] = ()
+        self._offer: Offer | None = None
+        self._used = ""
+        self.arm = None if arm is None else ArmPanel(arm)
+        self.points = _list()
+        self.asked = quiet(wrap=True)
+        self.said = quiet(wrap=True)
+        self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.offer = QPushButton()
+        self.drop = QPushButton()
+        self._arrange()
+        self.offer.clicked.connect(self._offer_taken)
+        self.drop.clicked.connect(lambda: self.uncorrect_requested.emit(self._used))
+        self.setWhatsThis(
+            "Pokes at known points tell what is wrong with the rig: the sensor's frame, its matrix, the arm's poses. What is "
+            "found is only offered; what is used can be taken back. One such poke in four is held out, and a correction of "
+            "the rig is offered only if it meets these better."
+        )
+
+    def _arrange(self) -> None:
+        inner = on_panel(self)
+        column = QVBoxLayout(inner)
+        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        if self.arm is not None:
+            column.addWidget(self.arm, 1)
+        column.addWidget(self.points, 1)
+        column.addWidget(self.asked)
+        column.addWidget(self.said)
+        row = QHBoxLayout()
+        row.addWidget(self.offer)
+        row.addWidget(self.drop)
+        row.addStretch(1)
+        column.addLayout(row)
+        self.offer.hide()
+        self.drop.hide()
+        self.setWidget(inner)
+
+    def show_frame(self, frame: Frame) -> None:
+        """Show the rig of a frame; nothing happens where it is the same."""
+        if self.arm is not None:
+            self.arm.show_frame(frame)
+        snapshot, guidance = frame.snapshot, frame.guidance
+        shown = (frame.revision, snapshot.pose, snapshot.landmarks, frame.review, frame.offers, guidance, frame.method)
+        if len(shown) == len(self._shown) and all(one is other for one, other in zip(shown, self._shown, strict=True)):
+            return
+        self._shown = shown
+        self._list_points(frame)
+        asked = (
+            ()
+            if guidance is None or guidance.landmark is None
+            else (landmark_words(guidance.landmark), gain_words(guidance.gain))
+        )
+        put(self.asked, "; ".join(filter(None, asked)))
+        self.asked.setVisible(bool(self.asked.text()))
+        put(self.said, self._words(frame))
+        self._offer = frame.offers[0] if frame.offers else None
+        self._used = next(reversed(tuple(frame.snapshot.corrections)), "")
+        offer = "" if self._offer is None else f"{self._offer.text}  (C)"
+        for button, text in ((self.offer, offer), (self.drop, "Use as told" if self._used else "")):
+            button.setVisible(bool(text))
+            if button.text() != text:
+                button.setText(text)
+
+    def _list_points(self, frame: Frame) -> None:
+        rows = landmark_rows(frame.snapshot, frame.review)
+        self.points.setVisible(bool(rows))
+        while self.points.topLevelItemCount() > len(rows):
+            self.points.takeTopLevelItem(self.points.topLevelItemCount() - 1)
+        asked = "" if frame.target is None else frame.target.landmark
+        for index, row in enumerate(rows):
+            item = self.points.topLevelItem(index) or QTreeWidgetItem(self.points)
+            mark = "\N{BLACK RIGHT-POINTING TRIANGLE} " if row.name == asked else ""
+            for column, text in enumerate((mark + row.name, str(row.here), str(row.every), row.off)):
+                if item.text(column) != text:
+                    item.setText(column, text)
+
+    def _offer_taken(self) -> None:
+        if self._offer is not None:
+            self.correct_requested.emit(self._offer.action)
+
+
+def _asked_words(guidance: Guidance | None) -> str:
+    if guidance is None or guidance.landmark is None:
+        return ""
+    return "; ".join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
+
+
+def _words(frame: Frame) -> str:
+    if not frame.snapshot.landmarks:
+        return NO_POINTS
+    if frame.review is None:
+        return NOT_YET
+    return "\n".join(review_words(frame.review, frame.snapshot, frame.method, frame.estimates))
+
+
+def _list() -> QTreeWidget:
+    points = QTreeWidget()
+    points.setAccessibleName("known points")
+    points.setHeaderLabels(list(HEADINGS))
+    points.setRootIsDecorated(False)
+    points.setUniformRowHeights(True)
+    points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+    points.setMinimumHeight(110)
+    points.header().setStretchLastSection(False)
+    points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+    points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+    for column, hint in enumerate(_HINTS):
+        points.headerItem().setToolTip(column, hint)
+    return points
