@@ -67,7 +67,7 @@ def module_cells(one: ModuleDifference, number_of: int, taxels: int, spacing: fl
     taxels : that it has
     spacing : of its neighbours over the layout's; NaN where unknown
     """
-    some = "" if one.known == taxels else f"  ({one.known} of {taxels})"
+    some = "" if one.known == taxels else f"  {one.known}/{taxels}"
     lengths = (one.mean, one.shift, one.shape)
     return (f"{number_of}{some}", *(millimetres(length) for length in lengths), number(spacing, 2))
 

@@ -142,7 +142,7 @@ def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
     cells = module_cells(ModuleDifference(0, 12, 0.0021, 0.002, 0.0005), 17, 12, 0.934)
     assert cells == ("17", "2.1 mm", "2.0 mm", "0.5 mm", "0.93")
     cells = module_cells(ModuleDifference(0, 2, 0.0021, 0.002, None), 17, 12, float("nan"))
-    assert cells == ("17  (2 of 12)", "2.1 mm", "2.0 mm", "\N{EN DASH}", "\N{EN DASH}")
+    assert cells == ("17  2/12", "2.1 mm", "2.0 mm", "\N{EN DASH}", "\N{EN DASH}")
 
 
 def test_of_too_many_modules_the_worst_are_listed():
