@@ -52,8 +52,8 @@ def sources_of(methods: Sequence[Method], review: Review | None, *, laid: bool) 
     found = [LAYOUT] if laid else []
     found += [Source(Origin.METHOD, method) for method in methods]
     if review is not None:
-        found += [Source(Origin.BEFORE, method) for method in methods if method in review.before]
-        found += [Source(Origin.AFTER, method) for method in methods if method in review.after]
+        reviewed = [method for method in methods if method in review.before or method in review.after]
+        found += [Source(origin, method) for origin in (Origin.BEFORE, Origin.AFTER) for method in reviewed]
     return tuple(found)
 
 
@@ -89,21 +89,21 @@ class Places:
         """Return the places of a source in a frame, (n, 3) float, metres, link frame; NaN where unknown."""
         if source.method is None:
             return self._unknown() if self._laid is None else self._laid
-        told = frame.snapshot.estimates.get(source.method, ()) if source.origin is Origin.METHOD else frame.review
+        review = frame.review
+        reviewed = None if review is None else _reviewed(source, source.method, review)
+        told = frame.snapshot.estimates.get(source.method, ()) if reviewed is None else reviewed
         kept, places = self._kept.get(source, (None, None))
         if kept is not told or places is None:
-            places = self._worked_out(source, source.method, frame)
+            if review is None or reviewed is None:
+                places = self._worked_out(source.method, frame)
+            else:
+                places = self._in_order(review.channels, reviewed)
             self._kept[source] = told, places
         return places
 
-    def _worked_out(self, source: Source, method: Method, frame: Frame) -> FloatArray:
-        if source.origin is Origin.METHOD:
-            estimates = frame.snapshot.estimates.get(method, ())
-            return places_of(estimates) if len(estimates) == len(self.channels) else self._unknown()
-        if frame.review is None:
-            return self._unknown()
-        found = (frame.review.before if source.origin is Origin.BEFORE else frame.review.after).get(method)
-        return self._unknown() if found is None else self._in_order(frame.review.channels, found)
+    def _worked_out(self, method: Method, frame: Frame) -> FloatArray:
+        estimates = frame.snapshot.estimates.get(method, ())
+        return places_of(estimates) if len(estimates) == len(self.channels) else self._unknown()
 
     def _in_order(self, channels: IntArray, found: FloatArray) -> FloatArray:
         places = self._unknown()
@@ -116,3 +116,13 @@ class Places:
 
     def _unknown(self) -> FloatArray:
         return np.full((len(self.channels), 3), np.nan)
+
+
+def _reviewed(source: Source, method: Method, review: Review) -> FloatArray | None:
+    """Return the places that a review holds of a source; None where the session's own estimates are these.
+
+    While a correction is in use the session's estimates are those after it, else those before it; the review holds the others.
+    """
+    if source.origin is Origin.METHOD:
+        return None
+    return (review.before if source.origin is Origin.BEFORE else review.after).get(method)

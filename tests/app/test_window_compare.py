@@ -83,7 +83,7 @@ def at(free: dict, surface: dict | None = None, generation: int = 1, **changes):
 
 def review(before: dict, after: dict, channels=CHANNELS) -> Review:
     answer = RigAnswer(None, False, float("nan"), float("nan"), {}, {}, np.empty(0), np.empty(0))
-    return Review(None, answer, channels, before, after)
+    return Review(1, (), None, answer, channels, before, after)
 
 
 # What there is
@@ -94,10 +94,9 @@ def test_every_set_that_there_is_can_be_chosen():
     assert sources_of(both, None, laid=True) == (LAYOUT, SURFACE, FREE)
     assert sources_of(both, None, laid=False) == (SURFACE, FREE)
     places = np.zeros((24, 3))
-    found = sources_of(both, review({Method.FREE: places}, {}), laid=False)
-    assert found == (SURFACE, FREE, Source(Origin.BEFORE, Method.FREE))
-    found = sources_of(both, review({Method.FREE: places}, {Method.FREE: places}), laid=False)
-    assert [source_words(one) for one in found[2:]] == ["Free before correction", "Free after correction"]
+    for told in (review({Method.FREE: places}, {}), review({}, {Method.FREE: places})):
+        found = sources_of(both, told, laid=False)
+        assert [source_words(one) for one in found[2:]] == ["Free before correction", "Free after correction"]
     assert [source_words(one) for one in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
 
 
@@ -118,14 +117,18 @@ def test_places_stand_in_the_order_of_the_channels_and_are_worked_out_once():
     np.testing.assert_array_equal(places.find(LAYOUT, moment), laid(PLAN).places)
 
 
-def test_places_of_a_review_are_found_by_their_channels():
+def test_a_review_holds_one_side_of_a_correction_and_the_session_the_other():
     before = np.arange(6.0).reshape(2, 3)
-    told = review({Method.FREE: before}, {}, np.array([7, 9]))
-    places = Places(CHANNELS, None)
-    found = places.find(Source(Origin.BEFORE, Method.FREE), replace(at({}), review=told))
+    used = review({Method.FREE: before}, {}, np.array([7, 9]))
+    places, moment = Places(CHANNELS, None), at(known((0.0, 0.0, 0.001)))
+    first, second = (Source(origin, Method.FREE) for origin in (Origin.BEFORE, Origin.AFTER))
+    found = places.find(first, replace(moment, review=used))
     np.testing.assert_array_equal(found[[7, 9]], before)
     assert np.isnan(np.delete(found, [7, 9], axis=0)).all()
-    assert np.isnan(places.find(Source(Origin.AFTER, Method.FREE), replace(at({}), review=told))).all()
+    np.testing.assert_allclose(places.find(second, replace(moment, review=used)), beside(0.0, 0.0, 0.001))
+    offered = review({}, {Method.FREE: before}, np.array([7, 9]))
+    np.testing.assert_allclose(places.find(first, replace(moment, review=offered)), beside(0.0, 0.0, 0.001))
+    np.testing.assert_array_equal(places.find(second, replace(moment, review=offered))[[7, 9]], before)
 
 
 # What is said
@@ -424,7 +427,6 @@ def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_s
     view.set_comparison(comparison((0.004, 0.0, -0.01)))
     seen = tinted(picture(view), DARK_LOOK, Tint.TO)
     assert seen > 400
-    view._stage.turner = None
     view.orbit(0.0, -179.0)
     assert tinted(picture(view), DARK_LOOK, Tint.TO) < 0.1 * seen
 
