@@ -227,8 +227,6 @@ class Desk(QObject):
         running = self._controller.running
         links, taxel = frame.live.links, self.selected
         self._allowed = allowed(frame.snapshot, frame.scene, links, running, pokes, taxel, frame.guidance, frame.offers)
-            frame.snapshot, frame.scene, frame.live.links, running, pokes, self.selected, frame.guidance, frame.offers
-        )
         self._commands.follow(self._allowed, can_keep=self._controller.can_keep)
 
     def set_colours(self, colours: Colours) -> None:

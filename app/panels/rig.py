@@ -99,7 +99,7 @@ class RigPanel(QScrollArea):
         )
         put(self.asked, "; ".join(filter(None, asked)))
         self.asked.setVisible(bool(self.asked.text()))
-        put(self.said, self._words(frame))
+        put(self.said, _words(frame))
         self._offer = frame.offers[0] if frame.offers else None
         self._used = next(reversed(tuple(frame.snapshot.corrections)), "")
         offer = "" if self._offer is None else f"{self._offer.text}  (C)"
