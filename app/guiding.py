@@ -8,6 +8,7 @@ from app.landmark_round import Landmarks
 from app.opening import Part
 from app.scene3d.entry import skin_point
 from skincal.contacts.outcome import Contact, Progress, Rejection
+from skincal.estimate.boards import Boards
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.result import Estimate, Method, State
 from skincal.guide.coach import Coaching, Smoothed, coach, smooth
@@ -34,6 +35,8 @@ class Guiding:
         self._cover = part.cover
         self._plan = plan_of(part)
         self.landmarks = Landmarks(part, self._plan)
+        layout = part.scene.skin.layout
+        self._boards = None if layout is None else Boards(layout, part.scene.skin.anchor, part.surface)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
@@ -87,7 +90,8 @@ class Guiding:
         evidence : what the contacts of this snapshot say of some channels
         """
         estimates, noise = snapshot.estimates[guidance.method], self._scene.noise
-        return verdict_of(guidance, estimates, _contacts(snapshot), evidence, noise, self._surface, GuideSettings())
+        contacts, settings = _contacts(snapshot), GuideSettings()
+        return verdict_of(guidance, estimates, contacts, evidence, noise, self._surface, settings, self._boards)
 
     def coach(self, progress: Progress) -> Coaching | None:
         """Return the poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""

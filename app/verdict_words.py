@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from app.display_units import count, millimetres, minutes
 from app.words import METHOD_NAMES
-from skincal.estimate.result import Method
 from skincal.guide.done import Why
 from skincal.guide.verdict import Left, Verdict
 
@@ -41,8 +40,6 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 def check_words(verdict: Verdict) -> str:
     """Return how many held-out pokes fell where they were foretold, and what it means where these are too few."""
     check = verdict.check
-    if verdict.method is Method.MODULES:
-        return "held-out pokes check the free and the surface method"
     if not check.checked:
         return "no poke could be held out yet"
     words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others foretold"

@@ -5,6 +5,9 @@ it most is solved without it; the poke's axis passes it at r = E (p - a), two nu
 E S E' + D, with S that of the taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a
 chi-squared of two degrees of freedom, at most 5.99 in 95 of 100 pokes.
 
+By the modules method the module that the poke touched is solved without it (`estimate/board_check.py`), and the axis passes the
+middle of the pads that answered; the rest is the same.
+
 That tells errors of which the prediction knows nothing: a wrong frame, a slipped sensor, a part that moved. It does not tell
 what shifts all pokes alike.
 """
@@ -19,9 +22,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.estimate.board_check import foretold_squares
+from skincal.estimate.board_fit import fit_boards
+from skincal.estimate.board_start import start_of
+from skincal.estimate.boards import Boards, joined
 from skincal.estimate.evidence import Evidence
-from skincal.estimate.result import SD_MAX, Method
+from skincal.estimate.result import MISS_MAX, SD_MAX, Estimate, Method
 from skincal.estimate.solution import Solution, solve
+from skincal.estimate.touches import find_touches
 from skincal.guide.knowledge import offset_square, row_precision
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
@@ -79,8 +87,10 @@ def check(
     method: Method,
     noise: NoiseSettings,
     surface: Surface | None,
+    boards: Boards | None = None,
+    estimates: Sequence[Estimate] = (),
 ) -> Check:
-    """Foretell every sixth contact from the others; none by the modules method, whose boards are not solved without a poke.
+    """Foretell every sixth contact from the others.
 
     Parameters
     ----------
@@ -88,9 +98,11 @@ def check(
     channels : taxels that are used
     evidence : gives what the contacts say of some channels
     surface : needed by the surface method
+    boards : needed by the modules method; without them nothing is foretold by it
+    estimates : of the modules method, where the search for its boards begins
     """
     if method is Method.MODULES:
-        return Check(0, 0)
+        return Check(0, 0) if boards is None else _check_modules(contacts, channels, evidence, noise, boards, estimates)
     used = set(channels)
     pairs = [(poke, channel) for poke, channel in held_out(contacts) if channel in used]
     told = evidence(sorted({channel for _, channel in pairs}))
@@ -100,8 +112,38 @@ def check(
     others = _joined(told, [others for _, others in cuts])
     solution = solve(others, [method], noise, surface)
     distances = _distances(told, np.array([out for out, _ in cuts]), solution, method, noise)
-    known = np.isfinite(distances)
-    return Check(int(known.sum()), int((distances[known] <= INSIDE).sum()))
+    return _counted(distances)
+
+
+def _counted(squares: FloatArray) -> Check:
+    """Return how many of squared distances are known, and at most `INSIDE`."""
+    known = np.isfinite(squares)
+    return Check(int(known.sum()), int((squares[known] <= INSIDE).sum()))
+
+
+def _check_modules(
+    contacts: Sequence[Contact],
+    channels: Collection[int],
+    evidence: Callable[[Collection[int]], Evidence],
+    noise: NoiseSettings,
+    boards: Boards,
+    estimates: Sequence[Estimate],
+) -> Check:
+    """Foretell every sixth contact from the others of its module."""
+    width, module_of = boards.layout.width, boards.layout.module_of
+    told = evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
+    by_channel = {one.channel: one for one in estimates}
+    begun = {module: start_of(boards, module, [by_channel]) for module in boards.modules_of(told.channels.tolist())}
+    ready = {module: start for module, start in begun.items() if start is not None}
+    weights = {one.poke: float(one.responses.sum() / one.responses.max()) for one in contacts}
+    totals = np.array([weights[poke] for poke in told.pokes.tolist()])
+    touches = find_touches(told, totals, boards, noise, ready)
+    if not len(touches.boards):
+        return Check(0, 0)
+    fitted = fit_boards(touches, boards, joined([ready[module] for module in touches.boards.tolist()]), noise)
+    out = [poke for poke, _ in held_out(contacts)]
+    at = np.flatnonzero(np.isin(told.pokes[touches.rows], out) & (fitted.misses[touches.of] <= MISS_MAX))
+    return _counted(foretold_squares(touches, fitted, noise, at))
 
 
 def _cuts(told: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.estimate.boards import Boards
 from skincal.estimate.evidence import Evidence
 from skincal.estimate.result import Estimate, Method, State
 from skincal.guide.check import Check, check
@@ -61,6 +62,7 @@ def verdict_of(
     noise: NoiseSettings,
     surface: Surface | None,
     settings: GuideSettings,
+    boards: Boards | None = None,
 ) -> Verdict:
     """Return what a session has come to.
 
@@ -71,6 +73,7 @@ def verdict_of(
     contacts : those that count, by the number of their poke
     evidence : gives what the contacts say of some channels
     surface : needed by the surface method
+    boards : needed by the modules method, whose errors are not checked without
     """
     state = {one.channel: one.state for one in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
@@ -83,7 +86,7 @@ def verdict_of(
         done=len(used) - sum(one.why is not Why.DEAD for one in left),
         used=len(used),
         left=left,
-        check=check(ordered, used, evidence, guidance.method, noise, surface),
+        check=check(ordered, used, evidence, guidance.method, noise, surface, boards, estimates),
         pokes=len(contacts),
         seconds=worked(*(np.array([getattr(one, name) for one in ordered]) for name in ("start_s", "end_s"))),
     )

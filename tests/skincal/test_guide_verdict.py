@@ -1,5 +1,6 @@
 """When a taxel is given up, whether predicted errors are believed, and how a session ends."""
 
+import time
 from dataclasses import replace
 from functools import cache
 from itertools import accumulate
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from skincal.estimate.boards import Boards
 from skincal.estimate.ledger import Ledger
 from skincal.estimate.result import Estimate, Method, State
 from skincal.estimate.solve import estimate_taxels
@@ -62,17 +64,19 @@ def poked_session(pokes=240, seed=1, conditions=None):
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
     rig = part().rig(conditions, seed)
     contacts, _ = poked(part(), rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
-    session = Session(part().scene, part().surface, (Method.FREE, Method.SURFACE))
+    session = Session(part().scene, part().surface)
     for contact in contacts:
         session.add(contact)
     session.snapshot()
     return session, rig
 
 
-def checked(method=Method.FREE, surface=None, **which):
+def checked(method=Method.FREE, surface=None, noise=None, **which):
     session, _ = poked_session(**which)
-    surface = surface or part().surface
-    return check(session.contacts, session.channels, session.evidence, method, part().scene.noise, surface)
+    surface, noise = surface or part().surface, noise or part().scene.noise
+    boards = Boards(part().scene.skin.layout, part().scene.skin.anchor, surface)
+    estimates = session.snapshot().estimates[method]
+    return check(session.contacts, session.channels, session.evidence, method, noise, surface, boards, estimates)
 
 
 def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
@@ -114,13 +118,22 @@ def test_it_is_foretold_by_what_all_the_other_pokes_say_and_nothing_else(method)
     assert (found.checked, found.inside) == (count, inside)
 
 
-@pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
+@pytest.mark.parametrize("method", list(Method))
 def test_what_is_predicted_truly_is_believed(method):
-    checks = [checked(method, seed=seed) for seed in (1, 2, 3)]
+    checks = [checked(method, seed=seed) for seed in (1, 2, 3, 4)]
     total, inside = sum(one.checked for one in checks), sum(one.inside for one in checks)
     assert total >= 100
     assert 0.90 <= inside / total <= 0.99
     assert all(one.believed for one in checks)
+
+
+def test_noise_that_is_told_a_third_of_what_it_is_is_not_believed():
+    noise = part().scene.noise
+    third = replace(noise, force=noise.force / 3, moment=noise.moment / 3, contact=noise.contact / 3)
+    for seed in (1, 2):
+        found = checked(Method.MODULES, noise=third, seed=seed)
+        assert found.inside < 0.6 * found.checked
+        assert not found.believed
 
 
 def test_a_surface_that_is_not_the_parts_is_not_believed():
@@ -130,7 +143,8 @@ def test_a_surface_that_is_not_the_parts_is_not_believed():
     assert not checked(Method.SURFACE, surface=moved).believed
 
 
-def test_an_arm_that_tells_a_wrong_pose_is_not_believed():
+@pytest.mark.parametrize("method", [Method.FREE, Method.MODULES])
+def test_an_arm_that_tells_a_wrong_pose_is_not_believed(method):
     """Half of the pokes are moved by 12 mm: what each half says is of one piece, both together are not."""
     session, _ = poked_session()
     shift = np.eye(4)
@@ -139,12 +153,26 @@ def test_an_arm_that_tells_a_wrong_pose_is_not_believed():
     for one in session.contacts:
         moved.add(replace(one, link_from_sensor=shift @ one.link_from_sensor) if one.poke % 2 else one)
     moved.snapshot()
-    found = check(moved.contacts, moved.channels, moved.evidence, Method.FREE, part().scene.noise, None)
+    estimates, noise = moved.snapshot().estimates[method], part().scene.noise
+    found = check(moved.contacts, moved.channels, moved.evidence, method, noise, None, moved.boards, estimates)
     assert not found.believed
 
 
-def test_the_modules_method_is_not_checked_by_another():
-    assert checked(Method.MODULES) == Check(0, 0)
+def test_modules_are_checked_within_what_a_dialog_may_take():
+    poked_session(600)
+    begin = time.process_time()
+    assert checked(Method.MODULES, pokes=600).checked >= 90
+    assert time.process_time() - begin < 0.3
+
+
+def test_without_boards_modules_are_not_checked():
+    session, _ = poked_session()
+    args = session.contacts, session.channels, session.evidence, Method.MODULES, part().scene.noise
+    assert check(*args, part().surface) == Check(0, 0)
+    assert check([], *args[1:2], Session(part().scene, None).evidence, *args[3:], None, session.boards) == Check(0, 0)
+
+
+def test_a_few_pokes_that_agree_tell_nothing():
     assert not Check(0, 0).tells
     assert Check(12, 12).tells
 
@@ -198,6 +226,9 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
     guidance = guide.update(contacts, snapshot.estimates, mine.evidence)
     estimates = snapshot.estimates[Method.FREE]
     verdict = verdict_of(guidance, estimates, contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
+    by_modules = replace(guidance, method=Method.MODULES)
+    told = (snapshot.estimates[Method.MODULES], contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
+    assert verdict_of(by_modules, *told, mine.boards).check.tells
     assert verdict.used == 83
     assert verdict.pokes == len(contacts)
     assert {one.channel: one.why for one in verdict.left}[dead] is Why.DEAD
