@@ -2,8 +2,9 @@
 
 Table I's seven arm poses are poked for their minutes on the simulated forearm with the rig errors of `RigErrors.paper()`, each
 seed another rig. Each pose alone (the paper's figure 4), the poses averaged one after another (figure 5), all pokes pooled, and
-pooled with 21 and 70 landmark pokes. Beside it a rig that is only noisy, and what a correction does where one of the landmark
-pokes is wrong. All of it is seeded; trials run side by side, and their numbers do not depend on it.
+pooled with 21 and 70 landmark pokes; and how the error falls with pokes and with the processor's time. Beside it a rig that is
+only noisy, and what a correction does where one of the landmark pokes is wrong. All of it but the times is seeded; trials run
+side by side, and their numbers do not depend on it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skincal.estimate.result import Method
+from skincal.studies.paper_course import NAMES as COURSES
+from skincal.studies.paper_course import Course, errors_of, run_course, times_of
 from skincal.studies.paper_trials import LANDMARKS, MINUTES, Good, Safety, Spread, Trial, run_good, run_safety, run_trial
 
 if TYPE_CHECKING:
@@ -54,10 +57,16 @@ class Sizes:
     good: int = 20
     counts: tuple[int, ...] = (14, 28, 42, 84, 126, 168, 252, 504, 1008)
     """Pokes of the good rig."""
+    courses: int = 20
+    """Rigs with the paper's errors that are followed from poke to poke."""
+    steps: tuple[int, ...] = (14, 28, 84, 168, 336, 672)
+    """Pokes after which these are looked at, and after all."""
+    timed: tuple[int, int] = (3, 10_000)
+    """How many of them are timed, and for how many pokes."""
 
 
 FULL = Sizes()
-QUICK = Sizes(seeds=10, safety=8, good=4, counts=(28, 84, 252))
+QUICK = Sizes(seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168), timed=(1, 168))
 
 
 def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None) -> dict[str, Any]:
@@ -66,7 +75,9 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
     Returns
     -------
     JSON: `mean_mm` (pooled, mean over taxels and seeds, of each method, and of modules with 21 and 70 landmark pokes),
-    `good_rig_mm`, `per_pose_mm`, `averaged_mm`, `landmarks`, `safety`, `course_mm`, `runtime_ms`, `published`, `bars`
+    `good_rig_mm`, `per_pose_mm`, `averaged_mm`, `landmarks`, `safety`, `course_mm` (the good rig after so many pokes),
+    `bad_course_mm` and `bad_course_ms` (the paper's rig after so many, and the processor's time until then), `runtime_ms`,
+    `published`, `bars`
     """
     sizes = sizes or (QUICK if quick else FULL)
     context = multiprocessing.get_context("spawn")
@@ -79,6 +90,8 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
         progress(f"good rig, {len(goods)} seeds")
         safeties = list(pool.map(run_safety, range(1, sizes.safety + 1)))
         progress(f"corrections tried on {len(safeties)} more rigs")
+        courses = [work.result() for work in _courses(pool, sizes)]
+        progress(f"{len(courses)} rigs followed from poke to poke")
     result = {
         "study": "paper",
         "quick": quick,
@@ -91,6 +104,8 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
         "averaged_mm": _averaged(trials),
         "landmarks": [_landmarks(trials, index) for index in range(len(LANDMARKS))],
         "course_mm": _course(goods),
+        "bad_course_mm": errors_of(courses),
+        "bad_course_ms": times_of(courses),
         "runtime_ms": _runtimes(trials),
         "safety": _safety(safeties),
         "no_error": {
@@ -102,6 +117,15 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
         "published": PUBLISHED,
     }
     return {**result, "bars": _bars(result, trials)}
+
+
+def _courses(pool: ProcessPoolExecutor, sizes: Sizes) -> list[Future[Course]]:
+    """Begin to follow rigs from poke to poke."""
+    rigs, pokes = sizes.timed
+    return [
+        pool.submit(run_course, seed, sizes.steps, sizes.share, pokes if seed <= rigs else 0)
+        for seed in range(1, sizes.courses + 1)
+    ]
 
 
 def _told(trial: Trial) -> str:
@@ -244,6 +268,7 @@ def summary(result: dict[str, Any]) -> list[str]:
             f"{one['held_out_after_mm']:.1f} mm, {one['correction_ms']:.0f} ms; "
             + ", ".join(f"{name} {value:.2f} mm" for name, value in one["mean_mm"].items())
         )
+    lines.append(_course_line(result))
     safety = result["safety"]
     lines.append(
         f"{safety['seeds']} more rigs, 21 landmark pokes: {safety['before_mm']:.1f} -> {safety['after_mm']:.2f} mm, "
@@ -253,6 +278,14 @@ def summary(result: dict[str, Any]) -> list[str]:
         holds = "holds" if bar["holds"] else "DOES NOT HOLD"
         lines.append(f"{name}: {bar['value']:.3g}, bar {bar['sign']} {bar['limit']:g}: {holds}")
     return lines
+
+
+def _course_line(result: dict[str, Any]) -> str:
+    """Return the errors and processor times after the last poke that is timed."""
+    errors, times = result["bad_course_mm"], result["bad_course_ms"]
+    last = max(i for i, value in enumerate(times["free"]) if value is not None)
+    found = (f"{name} {errors[name][last]:.2f} mm in {times[name][last] / 1e3:.2f} s" for name in COURSES)
+    return f"each of {errors['pokes'][last]} pokes solved as it came, of all poses: " + ", ".join(found)
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:

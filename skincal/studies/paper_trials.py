@@ -158,12 +158,23 @@ class Trial:
     """s of processor time, of a solve of all contacts, by method."""
 
 
-def run_trial(seed: int, share: float = 1.0) -> Trial:
-    """Poke a rig with the paper's errors for `share` of the paper's minutes."""
+def paper_session(seed: int, share: float) -> tuple[Rig, dict[str, list[Contact]], np.random.Generator]:
+    """Return a rig with the paper's errors, its contacts in each arm pose, and what its landmark pokes are drawn from.
+
+    Parameters
+    ----------
+    share : of the paper's minutes
+    """
     scene, surface, _ = part()
     rng = np.random.default_rng([seed, 2011])
     rig = Rig(scene, surface, RigErrors.paper(), np.random.default_rng([seed, 11]))
-    of_pose = session(rig, {pose: share * minutes for pose, minutes in MINUTES.items()}, rng)
+    return rig, session(rig, {pose: share * minutes for pose, minutes in MINUTES.items()}, rng), rng
+
+
+def run_trial(seed: int, share: float = 1.0) -> Trial:
+    """Poke a rig with the paper's errors for `share` of the paper's minutes."""
+    scene, _, _ = part()
+    rig, of_pose, rng = paper_session(seed, share)
     places = {pose: solved(contacts, rig) for pose, contacts in of_pose.items()}
     every = [contact for contacts in of_pose.values() for contact in contacts]
     pooled, seconds = dict[str, Spread](), dict[str, float]()

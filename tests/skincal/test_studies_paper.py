@@ -10,9 +10,10 @@ import pytest
 from skincal.studies import paper
 from skincal.studies.figure import write_figure
 from skincal.studies.paper import QUICK
+from skincal.studies.paper_course import run_course
 from skincal.studies.paper_trials import MINUTES, Spread, run_good, run_trial
 
-TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252))
+TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84))
 
 
 @cache
@@ -30,7 +31,7 @@ def test_it_gives_what_is_asked_of_it():
     assert all(list(poses) == list(MINUTES) for poses in found["per_pose_mm"].values())
     assert all(len(course) == 7 for course in found["averaged_mm"].values())
     assert [one["landmark_pokes"] for one in found["landmarks"]] == [21, 70]
-    assert len(said) == 2 + 2
+    assert len(said) == 2 + 3
     assert sum("bar" in line for line in paper.summary(found)) == len(found["bars"])
 
 
@@ -45,6 +46,29 @@ def test_landmarks_help_and_modules_do():
     assert found["mean_mm"]["modules_21"] < 0.5 * found["mean_mm"]["modules"]
     assert found["good_rig_mm"]["modules"] < 0.5 * found["good_rig_mm"]["surface"]
     assert all(one["held_out_after_mm"] < one["held_out_before_mm"] for one in found["landmarks"])
+
+
+def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
+    found, _ = result()
+    course, times = found["bad_course_mm"], found["bad_course_ms"]
+    assert course["pokes"] == [28, 84, found["pokes"]]
+    for name in ("free", "surface", "modules", "modules_21"):
+        assert course[name][-1] == pytest.approx(found["mean_mm"][name], abs=1e-6)
+    assert course["modules_21"][-1] < course["modules_21"][0]
+    assert course["modules_21"][-1] < 0.5 * course["modules"][-1], "pokes on the skin do not tell what landmarks do"
+    assert (course["rigs"], times["rigs"]) == (2, 1)
+    for name in ("free", "surface", "modules", "modules_21"):
+        assert times[name][2] is None, "only 84 pokes are timed"
+        assert 0 < times[name][0] < times[name][1]
+    assert times["free"][1] < times["modules"][1] < times["modules_21"][1]
+    assert any("84 pokes solved as it came" in line for line in paper.summary(found))
+
+
+def test_a_course_is_the_same_again_but_for_its_times():
+    first, again = (run_course(1, (28,), 0.1, timed) for timed in (0, 28))
+    assert first.errors == again.errors
+    assert np.isnan(first.seconds["free"]).all()
+    assert again.seconds["free"][0] > 0
 
 
 def test_a_trial_is_the_same_again_and_another_seed_is_another_rig():
