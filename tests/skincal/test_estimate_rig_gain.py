@@ -63,7 +63,7 @@ class Drawn:
         for name, pose in self.told.items():
             wrench = self.measured(places, normals, name)
             if correction is not None:
-                wrench, pose = wrench @ (np.eye(6) + correction.matrix).T, pose @ correction.motions[name]
+                wrench, pose = wrench @ correction.matrix.T, correction.pose(pose, name)
             push = wrench[:, :3] @ pose[:3, :3].T
             moment = wrench[:, 3:] @ pose[:3, :3].T + np.cross(pose[:3, 3], push)
             # The axis's point nearest to the taxel.
