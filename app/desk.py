@@ -141,7 +141,9 @@ class Desk(QObject):
         if before is None or not same_results(before.snapshot, picture.snapshot):
             self._revision += 1
         self._picture = picture
-        guidance = self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence, picture.now_ns * 1e-9)
+        # What is shown is seen now, though readings may wait.
+        seen_s = picture.now_ns * 1e-9 + picture.behind_s
+        guidance = self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence, seen_s)
         self.frame = Frame(
             snapshot=picture.snapshot,
             live=picture.live,

@@ -65,7 +65,7 @@ class Guiding:
         ----------
         revision : another number where pokes, estimates or dead taxels changed
         evidence : what the contacts of this snapshot say of some channels
-        now_s : host's monotonic clock, seconds
+        now_s : host's monotonic clock, seconds, when it is seen
         """
         if not self.wanted:
             self._told = self._guidance = None

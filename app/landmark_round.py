@@ -19,6 +19,9 @@ from skincal.session.known_points import poke_at
 from skincal.session.snapshot import Snapshot
 from skincal.surface.nearest import nearest_points
 
+REACTION_S = 0.25
+"""s. A poke that is held so soon after another landmark came up was on its way to the one before: a visual reaction."""
+
 
 class Landmarks:
     """Follows a session; the guide of the skin stands behind it.
@@ -57,7 +60,7 @@ class Landmarks:
             return None
         self._seen = newest.poke
         wish = self._wish
-        if wish is None or newest.start_s < self._asked_s or not self._was_at(newest, wish.landmark):
+        if wish is None or newest.start_s < self._asked_s + REACTION_S or not self._was_at(newest, wish.landmark):
             return None
         return AtLandmark(newest.poke, wish.landmark.name)
 
@@ -70,7 +73,7 @@ class Landmarks:
         Parameters
         ----------
         guidance : of the skin
-        now_s : host's monotonic clock, seconds
+        now_s : host's monotonic clock, seconds, when it is seen
         """
         told = ([one.name for one in snapshot.landmarks], snapshot.at_landmarks, snapshot.pose, guidance)
         if told != self._told:

@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QAbstractItemView, QLabel, QTreeWidget, QTreeWidge
 
 from app.display_units import degrees
 from app.frame import Frame
-from app.panels.texts import put, quiet
+from app.panels.texts import fit_rows, put, quiet
 from app.theme import GAP
 from skincal.contacts.outcome import Contact
 from skincal.readings import Stream
@@ -40,10 +40,10 @@ class ArmPanel(QWidget):
             row.setData(0, Qt.ItemDataRole.UserRole, name)
             row.setText(1, "   ".join(degrees(float(angle), 1) for angle in np.atleast_1d(arm.poses[name])))
         column = QVBoxLayout(self)
-        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        column.setContentsMargins(0, GAP, 0, 0)
         column.addWidget(self.current)
         column.addWidget(self.how)
-        column.addWidget(self.poses, 1)
+        column.addWidget(self.poses)
         self.poses.itemActivated.connect(self._chosen)
         self.poses.itemClicked.connect(self._chosen)
         self.setWhatsThis(
@@ -67,6 +67,7 @@ class ArmPanel(QWidget):
             mark = "\N{BLACK CIRCLE}" if name == pose else "\N{WHITE CIRCLE}"
             _put(row, 0, f"{mark}  {name}")
             _put(row, 2, str(used.count(name)))
+        fit_rows(self.poses)
 
     def _chosen(self, row: QTreeWidgetItem, _column: int) -> None:
         if not self._streamed:

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 from app.frame import Frame
 from app.guide_words import gain_words, landmark_words
 from app.panels.arm import ArmPanel
-from app.panels.texts import on_panel, put, quiet
+from app.panels.texts import fit_rows, on_panel, put, quiet
 from app.rig_offers import Offer, landmark_rows, review_words
 from app.theme import GAP
 from skincal.guide.guidance import Guidance
@@ -68,9 +68,6 @@ class RigPanel(QScrollArea):
         inner = on_panel(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(GAP, GAP, GAP, GAP)
-        if self.arm is not None:
-            column.addWidget(self.arm, 1)
-        column.addWidget(self.points, 1)
         column.addWidget(self.asked)
         column.addWidget(self.said)
         row = QHBoxLayout()
@@ -78,6 +75,10 @@ class RigPanel(QScrollArea):
         row.addWidget(self.drop)
         row.addStretch(1)
         column.addLayout(row)
+        column.addWidget(self.points)
+        if self.arm is not None:
+            column.addWidget(self.arm)
+        column.addStretch(1)
         self.offer.hide()
         self.drop.hide()
         self.setWidget(inner)
@@ -121,6 +122,8 @@ class RigPanel(QScrollArea):
                 if item.text(column) != text:
                     item.setText(column, text)
 
+        fit_rows(self.points)
+
     def _offer_taken(self) -> None:
         if self._offer is not None:
             self.correct_requested.emit(self._offer.action)
@@ -147,7 +150,6 @@ def _list() -> QTreeWidget:
     points.setRootIsDecorated(False)
     points.setUniformRowHeights(True)
     points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-    points.setMinimumHeight(110)
     points.header().setStretchLastSection(False)
     points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
     points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)

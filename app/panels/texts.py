@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from PySide6.QtCore import QSize, Qt
 from PySide6.QtGui import QColor, QFont, QFontMetrics, QIcon, QPainter, QPaintEvent, QPalette
-from PySide6.QtWidgets import QDialogButtonBox, QLabel, QScrollArea, QSizePolicy, QWidget
+from PySide6.QtWidgets import QDialogButtonBox, QLabel, QScrollArea, QSizePolicy, QTreeWidget, QWidget
 
+MOST_ROWS = 12
+"""Rows of a list that is as high as its rows."""
 LEAST_SHARE = 0.75
 """Share of a large type's size below which it is not read from two metres."""
 
@@ -106,3 +108,11 @@ def plain_buttons(box: QDialogButtonBox) -> None:
     """Take the icons off a dialog's buttons: they come from the desktop and belong to no theme of ours."""
     for button in box.buttons():
         button.setIcon(QIcon())
+
+
+def fit_rows(tree: QTreeWidget) -> None:
+    """Make a list as high as its rows, which are all alike, up to `MOST_ROWS`: it scrolls beyond, and its panel need not."""
+    row = tree.sizeHintForRow(0) if tree.topLevelItemCount() else 0
+    height = tree.header().sizeHint().height() + row * min(tree.topLevelItemCount(), MOST_ROWS) + 2 * tree.frameWidth() + 2
+    if tree.height() != height:
+        tree.setFixedHeight(height)
