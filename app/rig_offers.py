@@ -10,10 +10,10 @@ import numpy as np
 
 from app.display_units import DASH, in_millimetres, millimetres, number
 from skincal.contacts.outcome import Outcome
-from skincal.estimate.correction import FRAME, RIG, UsedCorrection, frame_correction
+from skincal.estimate.correction import FRAME, RIG, UsedCorrection
 from skincal.estimate.result import Estimate, Method
 from skincal.session.actions import Correct
-from skincal.session.corrections import correct_action
+from skincal.session.corrections import offered
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 
@@ -33,15 +33,13 @@ def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
     """Return what could be put right: the sensor's frame first, since all else was found under it."""
     if review is None:
         return ()
-    frame, rig = review.frame, review.rig
-    pokes = len(review.pokes)
-    if frame is not None and not frame.right:
-        action = correct_action(FRAME, frame_correction(frame.correction), frame.miss, frame.corrected_miss, pokes)
+    frame, rig, pokes = review.frame, review.rig, len(review.pokes)
+    action = offered(frame, rig, pokes)
+    if action is None:
+        return ()
+    if action.of == FRAME and frame is not None:
         perhaps = "" if frame.sure else " Another mistake would be nearly as likely: poke another landmark."
         return (Offer("Correct the sensor's frame", frame.words + perhaps, action),)
-    if rig.correction is None or not rig.used:
-        return ()
-    action = correct_action(RIG, rig.correction, rig.before, rig.after, pokes)
     used = snapshot.corrections.get(RIG)
     if used is not None and used.pokes == pokes:
         return ()

@@ -13,8 +13,11 @@ from skincal.errors import InputError
 from skincal.estimate.result import Method
 
 if TYPE_CHECKING:
+    from skincal.estimate.frame_doctor import FrameDiagnosis
+    from skincal.estimate.rig_fit import RigAnswer
     from skincal.readings import FloatArray
     from skincal.session.road import Road
+    from skincal.session.session import Session
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Replay = Annotated[
@@ -27,6 +30,10 @@ Speed = Annotated[
 Part = Annotated[
     str | None,
     typer.Option(help="Skin part named in the iCub file, such as r_forearm; else the one that the scene's link begins with."),
+]
+Correct = Annotated[
+    bool,
+    typer.Option("--correct", help="Use the corrections of the sensor's frame and of the rig that landmark pokes offer."),
 ]
 SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
 
@@ -55,6 +62,7 @@ def solve(
     per_pose: Annotated[
         bool, typer.Option("--per-pose", help="Also solve each arm pose alone and average the results, as the paper does.")
     ] = False,
+    correct: Correct = False,
     part: Part = None,
     replay: Replay = False,
     speed: Speed = None,
@@ -68,6 +76,8 @@ def solve(
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
     road = _opened(session, replay, speed)
+    if correct:
+        _correct(road.session)
     snapshot = road.snapshot()
     counts = report.poke_counts(snapshot)
     layout = road.session.scene.skin.layout
@@ -126,34 +136,71 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
     return summaries
 
 
+def _told_by_landmarks(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
+    from skincal.estimate.frame_doctor import diagnose
+    from skincal.estimate.rig_fit import correct_rig
+
+    normals = {one.name: one.normal for one in session.landmarks}
+    pokes = session.landmark_pokes
+    return diagnose(pokes, [normals[one.name] for one in pokes]), correct_rig(session.rig_request())
+
+
+def _correct(session: Session) -> None:
+    """Use what landmark pokes offer, the frame first; the recording stays as it is.
+
+    Raises
+    ------
+    InputError
+        They offer nothing that is sure.
+    """
+    from skincal.estimate.correction import FRAME
+    from skincal.session.corrections import offered
+
+    if not session.landmark_pokes:
+        raise InputError("--correct needs pokes at landmarks; this session has none.")
+    frame, rig = _told_by_landmarks(session)
+    while (action := offered(frame, rig, len(session.landmark_pokes))) is not None and action.of not in session.corrections:
+        if action.of == FRAME and frame is not None and not frame.sure:
+            raise InputError(f"{frame.words} Another mistake is nearly as likely; expected pokes at more landmarks.")
+        session.act(action)
+        frame, rig = _told_by_landmarks(session)
+    if not session.corrections:
+        raise InputError(f"{rig.sentences[0]} Leave out --correct.")
+
+
 def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
-    """Return what pokes at landmarks tell of the rig, as JSON and in lines; nothing where there is none of them."""
+    """Return what pokes at landmarks tell of the rig, as JSON and in lines; nothing where there is none of them.
+
+    Where no correction is in use, the estimates under the one that is found stand beside the others.
+    """
     session = road.session
     if not session.landmark_pokes:
         return {}, []
     from skincal.cli import report
-    from skincal.estimate.frame_doctor import diagnose
-    from skincal.estimate.rig_fit import correct_rig
+    from skincal.estimate.correction import RIG
     from skincal.estimate.solve import estimate_taxels
 
-    normals = {one.name: one.normal for one in session.landmarks}
-    pokes = session.landmark_pokes
-    frame, answer = diagnose(pokes, [normals[one.name] for one in pokes]), correct_rig(session.rig_request())
-    rig: dict[str, Any] = {"landmark_pokes": len(pokes), "used": answer.used}
+    frame, answer = _told_by_landmarks(session)
+    rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
+    rig["corrections"] = [
+        {"of": one.of, "before_mm": one.before * 1e3, "after_mm": one.after * 1e3} for one in session.corrections.values()
+    ]
     if frame is not None:
         rig["frame"] = {"right": frame.right, "sure": frame.sure, "miss_mm": frame.miss * 1e3, "words": frame.words}
     if answer.correction is not None:
         rig |= {"held_out_before_mm": answer.before * 1e3, "held_out_after_mm": answer.after * 1e3}
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
-    if answer.used and answer.correction is not None:
-        contacts = [answer.correction.corrected(contact) for contact in session.contacts]
+    if answer.used and answer.correction is not None and RIG not in session.corrections:
+        contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
         noise, surface, boards = session.scene.noise, session.surface, session.boards
         solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, boards=boards)
         rig["methods"] = {
             f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)
             for method, found in solved.items()
         }
-    return rig, [*(() if frame is None else (frame.words,)), *answer.sentences]
+    in_use = [f"{one.words}." for one in session.corrections.values()]
+    found = answer.sentences if RIG not in session.corrections else answer.sentences[1:]
+    return rig, [*(() if frame is None else (frame.words,)), *in_use, *found]
 
 
 def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
@@ -191,6 +238,7 @@ def export(
     method: Annotated[
         Method | None, typer.Option(help="Whose positions to write; the surface method where the scene has a surface.")
     ] = None,
+    correct: Correct = False,
     part: Part = None,
     replay: Replay = False,
     as_json: Json = False,
@@ -202,6 +250,8 @@ def export(
     if part is not None and format_ is not Format.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
     road = _opened(session, replay, None)
+    if correct:
+        _correct(road.session)
     calibration = road.session.calibration()
     chosen = method or (Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE)
     if chosen not in calibration.estimates:

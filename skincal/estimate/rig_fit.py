@@ -114,7 +114,7 @@ class RigAnswer:
         if self.correction is None:
             return (f"No correction of the rig: it needs {FEWEST} pokes at landmarks, {len(self.trust)} are there.",)
         misses = f"held-out landmark pokes pass at {self.after * 1e3:.1f} mm, {self.before * 1e3:.1f} mm as the rig tells"
-        said = [f"The rig is corrected: {misses}." if self.used else f"The rig is left as it tells itself: {misses}."]
+        said = [f"The rig can be corrected: {misses}." if self.used else f"The rig is left as it tells itself: {misses}."]
         said += [
             f"Landmark poke {poke} lies {self.distances[poke] * 1e3:.0f} mm off its landmark and counts "
             + ("for nothing: was it another point?" if trust <= 0 else f"{trust:.0%}.")

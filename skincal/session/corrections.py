@@ -7,16 +7,21 @@ frame and therefore goes where the frame is changed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Progress
 from skincal.errors import InputError
-from skincal.estimate.correction import FRAME, RIG, Correction, UsedCorrection
+from skincal.estimate.correction import FRAME, RIG, Correction, UsedCorrection, frame_correction
 from skincal.readings import FloatArray
 from skincal.session.actions import Correct, Uncorrect
 from skincal.session.history import Step
 from skincal.wrench import axis_point, move_wrench
+
+if TYPE_CHECKING:
+    from skincal.estimate.frame_doctor import FrameDiagnosis
+    from skincal.estimate.rig_fit import RigAnswer
 
 KINDS = {FRAME: "the sensor's frame", RIG: "the rig"}
 
@@ -129,6 +134,22 @@ def correction_of(action: Correct) -> Correction:
     if not all(np.isfinite(one).all() for one in (matrix, everywhere, motions)) or not abs(np.linalg.det(matrix)) > 0:
         raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
     return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)))
+
+
+def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int) -> Correct | None:
+    """Return the action that uses what landmark pokes offer; None where they offer nothing.
+
+    The sensor's frame comes first: what else was found under a wrong one is worth nothing.
+
+    Parameters
+    ----------
+    pokes : how many landmark pokes there are
+    """
+    if frame is not None and not frame.right:
+        return correct_action(FRAME, frame_correction(frame.correction), frame.miss, frame.corrected_miss, pokes)
+    if rig.correction is None or not rig.used:
+        return None
+    return correct_action(RIG, rig.correction, rig.before, rig.after, pokes)
 
 
 def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int) -> Correct:

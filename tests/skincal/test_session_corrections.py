@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.cli import main
 from skincal.contacts.outcome import Contact, Phase, Progress, Reason, Rejection
 from skincal.errors import InputError
 from skincal.estimate.correction import FRAME, RIG, Correction, frame_correction
@@ -22,6 +23,7 @@ from skincal.session.journal import create_session
 from skincal.session.replay import load, replay
 from skincal.session.road import Road
 from skincal.session.session import Session
+from skincal.session.taken import Taken
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import RigErrors
@@ -246,3 +248,48 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     for kind in ("icub", "ply"):
         write_calibration(session.calibration(), kind, tmp_path / kind, Method.MODULES)
         assert used.words in (tmp_path / kind).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def recorded(poked, tmp_path_factory):
+    """A recorded session on the bad rig: its pokes are written as a detector's, without bytes."""
+    rig, contacts, landmarks = poked
+    folder = tmp_path_factory.mktemp("bad") / "s"
+    road = Road(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
+    outcomes = [*contacts, *(rejected(one) for one in landmarks)]
+    taken = Taken([(one, None) for one in outcomes], None)
+    road.take(taken)
+    road.journal.write(Chunk("wrench", 1, b""), [taken])
+    for poke in landmarks:
+        road.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)
+    road.close()
+    return folder
+
+
+def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_path, capsys):
+    assert main(["solve", str(recorded), "--json"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["rig"]["corrections"] == []
+    assert main(["solve", str(recorded), "--correct", "--json", "--out", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    (used,) = told["rig"]["corrections"]
+    assert used["of"] == "rig"
+    assert used["after_mm"] < used["before_mm"]
+    assert "modules-corrected" in plain["methods"]
+    assert "modules-corrected" not in told["methods"]
+    file = read_json(tmp_path / "calibration.json")
+    assert len(file.corrections) == 1
+    assert main(["export", str(recorded), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
+    assert "the rig is corrected from 21 landmark pokes" in (tmp_path / "p.txt").read_text(encoding="utf-8")
+    assert main(["solve", str(recorded)]) == 0
+    assert "The rig can be corrected" in capsys.readouterr().out, "the recording is as it was"
+
+
+def test_where_nothing_is_offered_a_command_says_so(tmp_path, capsys):
+    scene = write_scene(tmp_path / "source")
+    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    for item in as_chunks(Script(scene).quiet().press(FORCE, POINT, {3: 80.0}).quiet().samples):
+        road.feed(item)
+    road.close()
+    assert main(["solve", str(tmp_path / "s"), "--correct"]) == 2
+    assert "needs pokes at landmarks" in capsys.readouterr().err
