@@ -93,7 +93,7 @@ def landmark_poked_words(poke: int, name: str) -> str:
 
 def landmark_words(wish: LandmarkWish) -> str:
     """Return which of how many landmark pokes it is."""
-    return f"known point {wish.done + 1} of {wish.wanted} in this arm pose"
+    return f"landmark {wish.done + 1} of {wish.wanted} in this arm pose"
 
 
 def gain_words(gain: Gain | None) -> str:

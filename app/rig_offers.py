@@ -48,16 +48,18 @@ def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
 
 
 def rig_words(before: float, after: float) -> str:
-    """Return what a correction of the rig does: `"Pokes at known points pass at 1.2 mm under it, held out, not 7.4 mm."`."""
+    """Return what a correction of the rig would do, with the misses of held-out pokes, metres."""
     now, told = millimetres(after), millimetres(before)
-    return f"The rig can be corrected: known points that are held out are then met to {now}, not to {told}."
+    return f"The rig can be corrected: held-out pokes then pass their landmarks at {now}, now at {told}."
 
 
 def used_words(used: UsedCorrection) -> str:
-    """Return what is in use."""
-    what = "The sensor's frame is corrected" if used.of == FRAME else "The rig is corrected"
-    met = f"known points are met to {millimetres(used.after)}, as told to {millimetres(used.before)}"
-    return f"{what} from {used.pokes} pokes: {'' if used.of == FRAME else 'held-out '}{met}."
+    """Return what is in use, with the misses."""
+    what, held = ("The sensor's frame", "they") if used.of == FRAME else ("The rig", "held-out ones")
+    told = millimetres(used.before)
+    return (
+        f"{what} is corrected from {used.pokes} landmark pokes: {held} pass at {millimetres(used.after)}, without it at {told}."
+    )
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:

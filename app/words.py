@@ -170,11 +170,20 @@ def error_words(estimates: Sequence[Estimate]) -> str:
     return f"predicted: median {millimetres(float(np.median(known)))}, worst {millimetres(max(known))}"
 
 
+def rejections(snapshot: Snapshot) -> list[Rejection]:
+    """Return the pokes that do not count by themselves; none that was at a landmark, where no taxel need answer."""
+    at = snapshot.at_landmarks
+    outcomes = (p.outcome for p in snapshot.pokes)
+    return [outcome for outcome in outcomes if isinstance(outcome, Rejection) and outcome.poke not in at]
+
+
 def pokes_words(snapshot: Snapshot, why: str = "") -> str:
     """Return how many pokes there are and how many do not count; `why` is said of those rejected."""
-    rejected = sum(isinstance(p.outcome, Rejection) for p in snapshot.pokes)
+    rejected = len(rejections(snapshot))
     excluded = sum(p.excluded for p in snapshot.pokes)
     parts = [count(len(snapshot.pokes), "poke")]
+    if snapshot.at_landmarks:
+        parts.append(f"{len(snapshot.at_landmarks)} at landmarks")
     if rejected:
         parts.append(f"{rejected} rejected{why}")
     if excluded:

@@ -14,7 +14,7 @@ from app.theme import LIGHT, Colours
 from app.words import force_of, peak_channel, pitch_of, reason_short, reason_words, tilt_of
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.estimate.result import Estimate
-from skincal.session.snapshot import PokeRecord
+from skincal.session.snapshot import PokeRecord, Snapshot
 
 _Index = QModelIndex | QPersistentModelIndex
 HEADINGS = ("#", "Outcome", "Taxel", "N", "Tilt", "Pitch")
@@ -37,11 +37,13 @@ class PokeTable(QAbstractTableModel):
         self._records: tuple[PokeRecord, ...] = ()
         self._estimates: Mapping[int, Estimate] = {}
         self._doubting: Mapping[int, Sequence[Estimate]] = {}
+        self._at_landmarks: Mapping[int, str] = {}
         self._colours = LIGHT
 
-    def show(self, records: tuple[PokeRecord, ...], estimates: Mapping[int, Estimate]) -> None:
-        """Show other records, telling the view no more than what changed."""
-        self._estimates = estimates
+    def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
+        """Show another snapshot's pokes, telling the view no more than what changed."""
+        records = snapshot.pokes
+        self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
         self._doubting = doubting(estimates.values())
         old, added = self._records, len(records) - len(self._records)
         if added < 0 or any(a.outcome.poke != b.outcome.poke for a, b in zip(old[-1:], records[len(old) - 1 :], strict=False)):
@@ -111,14 +113,15 @@ class PokeTable(QAbstractTableModel):
     def _colour(self, record: PokeRecord, column: int) -> QColor | None:
         if record.excluded:
             return QColor(self._colours.muted)
-        if isinstance(record.outcome, Rejection):
+        if isinstance(record.outcome, Rejection) and record.outcome.poke not in self._at_landmarks:
             return QColor(self._colours.bad if column == 1 else self._colours.muted)
         return QColor(self._colours.accent) if column == 1 else None
 
     def _hint(self, record: PokeRecord) -> str:
         outcome = record.outcome
         if isinstance(outcome, Rejection):
-            return reason_words(outcome)
+            name = self._at_landmarks.get(outcome.poke)
+            return reason_words(outcome) if name is None else f"at the landmark {name}; {outcome.reason.value}, and none need"
         answered = ", ".join(self._names.short(int(c)) for c in outcome.channels)
         pose = f"\narm pose {outcome.pose}" if outcome.pose else ""
         change = f"\ntare changed by {number(outcome.tare_change, 2)} N" if outcome.tare_change == outcome.tare_change else ""
@@ -130,6 +133,8 @@ class PokeTable(QAbstractTableModel):
         outcome = record.outcome
         if column == 0:
             return str(outcome.poke)
+        if column == 1 and not record.excluded and outcome.poke in self._at_landmarks:
+            return f"\N{WHITE DIAMOND} {self._at_landmarks[outcome.poke]}"
         if column == 1:
             return _outcome_text(record, doubt_mark(outcome.poke, self._doubting.get(outcome.poke, ()), self._names))
         if column == 2:

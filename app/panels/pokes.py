@@ -13,8 +13,7 @@ from app.frame import Frame
 from app.panels.poke_table import PokeTable
 from app.panels.texts import put, quiet
 from app.theme import GAP, Colours
-from app.words import peak_channel, pokes_words
-from skincal.contacts.outcome import Rejection
+from app.words import peak_channel, pokes_words, rejections
 from skincal.session.snapshot import Snapshot
 
 
@@ -73,7 +72,7 @@ class PokesPanel(QWidget):
         if generation == self._generation:
             return
         self._generation = generation
-        self.model.show(frame.snapshot.pokes, frame.by_channel())
+        self.model.show(frame.snapshot, frame.by_channel())
         put(self.tally, tally_words(frame.snapshot))
 
     def set_colours(self, colours: Colours) -> None:
@@ -111,6 +110,6 @@ class PokesPanel(QWidget):
 
 def tally_words(snapshot: Snapshot) -> str:
     """Return how many pokes there are and why some do not count."""
-    reasons = Counter(p.outcome.reason.value for p in snapshot.pokes if isinstance(p.outcome, Rejection))
+    reasons = Counter(outcome.reason.value for outcome in rejections(snapshot))
     told = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
     return pokes_words(snapshot, f" ({told})" if told else "")

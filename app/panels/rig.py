@@ -1,4 +1,4 @@
-"""The rig: the arm's pose, the known points of the part, and what they tell of the sensor and the arm."""
+"""The rig: the arm's pose, the landmarks of the part, and what they tell of the sensor and the arm."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from app.theme import GAP
 from skincal.guide.guidance import Guidance
 from skincal.scene import ArmSpec
 
-HEADINGS = ("Known point", "Here", "All", "Off by")
+HEADINGS = ("Landmark", "Here", "All", "Off by")
 _HINTS = (
-    "A landmark of the scene, or one that was added; a diamond in the 3D view",
+    "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
     "Pokes at it in the present arm pose",
     "Pokes at it in all arm poses",
     "How far their axes pass it, as the rig tells and under the correction that was found",
 )
-NO_POINTS = "No known points: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
-NOT_YET = "Poke known points: three tell whether the sensor's frame is right, six or more correct the rig."
+NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
+NOT_YET = "Poke landmarks: three tell whether the sensor's frame is right, six or more correct the rig."
 
 
 class RigPanel(QScrollArea):
@@ -59,9 +59,9 @@ class RigPanel(QScrollArea):
         self.offer.clicked.connect(self._offer_taken)
         self.drop.clicked.connect(lambda: self.uncorrect_requested.emit(self._used))
         self.setWhatsThis(
-            "Pokes at known points tell what is wrong with the rig: the sensor's frame, its matrix, the arm's poses. What is "
-            "found is only offered; what is used can be taken back. One such poke in four is held out, and a correction of "
-            "the rig is offered only if it meets these better."
+            "Pokes at landmarks, known points of the part, tell what is wrong with the rig: the sensor's frame, its matrix, the "
+            "arm's poses. What is found is only offered; what is used can be taken back. One such poke in four is held out, and "
+            "a correction of the rig is offered only if it meets these better."
         )
 
     def _arrange(self) -> None:
@@ -104,7 +104,7 @@ class RigPanel(QScrollArea):
         self._offer = frame.offers[0] if frame.offers else None
         self._used = next(reversed(tuple(frame.snapshot.corrections)), "")
         offer = "" if self._offer is None else f"{self._offer.text}  (C)"
-        for button, text in ((self.offer, offer), (self.drop, "Use as told" if self._used else "")):
+        for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):
             button.setVisible(bool(text))
             if button.text() != text:
                 button.setText(text)
@@ -145,7 +145,7 @@ def _words(frame: Frame) -> str:
 
 def _list() -> QTreeWidget:
     points = QTreeWidget()
-    points.setAccessibleName("known points")
+    points.setAccessibleName("landmarks")
     points.setHeaderLabels(list(HEADINGS))
     points.setRootIsDecorated(False)
     points.setUniformRowHeights(True)
