@@ -59,9 +59,9 @@ class RigPanel(QScrollArea):
         self.offer.clicked.connect(self._offer_taken)
         self.drop.clicked.connect(lambda: self.uncorrect_requested.emit(self._used))
         self.setWhatsThis(
-            "Pokes at landmarks, known points of the part, tell what is wrong with the rig: the sensor's frame, its matrix, the "
-            "arm's poses. What is found is only offered; what is used can be taken back. One such poke in four is held out, and "
-            "a correction of the rig is offered only if it meets these better."
+            "Pokes at landmarks, known points of the part, tell what is wrong with the rig: the sensor's frame, its matrix, "
+            "the arm's poses. What is found is only offered; what is used can be taken back. One such poke in four is held "
+            "out, and a correction of the rig is offered only if it meets these better."
         )
 
     def _arrange(self) -> None:
