@@ -84,6 +84,8 @@ class Desk(QObject):
         self._review: Review | None = None
         self._offered: Offer | None = None
         """What the operator was told of last."""
+        self._made: tuple[Review | None, object, tuple[Offer, ...]] = (None, None, ())
+        """What the newest offers were made from, and they."""
         self.frame: Frame | None = None
         self.selected: int | None = None
         self.workspace = Workspace(part, make_view)
@@ -159,7 +161,7 @@ class Desk(QObject):
             sky=lambda channel: self.guiding.sky(channel, picture.evidence),
             coaching=self.guiding.coach(picture.live.progress),
             review=self._review,
-            offers=offers_of(self._review, picture.snapshot),
+            offers=self._offers(picture.snapshot),
             eye=self.workspace.view.eye(),
         )
         self._hear(self.frame, picture.behind_s)
@@ -179,6 +181,13 @@ class Desk(QObject):
             self.said.emit(Message(f"{offer.words} C uses that, Backspace takes it back; more on the Rig tab."))
         self._offered = offer
         self.refresh_allowed()
+
+    def _offers(self, snapshot: Snapshot) -> tuple[Offer, ...]:
+        """Return what could be put right; the same objects until something changes."""
+        review, used, _ = self._made
+        if review is not self._review or used is not snapshot.corrections:
+            self._made = self._review, snapshot.corrections, offers_of(self._review, snapshot)
+        return self._made[2]
 
     def correct(self) -> None:
         """Use the correction that is offered."""
