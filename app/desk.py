@@ -28,7 +28,8 @@ from app.opening import Part
 from app.panels.devices import LinkChips
 from app.panels.message_bar import Message
 from app.policies import Allowed, allowed, link_lines
-from app.rig_offers import Offer, offers_of, used_words
+from app.rig_offers import used_words
+from app.rigging import Rigging
 from app.scene3d.view import View3D
 from app.theme import Colours
 from app.wishes import wish_of
@@ -81,11 +82,7 @@ class Desk(QObject):
         self._clock_offset = time.time() - time.monotonic()
         self._allowed: Allowed | None = None
         self._ear = Ear()
-        self._review: Review | None = None
-        self._offered: Offer | None = None
-        """What the operator was told of last."""
-        self._made: tuple[Review | None, object, tuple[Offer, ...]] = (None, None, ())
-        """What the newest offers were made from, and they."""
+        self._rigging = Rigging()
         self.frame: Frame | None = None
         self.selected: int | None = None
         self.workspace = Workspace(part, make_view)
@@ -160,8 +157,8 @@ class Desk(QObject):
             guidance=guidance,
             sky=lambda channel: self.guiding.sky(channel, picture.evidence),
             coaching=self.guiding.coach(picture.live.progress),
-            review=self._review,
-            offers=self._offers(picture.snapshot),
+            review=self._rigging.review,
+            offers=self._rigging.offers(picture.snapshot),
             eye=self.workspace.view.eye(),
         )
         self._hear(self.frame, picture.behind_s)
@@ -174,20 +171,12 @@ class Desk(QObject):
 
     def take_review(self, review: Review) -> None:
         """Show what landmark pokes tell of the rig, and say once what could be put right."""
-        self._review = review
+        self._rigging.review = review
         self.show_again()
-        offer = next(iter(() if self.frame is None else self.frame.offers), None)
-        if offer is not None and (self._offered is None or offer.text != self._offered.text):
-            self.said.emit(Message(f"{offer.words} C uses that, Backspace takes it back; more on the Rig tab."))
-        self._offered = offer
+        news = "" if self._picture is None else self._rigging.news(self._picture.snapshot)
+        if news:
+            self.said.emit(Message(news))
         self.refresh_allowed()
-
-    def _offers(self, snapshot: Snapshot) -> tuple[Offer, ...]:
-        """Return what could be put right; the same objects until something changes."""
-        review, used, _ = self._made
-        if review is not self._review or used is not snapshot.corrections:
-            self._made = self._review, snapshot.corrections, offers_of(self._review, snapshot)
-        return self._made[2]
 
     def correct(self) -> None:
         """Use the correction that is offered."""
