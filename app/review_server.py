@@ -16,11 +16,13 @@ import skincal
 from skincal.session.review import Asked, Review
 from skincal.session.review_process import Part, Unpacker, packed
 from skincal.session.session import Session
-from skincal.session.snapshot import Snapshot
+from skincal.session.snapshot import PokeRecord, Snapshot
 
 MODULE = "skincal.session.review_process"
 STOP_MS = 700
 """The process gets this long to end by itself after its input closed, before it is killed."""
+SKIN = 10
+"""Pokes on the skin after which the rig is reviewed anew: one alone moves what is found by less than is shown."""
 TAIL = 400
 """Characters of its error output that are shown where it ends too early."""
 
@@ -40,7 +42,9 @@ class ReviewServer(QObject):
         self._unpacker = Unpacker()
         self._stopping = False
         self._started = False
+        self._seen: Snapshot | None = None
         self._shown: Snapshot | None = None
+        """The one that was reviewed last."""
         self._process = QProcess(self)
         self._process.readyReadStandardOutput.connect(self._read)
         self._process.finished.connect(self._finished)
@@ -52,14 +56,15 @@ class ReviewServer(QObject):
         self._process.setProcessEnvironment(environment)
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Ask for a review of the session where its newest snapshot tells of other pokes or landmarks than the one before."""
-        before, self._shown = self._shown, snapshot
-        if self._stopping or not (self._started or snapshot.at_landmarks):
+        """Ask for a review of the session where its newest snapshot tells enough that the one reviewed last did not."""
+        seen, self._seen = self._seen, snapshot
+        if self._stopping or not (self._started or snapshot.at_landmarks) or (seen is not None and _same(seen, snapshot)):
             return
         if not self._started:
             self._start()
-        elif before is not None and _same(before, snapshot):
+        elif self._shown is not None and not _due(self._shown, snapshot):
             return
+        self._shown = snapshot
         self._tell(self._asked.change(self._session))
 
     def _start(self) -> None:
@@ -120,8 +125,22 @@ class ReviewServer(QObject):
             self._fail(f"What reviews the rig cannot be started: {self._process.errorString()}.")
 
 
+OF_RIG = ("at_landmarks", "landmarks", "corrections", "dead")
+
+
 def _same(first: Snapshot, second: Snapshot) -> bool:
-    """Return whether two snapshots tell the same of what is reviewed."""
-    return first is second or all(
-        getattr(first, name) == getattr(second, name) for name in ("pokes", "dead", "at_landmarks", "landmarks", "corrections")
-    )
+    """Return whether two snapshots tell the same of what is reviewed; most do, since streamed joints make one a frame."""
+    return first is second or all(getattr(first, name) == getattr(second, name) for name in ("pokes", *OF_RIG))
+
+
+def _due(asked: Snapshot, now: Snapshot) -> bool:
+    """Return whether a session is to be reviewed anew: at once where landmark pokes, corrections or taken out pokes changed."""
+    if any(getattr(asked, name) != getattr(now, name) for name in OF_RIG) or len(now.pokes) >= len(asked.pokes) + SKIN:
+        return True
+    return any(_changed(one, other, now) for one, other in zip(asked.pokes, now.pokes, strict=False))
+
+
+def _changed(before: PokeRecord, now: PokeRecord, snapshot: Snapshot) -> bool:
+    """Return whether a poke counts that did not, or no more, or is a landmark poke that was told again."""
+    told_again = before.outcome is not now.outcome and now.outcome.poke in snapshot.at_landmarks
+    return before.excluded != now.excluded or told_again
