@@ -163,10 +163,11 @@ class Commands(QObject):
         """Enable what may be done, and name it."""
         actions = self.actions
         _set(actions["undo"], bool(may.undo), f"Undo {may.undo}".strip())
-        restore = bool(may.restore) and not may.exclude
+        exclude = bool(may.exclude or may.unname)
+        restore = bool(may.restore) and not exclude
         _set(
             actions["exclude"],
-            bool(may.exclude or may.restore),
+            bool(exclude or may.restore),
             "Restore selected pokes" if restore else "Exclude selected pokes",
         )
         _set(

@@ -84,7 +84,7 @@ class Controller(QObject):
     said = Signal(object)
     """`Message`."""
     reviewed = Signal(object)
-    """`Review`: what landmark pokes tell of the rig."""
+    """`Review`: what landmark pokes tell of the rig; None where nobody tells any more."""
     truth_found = Signal(object)
     """`Reference`: where the taxels of a simulated rig are."""
     stored = Signal(str)
@@ -295,8 +295,12 @@ class Controller(QObject):
 
             self._reviewing = ReviewServer(session, self)
             self._reviewing.reviewed.connect(self.reviewed)
-            self._reviewing.failed.connect(lambda sentence: self.said.emit(Message(sentence, error=True)))
+            self._reviewing.failed.connect(self._review_failed)
         self._reviewing.follow(snapshot)
+
+    def _review_failed(self, sentence: str) -> None:
+        self.said.emit(Message(sentence, error=True))
+        self.reviewed.emit(None)
 
     # The operator's wishes
 

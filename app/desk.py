@@ -36,7 +36,7 @@ from app.wishes import wish_of
 from app.workspace import Workspace
 from skincal.errors import InputError
 from skincal.estimate.result import Method
-from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
+from skincal.session.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 
@@ -157,7 +157,7 @@ class Desk(QObject):
             guidance=guidance,
             sky=lambda channel: self.guiding.sky(channel, picture.evidence),
             coaching=self.guiding.coach(picture.live.progress),
-            review=self._rigging.review,
+            review=self._rigging.shown(picture.snapshot),
             offers=self._rigging.offers(picture.snapshot),
             eye=self.workspace.view.eye(),
         )
@@ -169,8 +169,8 @@ class Desk(QObject):
         if before is None or _allows_other(before, self.frame):
             self.refresh_allowed()
 
-    def take_review(self, review: Review) -> None:
-        """Show what landmark pokes tell of the rig, and say once what could be put right."""
+    def take_review(self, review: Review | None) -> None:
+        """Show what landmark pokes tell of the rig, and say once what could be put right; None where nobody tells any more."""
         self._rigging.review = review
         self.show_again()
         news = "" if self._picture is None else self._rigging.news(self._picture.snapshot)
@@ -209,15 +209,13 @@ class Desk(QObject):
 
     def skip_target(self) -> None:
         """Ask for another target."""
-        if self._picture is not None:
-            self.guiding.skip(self._picture.snapshot.pose)
-            self.show_again()
+        self.guiding.skip()
+        self.show_again()
 
     def skip_landmarks(self) -> None:
         """Ask for no landmarks in this arm pose."""
-        if self._picture is not None:
-            self.guiding.landmarks.skip(self._picture.snapshot.pose, all_of_pose=True)
-            self.show_again()
+        self.guiding.landmarks.skip(all_of_pose=True)
+        self.show_again()
 
     def refresh_allowed(self) -> None:
         """Enable what may be done now."""
@@ -285,7 +283,8 @@ class Desk(QObject):
         """Take the selected pokes out, or in again where all of them are out."""
         may = self._allowed
         if may is not None:
-            self._controller.act_all([Exclude(poke) for poke in may.exclude] or [Restore(poke) for poke in may.restore])
+            out: list[Action] = [*(AtLandmark(poke, "") for poke in may.unname), *(Exclude(poke) for poke in may.exclude)]
+            self._controller.act_all(out or [Restore(poke) for poke in may.restore])
             self.refresh_allowed()
 
     def mark_or_revive(self) -> None:

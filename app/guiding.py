@@ -69,6 +69,7 @@ class Guiding:
         """
         if not self.wanted:
             self._told = self._guidance = None
+            self.landmarks.forget()
             return None
         if (revision, method) != self._told:
             guide = self._guide_of(method)
@@ -113,10 +114,10 @@ class Guiding:
         """
         return self._guides[self._told[1]].sky(channel, evidence) if self.wanted and self._told is not None else None
 
-    def skip(self, pose: str) -> None:
-        """Ask for another poke than the one that was asked for last, in the arm pose of that name."""
+    def skip(self) -> None:
+        """Ask for another poke than the one that was asked for last."""
         if self._guidance is not None and self._guidance.landmark is not None:
-            self.landmarks.skip(pose)
+            self.landmarks.skip()
         elif self._told is not None:
             self._guides[self._told[1]].skip()
             self._told = None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from itertools import takewhile
+
 import numpy as np
 
 from app.opening import Part
@@ -10,7 +13,7 @@ from skincal.estimate.rig import RigPrior
 from skincal.estimate.rig_fit import LandmarkPoke
 from skincal.estimate.rig_gain import Gain, PlannedPoke, expected_error
 from skincal.guide.guidance import Guidance
-from skincal.guide.landmarks import LandmarkRound, LandmarkWish, was_there
+from skincal.guide.landmarks import LandmarkRound, LandmarkWish, Stances, was_there
 from skincal.guide.places import Plan
 from skincal.readings import FloatArray
 from skincal.scene import Landmark
@@ -19,6 +22,10 @@ from skincal.session.known_points import poke_at
 from skincal.session.snapshot import Snapshot
 from skincal.surface.nearest import nearest_points
 
+POSES = 7
+"""Arm poses that the gain is foretold for, those with most contacts, beside the present one: streamed joints make more."""
+STILL_S = 1.0
+"""s. Landmarks are asked for where the arm has stood so long: on its way it goes through poses in which nobody pokes."""
 REACTION_S = 0.25
 """s. A poke that is held so soon after another landmark came up was on its way to the one before: a visual reaction."""
 
@@ -39,7 +46,10 @@ class Landmarks:
         """(n, 3) float each, metres and unit: of the taxels that the layout places."""
         self._places = dict(zip(plan.channels[there].tolist(), self._taxels, strict=True))
         self._round = LandmarkRound()
-        self._normals: dict[str, FloatArray] = {}
+        self._stances = Stances()
+        self._stance, self._stance_s = "", -np.inf
+        """The arm's pose, and since when it holds: host's monotonic clock, seconds."""
+        self._normals: dict[bytes, FloatArray] = {}
         self._wishes: list[LandmarkWish] = []
         """All that is asked for in this arm pose."""
         self._asked_s = np.inf
@@ -53,16 +63,20 @@ class Landmarks:
         """Start with pokes that were there already."""
         self._seen = _newest(snapshot)
 
+    def forget(self) -> None:
+        """Ask for nothing, and take no poke for one at a landmark: nobody guides."""
+        self._wishes, self._told, self._asked_s = [], (), np.inf
+
     def poked(self, snapshot: Snapshot) -> AtLandmark | None:
-        """Return that the newest poke was at the landmark that was asked for; None where it was not, or was told before."""
-        newest = snapshot.pokes[-1].outcome if snapshot.pokes else None
-        if newest is None or newest.poke <= self._seen:
-            return None
-        self._seen = newest.poke
+        """Return which new poke was at the landmark that was asked for; None where none was, or all were told before."""
+        seen, self._seen = self._seen, _newest(snapshot)
         wish = self._wish
-        if wish is None or newest.start_s < self._asked_s + REACTION_S or not self._was_at(newest, wish.landmark):
+        if wish is None or self._seen <= seen:
             return None
-        return AtLandmark(newest.poke, wish.landmark.name)
+        new = takewhile(lambda record: record.outcome.poke > seen, reversed(snapshot.pokes))
+        begun = self._asked_s + REACTION_S
+        there = [one.outcome for one in new if one.outcome.start_s >= begun and self._was_at(one.outcome, wish.landmark)]
+        return AtLandmark(there[-1].poke, wish.landmark.name) if there else None
 
     def _was_at(self, outcome: Outcome, landmark: Landmark) -> bool:
         return poke_at(outcome, landmark) is not None and was_there(outcome, landmark, self._places)
@@ -75,10 +89,14 @@ class Landmarks:
         guidance : of the skin
         now_s : host's monotonic clock, seconds, when it is seen
         """
-        told = ([one.name for one in snapshot.landmarks], snapshot.at_landmarks, snapshot.pose, guidance)
+        here = self._stances.key(snapshot.pose, snapshot.link_from_sensor)
+        if here != self._stance:
+            self._stance, self._stance_s = here, now_s if self._stance else -np.inf
+        still = now_s - self._stance_s >= STILL_S
+        told = ([one.name for one in snapshot.landmarks], snapshot.at_landmarks, here, still, guidance)
         if told != self._told:
             self._told, before = told, self._wish
-            self._wishes = self._plan(snapshot)
+            self._wishes = self._plan(snapshot) if still else []
             now = self._wish
             if now is None:
                 self._shown = guidance
@@ -96,8 +114,8 @@ class Landmarks:
     def _plan(self, snapshot: Snapshot) -> list[LandmarkWish]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
             return []
-        poked = [(one.pose, one.name) for one in self._made(snapshot)]
-        return self._round.plan(snapshot.landmarks, poked, snapshot.pose)
+        poked = [(self._stances.key(one.pose, one.link_from_sensor), one.name) for one in self._made(snapshot)]
+        return self._round.plan(snapshot.landmarks, poked, self._stance)
 
     def _made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
         """Return the landmark pokes that count."""
@@ -111,28 +129,30 @@ class Landmarks:
         told = snapshot.link_from_sensor
         if told is None or not len(self._taxels):
             return None
-        contacts = (one.outcome for one in snapshot.pokes if isinstance(one.outcome, Contact) and not one.excluded)
-        poses = {one.pose: one.link_from_sensor for one in contacts} | {snapshot.pose: told}
+        contacts = [one.outcome for one in snapshot.pokes if isinstance(one.outcome, Contact) and not one.excluded]
+        often = [name for name, _ in Counter(one.pose for one in contacts).most_common(POSES)]
+        poses = {one.pose: one.link_from_sensor for one in contacts if one.pose in often} | {snapshot.pose: told}
         planned = [PlannedPoke(wish.landmark.place, self._normal(wish.landmark), told, snapshot.pose) for wish in self._wishes]
-        made, noise = self._made(snapshot), self._scene.noise
+        made, noise = [one for one in self._made(snapshot) if one.pose in poses], self._scene.noise
         return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
 
-    def skip(self, pose: str, *, all_of_pose: bool = False) -> None:
+    def skip(self, *, all_of_pose: bool = False) -> None:
         """Ask for that landmark no more in this arm pose, or for none."""
         if self._wish is not None:
             if all_of_pose:
-                self._round.leave_out(pose)
+                self._round.leave_out(self._stance)
             else:
-                self._round.skip(self._wish.landmark.name, pose)
+                self._round.skip(self._wish.landmark.name, self._stance)
         self._told = ()
 
     def _normal(self, landmark: Landmark) -> FloatArray:
         """Return the outward normal at a landmark: its own, else the surface's, else away from the skin's middle."""
         if landmark.normal is not None:
             return landmark.normal
-        if landmark.name not in self._normals:
-            self._normals[landmark.name] = self._found_normal(landmark.place)
-        return self._normals[landmark.name]
+        key = landmark.place.tobytes()
+        if key not in self._normals:
+            self._normals[key] = self._found_normal(landmark.place)
+        return self._normals[key]
 
     def _found_normal(self, place: FloatArray) -> FloatArray:
         if self._surface is not None:

@@ -271,6 +271,8 @@ class Allowed:
     """Selected pokes that count and can be excluded."""
     restore: tuple[int, ...]
     """Selected pokes that are excluded and can be restored."""
+    unname: tuple[int, ...]
+    """Selected pokes that no taxel answered and that count at a landmark: they can be taken from it."""
     mark_dead: bool
     revive: bool
     export: bool
@@ -319,6 +321,9 @@ def allowed(
         undo=snapshot.can_undo,
         exclude=tuple(p.outcome.poke for p in chosen if not p.excluded and isinstance(p.outcome, Contact)),
         restore=tuple(p.outcome.poke for p in chosen if p.excluded),
+        unname=tuple(
+            p.outcome.poke for p in chosen if p.outcome.poke in snapshot.at_landmarks and isinstance(p.outcome, Rejection)
+        ),
         mark_dead=taxel is not None and taxel not in snapshot.dead,
         revive=taxel is not None and taxel in snapshot.dead,
         export=any(e.state is State.ESTIMATED for es in snapshot.estimates.values() for e in es),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, Signal
@@ -107,7 +108,7 @@ class ReviewServer(QObject):
                 return
             if isinstance(message, Review):
                 if message.generation == self._asked.generation:
-                    self.reviewed.emit(message)
+                    self.reviewed.emit(replace(message, used=self._asked.used))
             else:
                 self._fail(str(message))
 

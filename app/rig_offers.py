@@ -31,10 +31,10 @@ class Offer:
 
 def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
     """Return what could be put right: the sensor's frame first, since all else was found under it."""
-    if review is None:
+    if review is None or review.used is not snapshot.corrections:
         return ()
     frame, rig, pokes = review.frame, review.rig, len(review.pokes)
-    action = offered(frame, rig, pokes)
+    action = offered(frame, rig, pokes, review.used)
     if action is None:
         return ()
     if action.of == FRAME and frame is not None:
@@ -87,6 +87,8 @@ def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: 
     said += [used_words(used) for used in snapshot.corrections.values()]
     if RIG not in snapshot.corrections:
         said += rig.sentences[:1]
+    elif not rig.used:
+        said.append(f"The landmark pokes that count now do not speak for it any more. {rig.sentences[0]}")
     moved = moved_words(review, method, estimates)
     return tuple(filter(None, (*said, moved, *rig.sentences[1:])))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from app.rig_offers import Offer, offers_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
@@ -13,9 +15,14 @@ class Rigging:
     def __init__(self) -> None:
         self.review: Review | None = None
         self._told = set[str]()
-        """Offers that the operator was told of."""
+        """Words of offers that the operator was told of, without their numbers."""
         self._made: tuple[Review | None, object, tuple[Offer, ...]] = (None, None, ())
         """What the newest offers were made from, and they."""
+
+    def shown(self, snapshot: Snapshot) -> Review | None:
+        """Return the review, unless the session uses other corrections than those that it was made under."""
+        review = self.review
+        return review if review is not None and review.used is snapshot.corrections else None
 
     def offers(self, snapshot: Snapshot) -> tuple[Offer, ...]:
         """Return what could be put right; the same objects until something changes."""
@@ -27,7 +34,8 @@ class Rigging:
     def news(self, snapshot: Snapshot) -> str:
         """Return what the operator is told of a new offer, once; empty where there is none."""
         offer = next(iter(self.offers(snapshot)), None)
-        if offer is None or offer.text in self._told:
+        kind = "" if offer is None else re.sub(r"[\d.]+", "", offer.text + offer.words)
+        if offer is None or kind in self._told:
             return ""
-        self._told.add(offer.text)
+        self._told.add(kind)
         return f"{offer.words} C uses that, Backspace takes it back; more on the Rig tab."

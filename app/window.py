@@ -194,7 +194,7 @@ class Window(QMainWindow):
         if self.desk is not None:
             self.desk.offer(truth)
 
-    def _take_review(self, review: Review) -> None:
+    def _take_review(self, review: Review | None) -> None:
         if self.desk is not None:
             self.desk.take_review(review)
 

@@ -32,6 +32,7 @@ _HINTS = (
     "How far their axes pass it, as the rig tells and under the correction that was found",
 )
 NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
+WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
 NOT_YET = "Poke landmarks: three tell whether the sensor's frame is right, six or more correct the rig."
 
 
@@ -139,7 +140,7 @@ def _words(frame: Frame) -> str:
     if not frame.snapshot.landmarks:
         return NO_POINTS
     if frame.review is None:
-        return NOT_YET
+        return WAITING if frame.snapshot.at_landmarks else NOT_YET
     return "\n".join(review_words(frame.review, frame.snapshot, frame.method, frame.estimates))
 
 

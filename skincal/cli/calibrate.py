@@ -159,7 +159,9 @@ def _correct(session: Session) -> None:
     if not session.landmark_pokes:
         raise InputError("--correct needs pokes at landmarks; this session has none.")
     frame, rig = _told_by_landmarks(session)
-    while (action := offered(frame, rig, len(session.landmark_pokes))) is not None and action.of not in session.corrections:
+    while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
+        if action.of in session.corrections:
+            break
         if action.of == FRAME and frame is not None and not frame.sure:
             raise InputError(f"{frame.words} Another mistake is nearly as likely; expected pokes at more landmarks.")
         session.act(action)

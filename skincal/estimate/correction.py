@@ -40,6 +40,10 @@ class Correction:
         true = self.matrix @ np.concatenate([force, moment])
         return true[:3], true[3:]
 
+    def after(self, first: Correction) -> Correction:
+        """Return the correction that is `first`, which moves all arm poses alike, and then this one."""
+        return Correction(self.matrix @ first.matrix, first.everywhere @ self.everywhere, self.motions)
+
     def corrected(self, poke: Poke) -> Poke:
         """Return a poke as a right rig would have told it; one without a force stays as it is."""
         if poke.force is None or poke.moment is None or poke.link_from_sensor is None:

@@ -4,10 +4,10 @@ What is asked is frozen, and the answer follows from it alone: it may be worked 
 mathematics are those of `rig.py`.
 
 A landmark poke that is far off what all others foretell for it, in standard deviations of that (its miss divided by the root
-of one less its leverage), counts less, as a taxel's poke does (`trust.h`); which ones is told. One landmark poke in four is
-held out, each quarter in turn: the correction is used only where it foretells the held-out pokes better than the rig as it
-tells itself. Without landmarks nothing of the rig is touched: no poke on the skin tells whether the rig is wrong or the skin
-lies elsewhere.
+of one less its leverage), counts less, as a taxel's poke does (`trust.h`); which ones is told. One landmark in four is held
+out with all its pokes, each quarter in turn: the correction is used only where it foretells the held-out pokes better than the
+rig as it tells itself. Without landmarks nothing of the rig is touched: no poke on the skin tells whether the rig is wrong or
+the skin lies elsewhere.
 """
 
 from __future__ import annotations
@@ -42,7 +42,10 @@ SKIN = 0.1
 much. On the paper's rig with 1,200 skin pokes and 21 at landmarks the modules' error is 2.1 mm with 1, 1.0 with 0.3, 0.65 with
 0.1 and 0.65 with 0.03."""
 HELD_OUT = 4
-"""One landmark poke in so many is held out."""
+"""One landmark in so many is held out, with all its pokes: one whose place is told wrong foretells its own miss."""
+FEWEST_POINTS = 4
+"""Different landmarks below which nothing is corrected: fewer would be held out one by one, and the rest would tell too little.
+With three that are 4 mm off, pokes held out instead of landmarks made a good rig five times worse."""
 BETTER = 0.9
 """The held-out pokes must be foretold so much better, in the mean square, for a correction to be used. On a rig that is only
 noisy one correction in five would else be used by chance; with a seventh of the paper's errors most are used all the same."""
@@ -99,6 +102,8 @@ class RigAnswer:
     """m: at what distance the axes pass the landmarks as the rig tells, root mean square by trust; NaN without pokes."""
     after: float
     """m: the same for held-out pokes under a correction made without them; NaN where there is none."""
+    points: int
+    """How many different landmarks were poked."""
     trust: Mapping[int, float]
     """Of each landmark poke, 0 to 1."""
     distances: Mapping[int, float]
@@ -112,7 +117,8 @@ class RigAnswer:
     def sentences(self) -> tuple[str, ...]:
         """What an operator is told."""
         if self.correction is None:
-            return (f"No correction of the rig: it needs {FEWEST} pokes at landmarks, {len(self.trust)} are there.",)
+            needs = f"it needs {FEWEST} pokes at landmarks, {FEWEST_POINTS} different ones"
+            return (f"No correction of the rig: {needs}; {len(self.trust)} pokes at {self.points} are there.",)
         misses = f"held-out landmark pokes pass at {self.after * 1e3:.1f} mm, {self.before * 1e3:.1f} mm as the rig tells"
         said = [f"The rig can be corrected: {misses}." if self.used else f"The rig is left as it tells itself: {misses}."]
         said += [
@@ -137,10 +143,11 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     """
     names = sorted({one.pose for one in request.contacts} | {one.pose for one in request.landmarks})
     scales = request.prior.scales(len(names))
-    if len(request.landmarks) < FEWEST:
+    if len(request.landmarks) < FEWEST or len({one.name for one in request.landmarks}) < FEWEST_POINTS:
         trust = {one.poke: 1.0 for one in request.landmarks}
         nothing = np.zeros(len(scales))
-        return RigAnswer(None, False, float("nan"), float("nan"), trust, {}, nothing, nothing + 1.0)
+        points = len({one.name for one in request.landmarks})
+        return RigAnswer(None, False, float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
     fit = _Fit(request, names, scales)
     for _ in range(STEPS):
         between()
@@ -225,6 +232,7 @@ class _Fit:
             used=bool(after < BETTER * before),
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
+            points=len({one.name for one in self.landmarks}),
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
             distances=dict(zip(pokes, now.distances.tolist(), strict=True)),
             unknowns=self.state.unknowns(self.scales),
@@ -232,9 +240,10 @@ class _Fit:
         )
 
     def _held_out(self, rows: Rows, base: FloatArray) -> FloatArray:
-        """Return (m, 2) the misses of landmark pokes, each under the correction made without its quarter."""
+        """Return (m, 2) the misses of landmark pokes, each under the correction made without its quarter of the landmarks."""
         held = np.empty_like(rows.misses)
-        quarter = np.arange(len(held)) % HELD_OUT
+        names = sorted({one.name for one in self.landmarks})
+        quarter = np.array([names.index(one.name) % HELD_OUT for one in self.landmarks])
         for out in range(HELD_OUT):
             own = quarter == out
             step = _solved(base, rows, np.where(own, 0.0, self.trust)).step

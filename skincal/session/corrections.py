@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from skincal.estimate.frame_doctor import FrameDiagnosis
     from skincal.estimate.rig_fit import RigAnswer
 
+ROUNDING = 1e-9
+"""How far a rotation's product with itself may be from one."""
 KINDS = {FRAME: "the sensor's frame", RIG: "the rig"}
 
 
@@ -131,12 +133,22 @@ def correction_of(action: Correct) -> Correction:
         raise InputError(f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(KINDS)}, with {wanted}.")
     matrix, everywhere = np.reshape(action.matrix, (6, 6)), np.reshape(action.everywhere, (4, 4))
     motions = np.reshape(action.motions, (-1, 4, 4))
-    if not all(np.isfinite(one).all() for one in (matrix, everywhere, motions)) or not abs(np.linalg.det(matrix)) > 0:
+    numbers = (matrix, everywhere, motions, np.array([action.before, action.after]))
+    if not all(np.isfinite(one).all() for one in numbers) or not abs(np.linalg.det(matrix)) > 0 or action.pokes < 0:
         raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
+    if not all(_is_motion(one) for one in (everywhere, *motions)):
+        raise InputError("A correction of the rig moves a pose by what is no rigid motion; expected a rotation and a shift.")
     return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)))
 
 
-def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int) -> Correct | None:
+def _is_motion(matrix: FloatArray) -> bool:
+    """Return whether (4, 4) is a rotation and a shift, within rounding."""
+    turn = matrix[:3, :3]
+    square = np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=ROUNDING) and np.linalg.det(turn) > 0
+    return bool(square and np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]))
+
+
+def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapping[str, UsedCorrection]) -> Correct | None:
     """Return the action that uses what landmark pokes offer; None where they offer nothing.
 
     The sensor's frame comes first: what else was found under a wrong one is worth nothing.
@@ -144,9 +156,13 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int) -> Correct
     Parameters
     ----------
     pokes : how many landmark pokes there are
+    used : corrections that were in use when that was found
     """
     if frame is not None and not frame.right:
-        return correct_action(FRAME, frame_correction(frame.correction), frame.miss, frame.corrected_miss, pokes)
+        found = frame_correction(frame.correction)
+        # It was found in the frame that is in use, and takes its place.
+        whole = found.after(used[FRAME].correction) if FRAME in used else found
+        return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)
     if rig.correction is None or not rig.used:
         return None
     return correct_action(RIG, rig.correction, rig.before, rig.after, pokes)

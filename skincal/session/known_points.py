@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -27,10 +27,16 @@ class KnownPoints:
         self.landmarks = landmarks
         self._named: dict[int, str] = {}
 
-    @property
-    def named(self) -> Mapping[int, str]:
-        """Number of each poke that was at a landmark, and the landmark's name."""
-        return dict(self._named)
+    def named(self, outcome: Callable[[int], Outcome | None]) -> Mapping[int, str]:
+        """Return the number of each poke that was at a landmark and tells its axis, and the landmark's name.
+
+        Parameters
+        ----------
+        outcome : gives what a poke ended as, by its number
+        """
+        places = {one.name: one for one in self.landmarks}
+        told = ((poke, name, outcome(poke)) for poke, name in self._named.items() if name in places)
+        return {poke: name for poke, name, one in told if one is not None and poke_at(one, places[name]) is not None}
 
     def add(self, action: AddLandmark) -> Step:
         """Take another landmark; return how it is taken back.
@@ -41,7 +47,7 @@ class KnownPoints:
             The name is empty or taken, or the place is no place in metres.
         """
         place = np.array([action.x, action.y, action.z])
-        if not action.name or any(action.name == one.name for one in self.landmarks):
+        if not action.name.strip() or any(action.name == one.name for one in self.landmarks):
             raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
         if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
             raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")

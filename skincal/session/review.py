@@ -14,7 +14,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.estimate.boards import Boards
-from skincal.estimate.correction import RIG
+from skincal.estimate.correction import RIG, UsedCorrection
 from skincal.estimate.frame_doctor import FrameDiagnosis, diagnose
 from skincal.estimate.result import Method
 from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
@@ -49,6 +49,8 @@ class Review:
     correction of the rig is in use: else the session's estimates are these."""
     after: Mapping[Method, FloatArray]
     """The same under the correction that was found; only where it is worth using and none is in use."""
+    used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
+    """Corrections that were in use, `Snapshot.corrections` itself: it says nothing of a session that uses others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +78,15 @@ class Asked:
 
     generation: int = 0
     pokes: Mapping[int, Outcome] = field(default_factory=dict[int, Outcome])
+    used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
+    """Corrections in use."""
 
     def change(self, session: Session) -> Change:
         """Return what is new in a session."""
         before, now = self.pokes, session.framed()
         self.generation, self.pokes = self.generation + 1, now
         snapshot = session.snapshot()
+        self.used = snapshot.corrections
         return Change(
             generation=self.generation,
             pokes={number: poke for number, poke in now.items() if before.get(number) is not poke},

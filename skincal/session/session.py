@@ -251,7 +251,7 @@ class Session:
             dead=self.dead,
             can_undo="" if last is None else last.words,
             landmarks=self.landmarks,
-            at_landmarks=self._known.named,
+            at_landmarks=self._known.named(self.outcome),
             corrections=self.corrections,
         )
         return self._snapshot

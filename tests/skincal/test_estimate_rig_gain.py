@@ -90,7 +90,9 @@ def test_landmark_pokes_leave_as_much_as_is_foretold(count):
         for poke in plan:
             place = poke.place + PRIOR.landmark * rng.standard_normal(3)
             wrench = one.measured(place[None], poke.normal[None], poke.pose)[0] + sds * rng.standard_normal(6)
-            pokes.append(LandmarkPoke(len(pokes), "", poke.place, wrench[:3], wrench[3:], poke.link_from_sensor, poke.pose))
+            pokes.append(
+                LandmarkPoke(len(pokes), str(poke.place), poke.place, wrench[:3], wrench[3:], poke.link_from_sensor, poke.pose)
+            )
         answer = correct_rig(RigRequest(rig.scene, rig.surface, [], pokes))
         drawn.append(np.mean(np.sum(one.beside(rig.places, rig.normals, answer.correction) ** 2, axis=1)))
     assert foretold(rig, plan=plan).after == pytest.approx(np.sqrt(np.mean(drawn)), rel=0.15)
@@ -159,11 +161,18 @@ def test_nothing_to_foretell_is_an_error():
         expected_error(PRIOR, rig.scene.noise, (), (), rig.places, rig.normals, {})
 
 
-def test_four_thousand_taxels_take_twenty_milliseconds():
+def test_four_thousand_taxels_take_no_longer_than_84():
+    """Of more than forty it looks at some."""
     rig = make_rig(RigErrors.noise(), 1)
-    places, normals, plan, best = np.tile(rig.places, (50, 1)), np.tile(rig.normals, (50, 1)), planned(rig, 3), np.inf
-    for _ in range(7):
-        begin = time.process_time()
-        foretold(rig, (), plan, places=places, normals=normals)
-        best = min(best, time.process_time() - begin)
-    assert best < 0.02
+    plan = planned(rig, 3)
+
+    def seconds(times: int) -> float:
+        places, normals = np.tile(rig.places, (times, 1)), np.tile(rig.normals, (times, 1))
+        best = np.inf
+        for _ in range(7):
+            begin = time.process_time()
+            foretold(rig, (), plan, places=places, normals=normals)
+            best = min(best, time.process_time() - begin)
+        return best
+
+    assert seconds(50) < 3.0 * seconds(1)
