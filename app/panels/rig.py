@@ -94,12 +94,7 @@ class RigPanel(QScrollArea):
             return
         self._shown = shown
         self._list_points(frame)
-        asked = (
-            ()
-            if guidance is None or guidance.landmark is None
-            else (landmark_words(guidance.landmark), gain_words(guidance.gain))
-        )
-        put(self.asked, "; ".join(filter(None, asked)))
+        put(self.asked, _asked_words(guidance))
         self.asked.setVisible(bool(self.asked.text()))
         put(self.said, _words(frame))
         self._offer = frame.offers[0] if frame.offers else None

@@ -77,9 +77,11 @@ class Corrections:
         return Step(words, lambda: self._put(before))
 
     def _put(self, used: Mapping[str, UsedCorrection]) -> None:
+        reframed = used.get(FRAME) is not self.used.get(FRAME)
         self.used = used
-        for told in self.told.values():
-            self._frame(told)
+        if reframed:
+            for told in self.told.values():
+                self._frame(told)
         self._changed()
 
     def take(self, poke: Outcome) -> Outcome:

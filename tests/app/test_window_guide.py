@@ -406,7 +406,9 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     bench.open_served()
     now = bench.window.desk.workspace.now
     bench.key(Qt.Key.Key_V)
-    bench.until(lambda: now.headline.text().startswith("poke "))
+    bench.until(lambda: now.headline.text().startswith("poke the landmark "))
+    bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
+    bench.until(lambda: bench.window.desk.frame.target.channel is not None and now.headline.text().startswith("poke "))
     asked = bench.window.desk.frame.target
     assert bench.window.desk.workspace.names.short(asked.channel) in now.headline.text()
     assert (bench.window.width(), bench.window.height()) == (1280, 720)

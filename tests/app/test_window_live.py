@@ -42,8 +42,11 @@ def known(snapshot) -> dict[tuple[Method, int], bytes]:
 def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.open_served()
     window, workspace = bench.window, bench.window.desk.workspace
-    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Arm"]
+    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Rig"]
     bench.until_all_is_there()
+    bench.until(lambda: window.desk.frame.guidance.landmark is not None)
+    bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
+    assert window.desk.frame.guidance.landmark is None
     empty_map, empty_view = pixels(workspace.map), pixels(workspace.view)
 
     # All final: a poke that still waits for the tare after it is settled by the closing of the session.
@@ -129,7 +132,7 @@ def test_pause_and_go_on_make_a_new_segment_and_lose_nothing(bench, tmp_path):
     road = replay(tmp_path / "mine")
     assert len(road.snapshot().pokes) >= before + 1
     assert set(estimates) <= set(known(road.snapshot()))
-    assert [t for t in bench.window.desk.workspace.titles() if t == "Arm"] == []
+    assert bench.window.desk.workspace.rig.arm is None
 
 
 def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):

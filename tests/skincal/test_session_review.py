@@ -1,0 +1,479 @@
+"""What another process tells of a session: only what is new goes there, and back comes what the session itself finds."""
+
+import itertools
+import queue
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.correction import FRAME, RIG, Correction
+from skincal.estimate.frame_doctor import diagnose
+from skincal.estimate.rig_fit import correct_rig
+from skincal.estimate.solve import estimate_taxels
+from skincal.scene import SurfaceSpec
+from skincal.session import review_process
+from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Uncorrect, Undo
+from skincal.session.corrections import correct_action
+from skincal.session.review import Asked, Reviewer
+from skincal.session.review_process import LENGTH, Part, Unpacker, load_part, packed, serve
+from skincal.session.session import Session
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.rig import RigErrors
+from tests.skincal.poke_script import small_scene
+from tests.skincal.sim_support import make_rig, scene_and_surface
+from tests.skincal.test_session_corrections import rejected
+
+FIRST = 5001
+"""Number of the first landmark poke."""
+
+
+@pytest.fixture(scope="module")
+def poked():
+    """A badly erring rig: pokes on two modules, and eight at landmarks, in one arm pose."""
+    rig, rng = make_rig(RigErrors.paper(), 1), np.random.default_rng(8)
+    contacts = simulate_contacts(rig, unguided(rig, 1, rng), rng)[:24]
+    return rig, contacts, poke_landmarks(rig, rig.scene.landmarks, 8, rng, FIRST)[:8]
+
+
+@pytest.fixture
+def session(poked):
+    rig, contacts, landmarks = poked
+    made = Session(rig.scene, rig.surface)
+    for contact in contacts:
+        made.add(contact)
+    for poke in landmarks:
+        made.add(rejected(poke))
+        made.act(AtLandmark(poke.poke, poke.name))
+    return made
+
+
+def rig_of(session):
+    """A correction of the rig, whatever it is worth."""
+    answer = correct_rig(session.rig_request())
+    return correct_action(RIG, answer.correction, answer.before, answer.after, 8)
+
+
+FRAME_ACTION = correct_action(FRAME, Correction(np.diag([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])), 0.05, 0.004, 8)
+
+
+# What goes there
+
+
+def test_the_first_time_all_is_new_and_then_nothing(session):
+    asked = Asked()
+    first = asked.change(session)
+    assert first.generation == 1
+    assert first.pokes == session.framed()
+    assert len(first.pokes) == 32
+    assert (first.gone, first.corrected, first.dead) == ((), False, {})
+    assert first.channels == session.channels
+    second = asked.change(session)
+    assert (second.generation, second.pokes, second.gone) == (2, {}, ())
+
+
+def test_only_a_poke_that_came_or_came_again_goes_there(session):
+    asked = Asked()
+    asked.change(session)
+    told = session.outcome(3)
+    session.add(replace(told, poke=9000))
+    change = asked.change(session)
+    assert list(change.pokes) == [9000]
+    session.add(replace(told, final=not told.final))
+    change = asked.change(session)
+    assert list(change.pokes) == [3]
+    assert change.pokes[3] is session.outcome(3)
+
+
+def test_a_poke_that_is_taken_out_is_told_as_gone_and_comes_back_by_undo(session):
+    asked = Asked()
+    asked.change(session)
+    session.act(Exclude(4))
+    change = asked.change(session)
+    assert (change.pokes, change.gone) == ({}, (4,))
+    assert (asked.change(session).gone) == ()
+    session.act(Undo())
+    change = asked.change(session)
+    assert (list(change.pokes), change.gone) == ([4], ())
+
+
+def test_another_frame_makes_all_pokes_others_and_a_corrected_rig_none(session):
+    asked = Asked()
+    asked.change(session)
+    session.act(FRAME_ACTION)
+    change = asked.change(session)
+    assert change.pokes.keys() == session.framed().keys()
+    assert not change.corrected
+    np.testing.assert_array_equal(change.pokes[3].moment, 1e-3 * session.outcome(3).moment)
+    session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 8))
+    change = asked.change(session)
+    assert change.corrected
+    assert (change.pokes, change.gone) == ({}, ())
+    session.act(Uncorrect(FRAME))
+    change = asked.change(session)
+    assert len(change.pokes) == 32
+    assert not change.corrected
+    assert change.pokes[3] is session.outcome(3)
+
+
+def test_which_poke_was_at_which_landmark_is_told_as_it_stands(session):
+    asked = Asked()
+    before = asked.change(session)
+    assert before.at_landmarks == session.snapshot().at_landmarks
+    assert len(before.at_landmarks) == 8
+    session.act(AddLandmark("screw", 0.01, 0.02, 0.03))
+    session.act(AtLandmark(3, "screw"))
+    session.act(MarkDead(session.channels[0]))
+    change = asked.change(session)
+    assert change.pokes == {}
+    assert change.at_landmarks == {**before.at_landmarks, 3: "screw"}
+    assert change.landmarks[-1].name == "screw"
+    assert list(change.dead) == [session.channels[0]]
+
+
+def test_without_a_layout_a_channel_comes_with_its_first_poke():
+    session, asked = Session(small_scene(layout=False), None), Asked()
+    assert asked.change(session).channels == ()
+    k = np.array([5])
+    session.add(Contact(1, 0.0, 0.3, np.array([0, 0, -9.0]), np.zeros(3), k, np.ones(1), np.eye(4), "", 0.05, True))
+    assert asked.change(session).channels == (5,)
+
+
+# What comes back
+
+
+def reviewed(session, reviewer=None, asked=None):
+    reviewer = reviewer or Reviewer(session.scene, session.surface)
+    reviewer.take((asked or Asked()).change(session))
+    return reviewer.review(lambda: None)
+
+
+def places(session, contacts):
+    """Where each method puts the taxels, worked out without a reviewer; NaN where it does not know."""
+    solved = estimate_taxels(
+        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, boards=session.boards
+    )
+    unknown = np.full(3, np.nan)
+    return {
+        method: np.array([unknown if one.position is None else one.position for one in found.values()])
+        for method, found in solved.items()
+    }
+
+
+def assert_is_of(session, review):
+    """Fail unless a review says what the session itself finds."""
+    normals = {one.name: one.normal for one in session.landmarks}
+    frame = diagnose(session.landmark_pokes, [normals[one.name] for one in session.landmark_pokes])
+    rig = correct_rig(session.rig_request())
+    assert (review.frame is None) == (frame is None)
+    if frame is not None:
+        assert review.frame.words == frame.words
+    assert [one.poke for one in review.pokes] == [one.poke for one in session.landmark_pokes]
+    assert (review.rig.used, review.rig.sentences, review.rig.trust) == (rig.used, rig.sentences, rig.trust)
+    np.testing.assert_array_equal(review.rig.unknowns, rig.unknowns)
+    np.testing.assert_array_equal(review.channels, session.channels)
+    contacts = [one for one in session.framed().values() if isinstance(one, Contact)]
+    corrected = RIG in session.corrections
+    wanted = places(session, contacts) if corrected else {}
+    offered = places(session, [rig.correction.corrected(one) for one in contacts]) if rig.used and not corrected else {}
+    for found, expected in ((review.before, wanted), (review.after, offered)):
+        assert found.keys() == expected.keys()
+        for method, known in expected.items():
+            np.testing.assert_array_equal(found[method], known)
+
+
+def test_a_review_is_what_the_session_itself_finds(session):
+    review = reviewed(session)
+    assert review.rig.used
+    assert review.generation == 1
+    assert set(review.after) == set(session.methods)
+    assert review.before == {}
+    known = [np.isfinite(found).all(axis=1).sum() for found in review.after.values()]
+    assert min(known) >= 10
+    assert max(known) < len(session.channels), "what nobody poked is not known"
+    assert_is_of(session, review)
+
+
+def test_how_far_each_poke_passes_its_landmark_is_as_the_rig_tells(session):
+    told = reviewed(session).told
+    assert list(told) == list(range(FIRST, FIRST + 8))
+    for poke in session.landmark_pokes:
+        # In the sensor's frame: a force along the axis has at the landmark the moment that is told, less the arm's.
+        where = np.linalg.solve(poke.link_from_sensor, np.append(poke.place, 1.0))[:3]
+        along = poke.force / np.linalg.norm(poke.force)
+        arm = poke.moment - np.cross(where, poke.force)
+        miss = np.linalg.norm(arm - (arm @ along) * along) / np.linalg.norm(poke.force)
+        assert told[poke.poke] == pytest.approx(miss, abs=1e-9)
+
+
+def test_a_reviewer_that_follows_says_the_same_as_one_that_is_told_all_at_once(session):
+    reviewer, asked = Reviewer(session.scene, session.surface), Asked()
+    for number, change in enumerate(
+        (
+            lambda: None,
+            lambda: session.act(Exclude(4)),
+            lambda: session.act(rig_of(session)),
+            lambda: session.act(AtLandmark(FIRST, "")),
+            lambda: session.act(FRAME_ACTION),
+            lambda: [session.act(Undo()) for _ in range(4)],
+        ),
+        1,
+    ):
+        change()
+        review = reviewed(session, reviewer, asked)
+        assert review.generation == number
+        assert_is_of(session, review)
+    assert len(review.pokes) == 8
+
+
+def test_the_places_before_are_told_while_a_correction_is_in_use_and_those_after_while_none_is(session):
+    session.act(rig_of(session))
+    review = reviewed(session)
+    assert review.after == {}
+    assert set(review.before) == set(session.methods)
+    assert_is_of(session, review)
+    session.act(Undo())
+    for method, found in review.before.items():
+        now = session.snapshot().estimates[method]
+        known = np.array([np.full(3, np.nan) if one.position is None else one.position for one in now])
+        np.testing.assert_array_equal(found, known, err_msg="the session's own, without the correction")
+
+
+def test_from_too_few_landmark_pokes_nothing_is_offered(poked):
+    rig, contacts, landmarks = poked
+    session = Session(rig.scene, rig.surface)
+    for contact in contacts:
+        session.add(contact)
+    for poke in landmarks[:2]:
+        session.add(rejected(poke))
+        session.act(AtLandmark(poke.poke, poke.name))
+    review = reviewed(session)
+    assert review.frame is None
+    assert review.rig.correction is None
+    assert (review.before, review.after) == ({}, {})
+    assert len(review.told) == 2
+    assert_is_of(session, review)
+
+
+def test_whoever_is_asked_nothing_says_nothing():
+    with pytest.raises(ValueError, match="nothing was asked"):
+        Reviewer(small_scene(), None).review(lambda: None)
+
+
+class EnoughError(Exception):
+    pass
+
+
+def test_work_is_given_up_at_any_step_and_can_be_done_again(session):
+    reviewer = Reviewer(session.scene, session.surface)
+    reviewer.take(Asked().change(session))
+    calls = []
+    whole = reviewer.review(lambda: calls.append(1))
+    assert len(calls) >= 4
+    for step in (1, 2, len(calls)):
+        left = iter(range(step - 1))
+
+        def between(left=left):
+            if next(left, None) is None:
+                raise EnoughError
+
+        with pytest.raises(EnoughError):
+            reviewer.review(between)
+    again = reviewer.review(lambda: None)
+    np.testing.assert_array_equal(again.rig.unknowns, whole.rig.unknowns)
+
+
+# How it travels
+
+MESSAGES = st.lists(st.one_of(st.none(), st.binary(max_size=300), st.integers(), st.lists(st.text(max_size=5))), max_size=6)
+
+
+@settings(max_examples=40)
+@given(messages=MESSAGES, cuts=st.lists(st.integers(0, 2000), max_size=12))
+@example(messages=[b"", b"x" * 300], cuts=list(range(400)))
+def test_however_the_bytes_are_cut_the_messages_are_the_same(messages, cuts):
+    data = b"".join(map(packed, messages))
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    unpacker, found = Unpacker(), []
+    for begin, end in itertools.pairwise(edges):
+        found += unpacker.feed(data[begin:end])
+    assert found == messages
+
+
+def test_a_message_comes_with_its_last_byte_and_not_before():
+    data, unpacker = packed("whole"), Unpacker()
+    assert int.from_bytes(data[:LENGTH], "little") == len(data) - LENGTH
+    assert list(unpacker.feed(data[:-1])) == []
+    assert list(unpacker.feed(data[-1:] + data[:3])) == ["whole"]
+    assert list(unpacker.feed(data[3:])) == ["whole"]
+
+
+def test_a_review_and_a_change_arrive_as_they_were_sent(session):
+    change = Asked().change(session)
+    (there,) = Unpacker().feed(packed(change))
+    assert there.at_landmarks == change.at_landmarks
+    for number, poke in change.pokes.items():
+        np.testing.assert_array_equal(there.pokes[number].force, poke.force)
+    reviewer = Reviewer(session.scene, session.surface)
+    reviewer.take(there)
+    (back,) = Unpacker().feed(packed(reviewer.review(lambda: None)))
+    assert_is_of(session, back)
+
+
+class Feed:
+    """A source that blocks until bytes are put, and ends with empty ones."""
+
+    def __init__(self):
+        self.waiting = queue.SimpleQueue()
+
+    def read1(self, _most):
+        return self.waiting.get()
+
+    def put(self, *messages):
+        self.waiting.put(b"".join(map(packed, messages)))
+
+    def end(self):
+        self.waiting.put(b"")
+
+
+class Served:
+    """A server in a thread of its own."""
+
+    def __init__(self):
+        self.feed, self.answers = Feed(), queue.SimpleQueue()
+        self.thread = threading.Thread(target=serve, args=(self.feed, self.answers.put), daemon=True)
+        self.thread.start()
+
+    def answer(self):
+        return self.answers.get(timeout=60)
+
+    def ended(self):
+        self.thread.join(60)
+        return not self.thread.is_alive()
+
+
+def part_of(scene, surface):
+    return Part(scene, None if surface is None else surface.sha256)
+
+
+def test_what_is_asked_is_answered_until_the_input_ends(session):
+    served, asked = Served(), Asked()
+    served.feed.put(part_of(session.scene, session.surface), asked.change(session))
+    assert_is_of(session, served.answer())
+    session.act(AtLandmark(FIRST, ""))
+    served.feed.put(asked.change(session))
+    second = served.answer()
+    assert second.generation == 2
+    assert len(second.pokes) == 7
+    served.feed.end()
+    assert served.ended()
+    assert served.answers.empty()
+
+
+@pytest.mark.parametrize("sha256", ["0" * 64, None])
+def test_a_mesh_that_changed_is_said_and_ends_it(sha256):
+    served = Served()
+    served.feed.put(Part(scene_and_surface()[0], sha256))
+    assert "the mesh changed since the session was opened" in served.answer()
+    assert served.ended()
+    served.feed.end()
+
+
+def test_a_mesh_that_is_gone_is_said_and_ends_it(tmp_path):
+    scene = small_scene()
+    scene = replace(scene, surface=SurfaceSpec(tmp_path / "gone.ply", 1.0, np.eye(4)))
+    served = Served()
+    served.feed.put(Part(scene, None))
+    assert "gone.ply" in served.answer()
+    assert served.ended()
+    served.feed.end()
+
+
+def test_a_part_without_a_mesh_needs_none():
+    assert load_part(Part(small_scene(), None)) is None
+    scene, surface = scene_and_surface()
+    assert load_part(part_of(scene, surface)).sha256 == surface.sha256
+
+
+@pytest.mark.parametrize("messages", [(), (Part(small_scene(), None),)], ids=["nothing", "part"])
+def test_an_input_that_ends_early_is_answered_nothing(messages):
+    served = Served()
+    if messages:
+        served.feed.put(*messages)
+    served.feed.end()
+    assert served.ended()
+    assert served.answers.empty()
+
+
+class Slow:
+    """A reviewer whose work takes until it is let go; asks at each step whether to go on."""
+
+    def __init__(self):
+        self.taken, self.begun, self.go_on = [], queue.SimpleQueue(), queue.SimpleQueue()
+
+    def take(self, change):
+        self.taken.append(change)
+
+    def review(self, between):
+        self.begun.put(list(self.taken))
+        while not self.go_on.get(timeout=60):
+            between()
+        return self.taken[-1]
+
+    def works_on(self):
+        """All that it was told, once it begins to work."""
+        return self.begun.get(timeout=60)
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    """A slow reviewer that works on the first change, and its server."""
+    made = Slow()
+    monkeypatch.setattr(review_process, "Reviewer", lambda *_: made)
+    served = Served()
+    served.feed.put(Part(small_scene(), None), "one")
+    assert made.works_on() == ["one"]
+    yield made, served
+    served.feed.end()
+    assert served.ended()
+
+
+def queued(served, message):
+    """Ask, and wait until that lies before the reviewer."""
+    served.feed.put(message)
+    while not served.feed.waiting.empty():
+        time.sleep(0.001)
+    time.sleep(0.05)
+
+
+def test_newer_changes_end_the_work_on_older_ones_and_none_is_lost(slow):
+    reviewer, served = slow
+    reviewer.go_on.put(False)
+    queued(served, "two")
+    reviewer.go_on.put(False)
+    assert reviewer.works_on() == ["one", "two"]
+    served.feed.put("three", "four")
+    queued(served, "five")
+    reviewer.go_on.put(False)
+    assert reviewer.works_on() == ["one", "two", "three", "four", "five"], "all are taken, and the newest is worked on"
+    assert served.answers.empty()
+    reviewer.go_on.put(True)
+    assert served.answer() == "five"
+
+
+def test_work_that_took_long_is_finished_although_newer_changes_wait(slow, monkeypatch):
+    reviewer, served = slow
+    queued(served, "two")
+    monkeypatch.setattr(review_process, "PATIENCE_S", 0.0)
+    reviewer.go_on.put(False)
+    reviewer.go_on.put(True)
+    assert served.answer() == "one"
+    assert reviewer.works_on() == ["one", "two"]
+    reviewer.go_on.put(True)
+    assert served.answer() == "two"
