@@ -1,0 +1,252 @@
+"""The rig put right in the real window: landmarks asked for, poked, skipped; corrections offered, used, taken back."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from whole_window import OPEN_MS
+
+from app.plan import Plan
+from app.running import Running
+from skincal.contacts.outcome import Contact, Phase, Reason, Rejection
+from skincal.estimate.correction import RIG
+from skincal.guide.landmarks import ASTRAY
+from skincal.session.actions import SetPose
+from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.rig import Rig, RigErrors
+
+Key = Qt.Key
+SHIFT = Qt.KeyboardModifier.ShiftModifier
+POSE = "1"
+
+
+class Poked:
+    """A session that streams, or looks as if it did, and a hand that pokes where it is told."""
+
+    def __init__(self, bench, monkeypatch) -> None:
+        self.bench = bench
+        self.road = road = bench.controller._recording.road
+        live = road.live
+
+        def ready(now_ns):
+            view = live(now_ns)
+            return replace(view, progress=replace(view.progress, phase=Phase.READY), links=())
+
+        monkeypatch.setattr(road, "live", ready)
+        bench.controller._set_running(Running.STREAMING)
+        self.said: list[str] = []
+        bench.window.desk.said.connect(lambda message: self.said.append(message.text))
+        self.rng = np.random.default_rng(5)
+        self.rig = Rig(road.scene, road.session.surface, RigErrors.paper(), np.random.default_rng(1))
+        bench.controller.act(SetPose(POSE))
+        bench.until(lambda: self.now.headline.text() == f"poke the landmark {self.asked}", 5000)
+
+    @property
+    def frame(self):
+        return self.bench.window.desk.frame
+
+    @property
+    def asked(self) -> str:
+        target = self.frame.target
+        return "" if target is None else target.landmark
+
+    @property
+    def panel(self):
+        return self.bench.window.desk.workspace.rig
+
+    @property
+    def now(self):
+        return self.bench.window.desk.workspace.now
+
+    def near(self) -> tuple[int, float]:
+        """The taxel nearest to the landmark that is asked for, and how far it lies away, metres."""
+        laid = self.bench.window.desk.workspace.part.laid
+        layout = self.road.scene.skin.layout
+        apart = np.linalg.norm(laid.places[layout.channels] - self.frame.target.place, axis=1)
+        return int(layout.channels[apart.argmin()]), float(apart.min())
+
+    def poke(self, *, answered: bool = False) -> int:
+        """Poke the landmark that is asked for; return the number of the poke."""
+        number, before = self.road.session.last_poke + 1, self.frame
+        landmark = next(one for one in self.road.session.landmarks if one.name == self.asked)
+        pokes = poke_landmarks(self.rig, (landmark,), 1, self.rng, number)
+        told = replace(next(one for one in pokes if one.pose == POSE), poke=number)
+        start_s = time.monotonic() + 1.0
+        rest = {"force": told.force, "moment": told.moment, "link_from_sensor": told.link_from_sensor, "pose": POSE}
+        channels = np.array([self.near()[0]] if answered else [], dtype=np.int64)
+        if answered:
+            outcome = Contact(
+                poke=number, start_s=start_s, end_s=start_s + 0.3, channels=channels,
+                responses=np.array([50.0]), tare_change=0.05, final=True, **rest,
+            )  # fmt: skip
+        else:
+            outcome = Rejection(number, start_s, start_s + 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", channels, True, **rest)
+        self.road.session.add(outcome)
+        self.bench.until(lambda: self.frame is not before and number in self.bench.snapshot.at_landmarks, 5000)
+        return number
+
+    def until_offered(self) -> None:
+        self.bench.until(lambda: bool(self.frame.offers), OPEN_MS)
+        self.bench.qtbot.wait(50)
+
+
+@pytest.fixture
+def poked(bench, recorded, tmp_path, monkeypatch):
+    # What is poked here is in no recording: the others' session must not tell of it.
+    folder = shutil.copytree(recorded, tmp_path / "mine")
+    bench.open(Plan(session=folder))
+    bench.until_all_is_there()
+    return Poked(bench, monkeypatch)
+
+
+def not_cut(label) -> bool:
+    """Whether a label that wraps shows all its lines."""
+    return label.heightForWidth(label.width()) <= label.height()
+
+
+def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
+    bench = poked.bench
+    bench.key(Key.Key_7)
+    assert poked.panel.isVisible()
+    first = poked.asked
+    assert poked.now.headline.text() == f"poke the landmark {first}"
+    assert poked.now.detail.text().startswith("landmark 1 of 6 in this arm pose")
+    assert "after 6 pokes" in poked.now.detail.text()
+    assert poked.panel.asked.isVisible()
+    assert poked.panel.asked.text().startswith("landmark 1 of 6 in this arm pose; expected error of the rig")
+    rows = [poked.panel.points.topLevelItem(row).text(0) for row in range(poked.panel.points.topLevelItemCount())]
+    assert [row for row in rows if row.endswith(first)] == [f"\N{BLACK RIGHT-POINTING TRIANGLE} {first}"]
+    assert sum(row.startswith("\N{BLACK RIGHT-POINTING TRIANGLE}") for row in rows) == 1
+    bench.key(Key.Key_N)
+    assert poked.asked not in ("", first)
+    assert poked.now.headline.text() == f"poke the landmark {poked.asked}"
+    assert bench.window.commands.actions["no landmarks"].isEnabled()
+    bench.key(Key.Key_N, SHIFT)
+    assert poked.asked == ""
+    assert poked.frame.target.channel is not None
+    assert not poked.panel.asked.isVisible()
+    assert not bench.window.commands.actions["no landmarks"].isEnabled()
+    bench.controller.act(SetPose("3"))
+    assert poked.asked != "", "of another arm pose they are asked for"
+
+
+def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_answered_or_not(poked):
+    bench = poked.bench
+    bench.player.played.clear()
+    for answered in (False, True):
+        while answered and poked.near()[1] > ASTRAY:
+            bench.key(Key.Key_N)
+        name = poked.asked
+        number = poked.poke(answered=answered)
+        assert bench.snapshot.at_landmarks[number] == name
+        assert poked.now.headline.text() == f"poke {number} at the landmark {name}"
+        assert poked.now.detail.text() == f"Next: poke the landmark {poked.asked}"
+        assert poked.asked != name
+    assert [sound for sound, _ in bench.player.played] == ["ACCEPTED", "ACCEPTED"]
+    assert bench.snapshot.can_undo == f"poke {number} at {name}"
+    assert poked.frame.guidance.landmark.done == 2
+    bench.key(Key.Key_Backspace)
+    assert number not in bench.snapshot.at_landmarks
+    assert poked.frame.guidance.landmark.done == 1
+    bench.qtbot.wait(100)
+    assert number not in bench.snapshot.at_landmarks, "what was taken back is not said again"
+
+
+def test_without_the_guide_a_poke_is_at_no_landmark(poked):
+    bench, session = poked.bench, poked.road.session
+    first = poked.poke()
+    bench.key(Key.Key_G)
+    late = replace(session.outcome(first), poke=first + 1, start_s=time.monotonic() + 5)
+    session.add(late)
+    bench.until(lambda: bench.snapshot.pokes[-1].outcome is late, 5000)
+    bench.qtbot.wait(50)
+    assert list(bench.snapshot.at_landmarks) == [first]
+
+
+def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
+    bench, panel = poked.bench, poked.panel
+    bench.key(Key.Key_7)
+    assert not bench.window.commands.actions["correct"].isEnabled()
+    for _ in range(6):
+        poked.poke()
+    assert poked.asked == "", "these are enough for this arm pose"
+    poked.until_offered()
+    (offer,) = poked.frame.offers
+    assert offer.text == "Correct the rig"
+    assert len(poked.said) == 1
+    assert offer.words in poked.said[0]
+    assert "C uses that, Backspace takes it back" in poked.said[0]
+    assert panel.offer.isVisible()
+    assert bench.window.commands.actions["correct"].text().startswith(offer.text)
+    before = bench.snapshot.estimates
+
+    bench.key(Key.Key_C)
+    assert bench.snapshot.corrections[RIG].pokes == 6
+    assert bench.snapshot.can_undo == "correction of the rig"
+    bench.until(lambda: "has moved the taxels" in panel.said.text(), OPEN_MS)
+    assert "The rig is corrected from 6" in poked.said[-1]
+    assert poked.frame.offers == ()
+    assert (panel.offer.isVisible(), panel.drop.isVisible()) == (False, True)
+    assert not bench.window.commands.actions["correct"].isEnabled()
+    assert moved(before, bench.snapshot.estimates) > 1e-3
+
+    bench.key(Key.Key_Backspace)
+    assert not bench.snapshot.corrections
+    assert moved(before, bench.snapshot.estimates) == 0.0
+    poked.until_offered()
+
+    QTest.mouseClick(panel.offer, Qt.MouseButton.LeftButton)
+    bench.until(lambda: RIG in bench.snapshot.corrections and panel.drop.isVisible(), 5000)
+    bench.qtbot.wait(50)
+    QTest.mouseClick(panel.drop, Qt.MouseButton.LeftButton)
+    bench.until(lambda: not bench.snapshot.corrections, 5000)
+    assert bench.snapshot.can_undo == "end of the correction of the rig"
+    assert moved(before, bench.snapshot.estimates) == 0.0
+
+
+def moved(before, after) -> float:
+    """How far a taxel moved at most between two sets of estimates, metres."""
+    apart = [
+        np.linalg.norm(one.position - other.position)
+        for method, every in before.items()
+        for one, other in zip(every, after[method], strict=True)
+        if one.position is not None and other.position is not None
+    ]
+    assert apart
+    return float(max(apart))
+
+
+def test_nothing_that_is_said_of_the_rig_is_cut_at_1280_by_720(poked):
+    bench, panel, now = poked.bench, poked.panel, poked.now
+    assert (bench.window.width(), bench.window.height()) == (1280, 720)
+    bench.key(Key.Key_7)
+    for landmark in bench.snapshot.landmarks:
+        now.headline.setText(f"poke 1240 at the landmark {landmark.name}")
+        assert not now.headline.is_elided()
+    gain = "expected error of the rig 12.4 \N{RIGHTWARDS ARROW} 10.5 mm after 6 pokes"
+    longest = f"landmark 6 of 6 in this arm pose  \N{MIDDLE DOT}  {gain}"
+    assert now.detail.fontMetrics().horizontalAdvance(longest) <= now.detail.width()
+    assert not_cut(panel.asked)
+    for _ in range(6):
+        poked.poke()
+    poked.until_offered()
+    for shown in ("Correct the rig", "Do without"):
+        button = next(one for one in (panel.offer, panel.drop) if one.text().startswith(shown))
+        assert button.isVisible()
+        assert button.sizeHint().width() <= button.width()
+        assert not_cut(panel.said)
+        assert panel.horizontalScrollBar().maximum() == 0
+        points = panel.points
+        for row in range(points.topLevelItemCount()):
+            for column in range(4):
+                text = points.topLevelItem(row).text(column)
+                assert points.fontMetrics().horizontalAdvance(text) < points.columnWidth(column), text
+        bench.key(Key.Key_C)
+        bench.until(lambda: panel.drop.isVisible(), 5000)
+        bench.qtbot.wait(50)
