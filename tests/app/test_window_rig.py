@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from dataclasses import replace
@@ -105,9 +106,43 @@ def poked(bench, recorded, tmp_path, monkeypatch):
     return Poked(bench, monkeypatch)
 
 
-def not_cut(label) -> bool:
-    """Whether a label that wraps shows all its lines."""
-    return label.heightForWidth(label.width()) <= label.height()
+def assert_nothing_is_cut(poked) -> None:
+    """Fail where words of the tab are not on the screen as a whole."""
+    bench, panel, points = poked.bench, poked.panel, poked.panel.points
+    bench.qtbot.wait(50)
+    assert (bench.window.width(), bench.window.height()) == (1280, 720)
+    assert panel.horizontalScrollBar().maximum() == 0
+    for label in (panel.asked, panel.said):
+        assert not label.isVisible() or label.heightForWidth(label.width()) <= label.height()
+    for button in (panel.offer, panel.drop):
+        assert not button.isVisible() or button.sizeHint().width() <= button.width()
+    for row in range(points.topLevelItemCount()):
+        for column in range(points.columnCount()):
+            text = points.topLevelItem(row).text(column)
+            assert points.fontMetrics().horizontalAdvance(text) < points.columnWidth(column), text
+    last = points.visualItemRect(points.topLevelItem(points.topLevelItemCount() - 1))
+    assert points.viewport().rect().contains(last), "all landmarks are seen without scrolling the list"
+
+
+def is_running(process: int) -> bool:
+    """Whether there is a process of that number."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def moved(before, after) -> float:
+    """How far a taxel moved at most between two sets of estimates, metres."""
+    apart = [
+        np.linalg.norm(one.position - other.position)
+        for method, every in before.items()
+        for one, other in zip(every, after[method], strict=True)
+        if one.position is not None and other.position is not None
+    ]
+    assert apart
+    return float(max(apart))
 
 
 def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
@@ -123,6 +158,7 @@ def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
     rows = [poked.panel.points.topLevelItem(row).text(0) for row in range(poked.panel.points.topLevelItemCount())]
     assert [row for row in rows if row.endswith(first)] == [f"\N{BLACK RIGHT-POINTING TRIANGLE} {first}"]
     assert sum(row.startswith("\N{BLACK RIGHT-POINTING TRIANGLE}") for row in rows) == 1
+    assert_nothing_is_cut(poked)
     bench.key(Key.Key_N)
     assert poked.asked not in ("", first)
     assert poked.now.headline.text() == f"poke the landmark {poked.asked}"
@@ -134,6 +170,12 @@ def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
     assert not bench.window.commands.actions["no landmarks"].isEnabled()
     bench.controller.act(SetPose("3"))
     assert poked.asked != "", "of another arm pose they are asked for"
+    for landmark in bench.snapshot.landmarks:
+        poked.now.headline.setText(f"poke 1240 at the landmark {landmark.name}")
+        assert not poked.now.headline.is_elided()
+    gain = "expected error of the rig 12.4 \N{RIGHTWARDS ARROW} 10.5 mm after 6 pokes"
+    longest = f"landmark 6 of 6 in this arm pose  \N{MIDDLE DOT}  {gain}"
+    assert poked.now.detail.fontMetrics().horizontalAdvance(longest) <= poked.now.detail.width()
 
 
 def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_answered_or_not(poked):
@@ -156,17 +198,13 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_ans
     assert poked.frame.guidance.landmark.done == 1
     bench.qtbot.wait(100)
     assert number not in bench.snapshot.at_landmarks, "what was taken back is not said again"
-
-
-def test_without_the_guide_a_poke_is_at_no_landmark(poked):
-    bench, session = poked.bench, poked.road.session
-    first = poked.poke()
     bench.key(Key.Key_G)
-    late = replace(session.outcome(first), poke=first + 1, start_s=time.monotonic() + 5)
-    session.add(late)
-    bench.until(lambda: bench.snapshot.pokes[-1].outcome is late, 5000)
+    session = poked.road.session
+    unasked = replace(session.outcome(number - 1), poke=number + 1, start_s=time.monotonic() + 5.0)
+    session.add(unasked)
+    bench.until(lambda: bench.snapshot.pokes[-1].outcome is unasked, 5000)
     bench.qtbot.wait(50)
-    assert list(bench.snapshot.at_landmarks) == [first]
+    assert list(bench.snapshot.at_landmarks) == [number - 1], "without the guide none is asked for"
 
 
 def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
@@ -185,6 +223,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert panel.offer.isVisible()
     assert bench.window.commands.actions["correct"].text().startswith(offer.text)
     before = bench.snapshot.estimates
+    assert_nothing_is_cut(poked)
 
     bench.key(Key.Key_C)
     assert bench.snapshot.corrections[RIG].pokes == 6
@@ -192,6 +231,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     bench.until(lambda: "has moved the taxels" in panel.said.text(), OPEN_MS)
     assert "The rig is corrected from 6" in poked.said[-1]
     assert poked.frame.offers == ()
+    assert_nothing_is_cut(poked)
     assert (panel.offer.isVisible(), panel.drop.isVisible()) == (False, True)
     assert not bench.window.commands.actions["correct"].isEnabled()
     assert moved(before, bench.snapshot.estimates) > 1e-3
@@ -209,44 +249,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert bench.snapshot.can_undo == "end of the correction of the rig"
     assert moved(before, bench.snapshot.estimates) == 0.0
 
-
-def moved(before, after) -> float:
-    """How far a taxel moved at most between two sets of estimates, metres."""
-    apart = [
-        np.linalg.norm(one.position - other.position)
-        for method, every in before.items()
-        for one, other in zip(every, after[method], strict=True)
-        if one.position is not None and other.position is not None
-    ]
-    assert apart
-    return float(max(apart))
-
-
-def test_nothing_that_is_said_of_the_rig_is_cut_at_1280_by_720(poked):
-    bench, panel, now = poked.bench, poked.panel, poked.now
-    assert (bench.window.width(), bench.window.height()) == (1280, 720)
-    bench.key(Key.Key_7)
-    for landmark in bench.snapshot.landmarks:
-        now.headline.setText(f"poke 1240 at the landmark {landmark.name}")
-        assert not now.headline.is_elided()
-    gain = "expected error of the rig 12.4 \N{RIGHTWARDS ARROW} 10.5 mm after 6 pokes"
-    longest = f"landmark 6 of 6 in this arm pose  \N{MIDDLE DOT}  {gain}"
-    assert now.detail.fontMetrics().horizontalAdvance(longest) <= now.detail.width()
-    assert not_cut(panel.asked)
-    for _ in range(6):
-        poked.poke()
-    poked.until_offered()
-    for shown in ("Correct the rig", "Do without"):
-        button = next(one for one in (panel.offer, panel.drop) if one.text().startswith(shown))
-        assert button.isVisible()
-        assert button.sizeHint().width() <= button.width()
-        assert not_cut(panel.said)
-        assert panel.horizontalScrollBar().maximum() == 0
-        points = panel.points
-        for row in range(points.topLevelItemCount()):
-            for column in range(4):
-                text = points.topLevelItem(row).text(column)
-                assert points.fontMetrics().horizontalAdvance(text) < points.columnWidth(column), text
-        bench.key(Key.Key_C)
-        bench.until(lambda: panel.drop.isVisible(), 5000)
-        bench.qtbot.wait(50)
+    process = bench.controller._reviewing._process.processId()
+    assert process
+    bench.window.close()
+    bench.until(lambda: not is_running(process), 5000)
