@@ -12,10 +12,10 @@ import pytest
 from PySide6.QtCore import QProcess
 from whole_window import OPEN_MS
 
-from app.review_server import ReviewServer
-from skincal.contacts.outcome import Reason, Rejection
+from app.review_server import SKIN, ReviewServer
+from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.scene import Scene, load_scene, resource
-from skincal.session.actions import AtLandmark, SetPose
+from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
 from skincal.session.review import Asked, Reviewer
 from skincal.session.session import Session
 from skincal.simulate.landmarks import poke_landmarks
@@ -157,10 +157,41 @@ def test_only_what_is_reviewed_is_asked_about(session, server, asked):
     server.follow(session.snapshot())
     assert len(asked) == 1, "where the arm stands tells nothing"
     tell(session, server, 2)
-    session.add(replace(session.outcome(1), poke=17))
+    session.act(AddLandmark("screw", 0.01, 0.02, 0.03))
     server.follow(session.snapshot())
-    assert [one.generation for one in asked] == [1, 2, 3]
-    assert list(asked[-1].pokes) == [17]
+    session.act(MarkDead(session.channels[0]))
+    server.follow(session.snapshot())
+    session.add(replace(session.outcome(1), end_s=9.0))
+    server.follow(session.snapshot())
+    assert [one.generation for one in asked] == [1, 2, 3, 4, 5]
+    assert list(asked[-1].pokes) == [1], "a landmark poke that is told again"
+
+
+def on_skin(session, number: int) -> Contact:
+    """A poke that a taxel answered."""
+    told, channel = session.outcome(1), session.channels[0]
+    return Contact(
+        number, 0.0, 0.3, told.force, told.moment, np.array([channel]), np.array([50.0]), told.link_from_sensor, told.pose,
+        float("nan"), False,
+    )  # fmt: skip
+
+
+def test_pokes_on_the_skin_are_told_by_tens_and_one_that_is_taken_out_at_once(session, server, asked):
+    tell(session, server, 1)
+    for number in range(11, 11 + SKIN):
+        assert len(asked) == 1, number
+        session.add(on_skin(session, number))
+        server.follow(session.snapshot())
+    assert list(asked[-1].pokes) == list(range(11, 11 + SKIN))
+    session.add(replace(on_skin(session, 11), final=True))
+    server.follow(session.snapshot())
+    assert len(asked) == 2, "with the tare after it, it tells nearly the same"
+    session.act(Exclude(12))
+    server.follow(session.snapshot())
+    assert (len(asked), asked[-1].gone, list(asked[-1].pokes)) == (3, (12,), [11])
+    session.act(Undo())
+    server.follow(session.snapshot())
+    assert (len(asked), list(asked[-1].pokes)) == (4, [12])
 
 
 def test_an_answer_to_what_was_asked_before_is_not_passed_on(session, server, asked, monkeypatch):

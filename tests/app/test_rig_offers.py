@@ -14,6 +14,7 @@ from app.display_units import DASH
 from app.panels.rig import NO_POINTS, NOT_YET, RigPanel
 from app.policies import allowed
 from app.rig_offers import LandmarkRow, landmark_rows, moved_words, offers_of, review_words, used_words
+from app.rigging import Rigging
 from app.running import Running
 from skincal.contacts.outcome import Reason
 from skincal.estimate.correction import FRAME, RIG, Correction, UsedCorrection
@@ -136,6 +137,24 @@ def test_the_key_does_what_is_offered_first():
     assert may(offers_of(review(), at())) == "Correct the rig"
     assert may(offers_of(review(diagnosis=WRONG), at())) == "Correct the sensor's frame"
     assert may(()) == ""
+
+
+def test_an_offer_is_told_once_and_made_once():
+    rigging, none = Rigging(), at()
+    assert (rigging.offers(none), rigging.news(none)) == ((), "")
+    rigging.review = review()
+    made = rigging.offers(none)
+    assert rigging.offers(replace(none, generation=9)) is made
+    news = rigging.news(none)
+    assert news.startswith(made[0].words)
+    assert "C uses that, Backspace takes it back" in news
+    used = at(in_use())
+    assert (rigging.offers(used), rigging.news(used)) == ((), "")
+    rigging.review = review()
+    assert rigging.offers(none) is not made
+    assert rigging.news(none) == "", "it was told, and was taken back"
+    rigging.review = review(pokes=9)
+    assert "C uses that" in rigging.news(used), "another one is offered"
 
 
 # What is said

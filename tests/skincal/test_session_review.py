@@ -217,10 +217,8 @@ def test_a_reviewer_that_follows_says_the_same_as_one_that_is_told_all_at_once(s
     for number, change in enumerate(
         (
             lambda: None,
-            lambda: session.act(Exclude(4)),
-            lambda: session.act(rig_of(session)),
-            lambda: session.act(AtLandmark(FIRST, "")),
-            lambda: session.act(FRAME_ACTION),
+            lambda: [session.act(Exclude(4)), session.act(AtLandmark(FIRST, ""))],
+            lambda: [session.act(FRAME_ACTION), session.act(rig_of(session))],
             lambda: [session.act(Undo()) for _ in range(4)],
         ),
         1,
