@@ -38,9 +38,6 @@ def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
     if action is None:
         return ()
     if action.of == FRAME and frame is not None:
-        if FRAME in snapshot.corrections:
-            # This one was found under that, or before it: in its place it would be wrong.
-            return ()
         perhaps = "" if frame.sure else " Another mistake would be nearly as likely: poke another landmark."
         return (Offer("Correct the sensor's frame", frame.words + perhaps, action),)
     used = snapshot.corrections.get(RIG)

@@ -50,7 +50,7 @@ def rig(
     )
 
 
-TOO_FEW = RigAnswer(None, False, float("nan"), float("nan"), {1: 1.0, 2: 1.0}, {}, NOBODY, NOBODY)
+TOO_FEW = RigAnswer(None, False, float("nan"), float("nan"), 2, {1: 1.0, 2: 1.0}, {}, NOBODY, NOBODY)
 
 
 def poke_of(number: int, name: str = "corner") -> LandmarkPoke:
