@@ -89,9 +89,9 @@ class Landmarks:
         guidance : of the skin
         now_s : host's monotonic clock, seconds, when it is seen
         """
-        here = self._stances.key(snapshot.pose, snapshot.link_from_sensor)
+        here = self._key(snapshot.pose, snapshot.link_from_sensor)
         if here != self._stance:
-            self._stance, self._stance_s = here, now_s if self._stance else -np.inf
+            self._stance, self._stance_s = here, now_s if self._stance and not self._is_named(here) else -np.inf
         still = now_s - self._stance_s >= STILL_S
         told = ([one.name for one in snapshot.landmarks], snapshot.at_landmarks, here, still, guidance)
         if told != self._told:
@@ -107,6 +107,13 @@ class Landmarks:
                 self._shown = guidance.before_skin(now, self._normal(now.landmark), gain)
         return self._shown or guidance
 
+    def _is_named(self, pose: str) -> bool:
+        """Return whether the scene knows that arm pose; streamed joints pass through others that have no name of their own."""
+        return self._scene.arm is None or pose in self._scene.arm.poses
+
+    def _key(self, pose: str, link_from_sensor: FloatArray | None) -> str:
+        return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
+
     @property
     def _wish(self) -> LandmarkWish | None:
         return self._wishes[0] if self._wishes else None
@@ -114,7 +121,7 @@ class Landmarks:
     def _plan(self, snapshot: Snapshot) -> list[LandmarkWish]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
             return []
-        poked = [(self._stances.key(one.pose, one.link_from_sensor), one.name) for one in self._made(snapshot)]
+        poked = [(self._key(one.pose, one.link_from_sensor), one.name) for one in self._made(snapshot)]
         return self._round.plan(snapshot.landmarks, poked, self._stance)
 
     def _made(self, snapshot: Snapshot) -> list[LandmarkPoke]:

@@ -11,7 +11,7 @@ from scene3d_support import estimate
 from window_support import PLAN, arm_scene, frame, session, slip, touch
 
 from app.display_units import DASH
-from app.panels.rig import NO_POINTS, NOT_YET, RigPanel
+from app.panels.rig import NO_POINTS, NOT_YET, WAITING, RigPanel
 from app.policies import allowed
 from app.rig_offers import LandmarkRow, landmark_rows, moved_words, offers_of, review_words, used_words
 from app.rigging import Rigging
@@ -26,6 +26,7 @@ from skincal.scene import Landmark
 from skincal.session.actions import Uncorrect
 from skincal.session.corrections import correction_of
 from skincal.session.review import Review
+from skincal.session.snapshot import Snapshot
 
 CORNER, OTHER = (Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in (("corner", 0.03), ("other", -0.03)))
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -46,7 +47,15 @@ def rig(
     """An answer from six pokes; how much the last of them counts."""
     trust = dict.fromkeys(range(1, 7), 1.0) | {6: doubted}
     return RigAnswer(
-        correction or Correction(MATRIX), used, 0.0074, 0.0012, trust, distances or dict.fromkeys(trust, 0.001), NOBODY, NOBODY
+        correction or Correction(MATRIX),
+        used,
+        0.0074,
+        0.0012,
+        6,
+        trust,
+        distances or dict.fromkeys(trust, 0.001),
+        NOBODY,
+        NOBODY,
     )
 
 
@@ -77,6 +86,11 @@ def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmar
     return replace(made, corrections=corrections, landmarks=(CORNER, OTHER), at_landmarks=there, pose="low")
 
 
+def offers(told: Review | None, moment: Snapshot):
+    """What a review offers that was made of this very session."""
+    return offers_of(None if told is None else replace(told, used=moment.corrections), moment)
+
+
 def in_use(of: str = RIG, pokes: int = 6) -> UsedCorrection:
     return UsedCorrection(of, Correction(MATRIX), 0.0074, 0.0012, pokes)
 
@@ -85,48 +99,51 @@ def in_use(of: str = RIG, pokes: int = 6) -> UsedCorrection:
 
 
 def test_nothing_is_offered_before_a_review_or_from_too_few_pokes():
-    assert offers_of(None, at()) == ()
-    assert offers_of(review(TOO_FEW, None, 2), at()) == ()
-    assert offers_of(review(TOO_FEW, RIGHT, 3), at()) == ()
+    assert offers(None, at()) == ()
+    assert offers(review(TOO_FEW, None, 2), at()) == ()
+    assert offers(review(TOO_FEW, RIGHT, 3), at()) == ()
 
 
 def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
-    (offer,) = offers_of(review(), at())
+    (offer,) = offers(review(), at())
     assert offer.text == "Correct the rig"
     assert "1.2 mm" in offer.words
     assert "7.4 mm" in offer.words
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (RIG, 0.0074, 0.0012, 6)
     np.testing.assert_array_equal(correction_of(action).matrix, MATRIX)
-    assert offers_of(review(rig(used=False)), at()) == ()
+    assert offers(review(rig(used=False)), at()) == ()
 
 
 def test_the_frame_goes_first_with_its_misses():
-    (offer,) = offers_of(review(diagnosis=WRONG), at())
+    (offer,) = offers(review(diagnosis=WRONG), at())
     assert offer.text == "Correct the sensor's frame"
     assert offer.words == WRONG.words
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (FRAME, 0.051, 0.006, 6)
     found = correction_of(action)
     np.testing.assert_array_equal(found.matrix, np.kron(np.diag([1.0, 1e-3]), TURN))
-    (offer,) = offers_of(review(TOO_FEW, replace(WRONG, sure=False), 3), at())
+    (offer,) = offers(review(TOO_FEW, replace(WRONG, sure=False), 3), at())
     assert "nearly as likely: poke another landmark" in offer.words
 
 
-def test_a_frame_found_under_another_is_never_put_in_its_place():
+def test_a_frame_found_under_another_builds_on_it():
     """What is offered replaces what is in use; under a corrected frame the doctor tells only what is left."""
-    assert offers_of(review(diagnosis=WRONG), at(in_use(FRAME))) == ()
-    (offer,) = offers_of(review(), at(in_use(FRAME)))
+    used = in_use(FRAME)
+    (offer,) = offers(review(diagnosis=WRONG), at(used))
+    found = np.kron(np.diag([1.0, 1e-3]), TURN)
+    np.testing.assert_allclose(correction_of(offer.action).matrix, found @ used.correction.matrix, atol=1e-15)
+    (offer,) = offers(review(), at(in_use(FRAME)))
     assert offer.action.of == RIG
 
 
 def test_what_is_in_use_is_offered_again_only_from_more_pokes():
-    assert offers_of(review(), at(in_use(pokes=6))) == ()
+    assert offers(review(), at(in_use(pokes=6))) == ()
     for pokes in (5, 7):
-        (offer,) = offers_of(review(pokes=pokes), at(in_use(pokes=6)))
+        (offer,) = offers(review(pokes=pokes), at(in_use(pokes=6)))
         assert offer.text == "Correct the rig anew"
         assert offer.action.pokes == pokes
-    (offer,) = offers_of(review(diagnosis=WRONG), at(in_use(pokes=6)))
+    (offer,) = offers(review(diagnosis=WRONG), at(in_use(pokes=6)))
     assert offer.action.of == FRAME, "a wrong frame is told whatever else is in use"
 
 
@@ -134,26 +151,31 @@ def test_the_key_does_what_is_offered_first():
     def may(offers):
         return allowed(at(), arm_scene(), (), Running.STREAMING, (), None, None, offers).correct
 
-    assert may(offers_of(review(), at())) == "Correct the rig"
-    assert may(offers_of(review(diagnosis=WRONG), at())) == "Correct the sensor's frame"
+    assert may(offers(review(), at())) == "Correct the rig"
+    assert may(offers(review(diagnosis=WRONG), at())) == "Correct the sensor's frame"
     assert may(()) == ""
 
 
 def test_an_offer_is_told_once_and_made_once():
     rigging, none = Rigging(), at()
+    used = at(in_use())
+    now, then = (replace(review(), used=one.corrections) for one in (none, used))
     assert (rigging.offers(none), rigging.news(none)) == ((), "")
-    rigging.review = review()
+    rigging.review = now
     made = rigging.offers(none)
     assert rigging.offers(replace(none, generation=9)) is made
     news = rigging.news(none)
     assert news.startswith(made[0].words)
     assert "C uses that, Backspace takes it back" in news
-    used = at(in_use())
+    assert rigging.shown(none) is now
+    assert rigging.shown(used) is None, "it says nothing of a session that uses another correction"
     assert (rigging.offers(used), rigging.news(used)) == ((), "")
-    rigging.review = review()
+    rigging.review = replace(now, generation=2)
     assert rigging.offers(none) is not made
     assert rigging.news(none) == "", "it was told, and was taken back"
-    rigging.review = review(pokes=9)
+    rigging.review = then
+    assert rigging.offers(used) == ()
+    rigging.review = replace(then, pokes=review(pokes=9).pokes)
     assert "C uses that" in rigging.news(used), "another one is offered"
 
 
@@ -202,7 +224,7 @@ def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_coul
     used = at(in_use(FRAME), in_use(RIG))
     assert review_words(told, used, Method.FREE, ()) == (RIGHT.words, used_words(in_use(FRAME)), used_words(in_use(RIG)), doubt)
     few = review_words(review(TOO_FEW, None, 2), at(), Method.FREE, ())
-    assert few == ("No correction of the rig: it needs 6 pokes at landmarks, 2 are there.",)
+    assert few == ("No correction of the rig: it needs 6 pokes at landmarks, 4 different ones; 2 pokes at 2 are there.",)
 
 
 # The list
@@ -240,7 +262,7 @@ def panel(qtbot):
 
 
 def shown(moment, told=None, **changes):
-    return replace(frame(moment, where=arm_scene(), **changes), review=told, offers=offers_of(told, moment))
+    return replace(frame(moment, where=arm_scene(), **changes), review=told, offers=offers(told, moment))
 
 
 def cells(panel) -> list[list[str]]:
@@ -253,9 +275,10 @@ def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
     assert panel.said.text() == NO_POINTS
     assert not panel.points.isVisible()
     panel.show_frame(shown(replace(at(pokes=(here(1),), at_landmarks={1: "corner"}), generation=2)))
-    assert panel.said.text() == NOT_YET
+    assert panel.said.text() == WAITING
     assert cells(panel) == [["corner", "1", "1", DASH], ["other", "0", "0", DASH]]
     panel.show_frame(shown(replace(at(), landmarks=(OTHER,), generation=3)))
+    assert panel.said.text() == NOT_YET
     assert cells(panel) == [["other", "0", "0", DASH]]
     assert not panel.offer.isVisible()
     assert not panel.drop.isVisible()
@@ -268,7 +291,7 @@ def test_the_buttons_use_what_is_offered_and_drop_what_was_used_last(qtbot, pane
     assert panel.offer.isVisible()
     with qtbot.waitSignal(panel.correct_requested) as wanted:
         panel.offer.click()
-    assert wanted.args == [offers_of(told, at())[0].action]
+    assert wanted.args == [offers(told, at())[0].action]
     panel.show_frame(shown(replace(at(in_use(FRAME), in_use(RIG)), generation=2), told))
     assert not panel.offer.isVisible()
     assert panel.drop.isVisible()

@@ -82,7 +82,7 @@ def at(free: dict, surface: dict | None = None, generation: int = 1, **changes):
 
 
 def review(before: dict, after: dict, channels=CHANNELS) -> Review:
-    answer = RigAnswer(None, False, float("nan"), float("nan"), {}, {}, np.empty(0), np.empty(0))
+    answer = RigAnswer(None, False, float("nan"), float("nan"), 0, {}, {}, np.empty(0), np.empty(0))
     return Review(1, (), {}, None, answer, channels, before, after)
 
 
