@@ -14,8 +14,10 @@ from whole_window import OPEN_MS
 
 from app.review_server import SKIN, ReviewServer
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.estimate.correction import RIG, Correction
 from skincal.scene import Scene, load_scene, resource
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
+from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer
 from skincal.session.session import Session
 from skincal.simulate.landmarks import poke_landmarks
@@ -165,6 +167,10 @@ def test_only_what_is_reviewed_is_asked_about(session, server, asked):
     server.follow(session.snapshot())
     assert [one.generation for one in asked] == [1, 2, 3, 4, 5]
     assert list(asked[-1].pokes) == [1], "a landmark poke that is told again"
+    session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
+    server.follow(session.snapshot())
+    assert len(asked) == 6
+    assert asked[-1].corrected
 
 
 def on_skin(session, number: int) -> Contact:
