@@ -139,10 +139,12 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
 def _told_by_landmarks(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
     from skincal.estimate.frame_doctor import diagnose
     from skincal.estimate.rig_fit import correct_rig
+    from skincal.session.known_points import landmark_normals
 
-    normals = {one.name: one.normal for one in session.landmarks}
+    known = {one.name: one for one in session.landmarks}
     pokes = session.landmark_pokes
-    return diagnose(pokes, [normals[one.name] for one in pokes]), correct_rig(session.rig_request())
+    normals = landmark_normals([known[one.name] for one in pokes], session.surface)
+    return diagnose(pokes, normals), correct_rig(session.rig_request())
 
 
 def _correct(session: Session) -> None:

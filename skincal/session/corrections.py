@@ -153,21 +153,23 @@ def _is_motion(matrix: FloatArray) -> bool:
 def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapping[str, UsedCorrection]) -> Correct | None:
     """Return the action that uses what landmark pokes offer; None where they offer nothing.
 
-    The sensor's frame comes first: what else was found under a wrong one is worth nothing.
+    The sensor's frame comes first: what else was found under a wrong one is worth nothing. Where no wrong frame explains the
+    pokes, or it is not sure, the rig's correction comes before: one wild poke does not bend it, and held-out pokes tried it.
 
     Parameters
     ----------
     pokes : how many landmark pokes there are
     used : corrections that were in use when that was found
     """
-    if frame is not None and not frame.right:
+    tried = rig.correction if rig.used else None
+    if frame is not None and not frame.right and frame.explained and (frame.sure or tried is None):
         found = frame_correction(frame.correction)
         # It was found in the frame that is in use, and takes its place.
         whole = found.after(used[FRAME].correction) if FRAME in used else found
         return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)
-    if rig.correction is None or not rig.used:
+    if tried is None:
         return None
-    return correct_action(RIG, rig.correction, rig.before, rig.after, pokes)
+    return correct_action(RIG, tried, rig.before, rig.after, pokes)
 
 
 def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int) -> Correct:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
 from skincal.errors import InputError
 from skincal.estimate.rig_fit import LandmarkPoke
+from skincal.readings import FloatArray
 from skincal.scene import Landmark
 from skincal.session.actions import AddLandmark, AtLandmark
 from skincal.session.history import Step
+from skincal.surface.mesh import Surface
+from skincal.surface.nearest import nearest_points
 from skincal.tables import LENGTH_MAX
+
+ON_SURFACE = 0.010
+"""m: what lies farther from the surface is no point of it, such as one of a jig, and may be poked from any side."""
 
 
 class KnownPoints:
@@ -103,3 +109,20 @@ def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
     if force is None or moment is None or pose is None:
         return None
     return LandmarkPoke(outcome.poke, landmark.name, landmark.place, force, moment, pose, outcome.pose)
+
+
+def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> list[FloatArray | None]:
+    """Return which way is outward at each landmark: its own normal, else that of the nearest triangle, else None.
+
+    A landmark that was added by hand has none of its own; without one a sensor that reports the reaction cannot be told.
+    """
+    normals = [one.normal for one in landmarks]
+    missing = [i for i, normal in enumerate(normals) if normal is None]
+    if surface is None or not missing:
+        return normals
+    places = np.array([landmarks[i].place for i in missing])
+    nearest, triangles = nearest_points(surface, places)
+    for i, off, triangle in zip(missing, np.linalg.norm(nearest - places, axis=1), triangles, strict=True):
+        if off <= ON_SURFACE:
+            normals[i] = surface.normals[triangle]
+    return normals

@@ -21,7 +21,7 @@ from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer, RigRequest, correc
 from skincal.estimate.solve import estimate_taxels
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Landmark, Scene
-from skincal.session.known_points import poke_at
+from skincal.session.known_points import landmark_normals, poke_at
 from skincal.session.session import Session, methods_of
 from skincal.wrench import axis_point, move_wrench
 
@@ -136,7 +136,7 @@ class Reviewer:
         contacts = [one for one in ordered if isinstance(one, Contact)]
         known = {one.name: one for one in newest.landmarks}
         pokes = _at_landmarks(ordered, known, newest.at_landmarks)
-        frame = diagnose(pokes, [known[one.name].normal for one in pokes])
+        frame = diagnose(pokes, landmark_normals([known[one.name] for one in pokes], self._surface))
         between()
         rig = correct_rig(RigRequest(self._scene, self._surface, contacts, pokes, newest.dead), between)
         between()

@@ -162,5 +162,5 @@ def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
     assert rig["frame"]["right"]
     assert main(["solve", str(tmp_path / "s")]) == 0
     told = capsys.readouterr().out
-    assert "frame is right" in told
+    assert "frame looks right" in told
     assert "it needs 6 pokes at landmarks, 4 different ones; 3 pokes at 1 are there" in told
