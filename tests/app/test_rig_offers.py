@@ -33,8 +33,8 @@ TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 MATRIX = 1.02 * np.eye(6)
 NOBODY = np.empty(0)
 ARROW = "\N{RIGHTWARDS ARROW}"
-RIGHT = FrameDiagnosis("The sensor's frame looks right.", True, True, 0.0074, 0.0074, FrameCorrection())
-WRONG = FrameDiagnosis("The sensor's frame looks wrong.", False, True, 0.051, 0.006, FrameCorrection(TURN, 1.0, 1e-3))
+RIGHT = FrameDiagnosis("The sensor's frame looks right.", True, True, True, 0.0074, 0.0074, FrameCorrection())
+WRONG = FrameDiagnosis("The sensor's frame looks wrong.", False, True, True, 0.051, 0.006, FrameCorrection(TURN, 1.0, 1e-3))
 
 
 def rig(
