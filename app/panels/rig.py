@@ -33,7 +33,9 @@ _HINTS = (
 )
 NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
 WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
-NOT_YET = "Poke landmarks: three tell whether the sensor's frame is right, six or more correct the rig."
+NOT_YET = (
+    "Poke landmarks: three tell whether the sensor's frame is right, six or more, at four different ones, correct the rig."
+)
 
 
 class RigPanel(QScrollArea):
@@ -61,7 +63,7 @@ class RigPanel(QScrollArea):
         self.drop.clicked.connect(lambda: self.uncorrect_requested.emit(self._used))
         self.setWhatsThis(
             "Pokes at landmarks, known points of the part, tell what is wrong with the rig: the sensor's frame, its matrix, "
-            "the arm's poses. What is found is only offered; what is used can be taken back. One such poke in four is held "
+            "the arm's poses. What is found is only offered; what is used can be taken back. One landmark in four is held "
             "out, and a correction of the rig is offered only if it meets these better."
         )
 
