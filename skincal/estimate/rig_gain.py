@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from skincal.estimate.rig import Readings, RigPrior, RigState, Rows, rig_rows
-from skincal.estimate.rig_fit import FEWEST, LandmarkPoke
+from skincal.estimate.rig_fit import FEWEST, FEWEST_POINTS, LandmarkPoke
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 
@@ -73,7 +73,8 @@ def expected_error(
 ) -> Gain:
     """Foretell by how much the rig's errors move the taxels, before and after planned pokes at landmarks.
 
-    Fewer than `FEWEST` landmark pokes correct nothing. 84 or 4,200 taxels in seven poses: a few milliseconds.
+    Fewer than `FEWEST` landmark pokes, or `FEWEST_POINTS` landmarks, correct nothing. 84 or 4,200 taxels in seven poses: a few
+    milliseconds.
 
     Parameters
     ----------
@@ -92,7 +93,8 @@ def expected_error(
     order, scales = {name: index for index, name in enumerate(names)}, prior.scales(len(names))
     rows = np.concatenate([_made(pokes, order, prior, noise, scales), _planned(planned, order, prior, noise, scales)])
     moved = _moved(places, normals, poses, order, scales)
-    now, after = (_expected(rows[: 2 * count], moved) for count in (len(pokes), len(pokes) + len(planned)))
+    points = [one.place for one in (*pokes, *planned)]
+    now, after = (_expected(rows[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
     return Gain(now, after, len(planned))
 
 
@@ -153,10 +155,10 @@ def _rows(readings: Readings, places: FloatArray, spread: float, noise: NoiseSet
     return rig_rows(readings, RigState.at_prior((len(scales) - 36) // 6), places, around, noise, scales)
 
 
-def _expected(rows: FloatArray, moved: FloatArray) -> float:
-    """Return the root mean square over places of a movement (n, 3, k) by unknowns that rows (2 m, k) tell of."""
+def _expected(rows: FloatArray, points: Sequence[FloatArray], moved: FloatArray) -> float:
+    """Return the root mean square over places of a movement (n, 3, k) by unknowns that rows (2 m, k) at (m) points tell of."""
     size = moved.shape[2]
-    if len(rows) < 2 * FEWEST:
+    if len(points) < FEWEST or len({point.tobytes() for point in points}) < FEWEST_POINTS:
         rows = rows[:0]
     root: Any = np.linalg.qr(np.concatenate([np.eye(size), rows]), mode="r")
     spread = np.asarray(np.linalg.solve(root.T, moved.reshape(-1, size).T), dtype=np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +14,9 @@ from skincal.readings import FloatArray
 from skincal.scene import Landmark
 from skincal.session.actions import AddLandmark, AtLandmark
 from skincal.session.history import Step
-from skincal.surface.mesh import Surface
-from skincal.surface.nearest import nearest_points
+
+if TYPE_CHECKING:
+    from skincal.surface.mesh import Surface
 from skincal.tables import LENGTH_MAX
 
 ON_SURFACE = 0.010
@@ -121,6 +123,8 @@ def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> 
     if surface is None or not missing:
         return normals
     places = np.array([landmarks[i].place for i in missing])
+    from skincal.surface.nearest import nearest_points  # a scene without a surface does without
+
     nearest, triangles = nearest_points(surface, places)
     for i, off, triangle in zip(missing, np.linalg.norm(nearest - places, axis=1), triangles, strict=True):
         if off <= ON_SURFACE:

@@ -195,19 +195,19 @@ def test_a_wrong_frame_is_named_beside_a_poke_at_another_landmark():
 
 def rig_answer(correction):
     nothing = np.empty(0)
-    return RigAnswer(correction, correction is not None, 0.02, 0.002, {}, {}, nothing, nothing)
+    return RigAnswer(correction, correction is not None, 0.02, 0.002, 6, {}, {}, nothing, nothing)
 
 
 def test_the_rig_is_offered_before_a_wrong_frame_that_is_not_sure_or_explains_nothing():
     pokes, normals, _ = three(0)
     turned = diagnose([replace(poke, force=-poke.force, moment=-poke.moment) for poke in pokes], normals)
     rig = rig_answer(Correction(np.eye(6), np.eye(4), {}))
-    assert offered(turned, rig, 3).of == FRAME
-    assert offered(replace(turned, sure=False), rig, 3).of == RIG
-    assert offered(replace(turned, sure=False), rig_answer(None), 3).of == FRAME
-    assert offered(replace(turned, explained=False), rig, 3).of == RIG
-    assert offered(replace(turned, explained=False), rig_answer(None), 3) is None
-    assert offered(diagnose(pokes, normals), rig, 3).of == RIG
+    assert offered(turned, rig, 3, {}).of == FRAME
+    assert offered(replace(turned, sure=False), rig, 3, {}).of == RIG
+    assert offered(replace(turned, sure=False), rig_answer(None), 3, {}).of == FRAME
+    assert offered(replace(turned, explained=False), rig, 3, {}).of == RIG
+    assert offered(replace(turned, explained=False), rig_answer(None), 3, {}) is None
+    assert offered(diagnose(pokes, normals), rig, 3, {}).of == RIG
 
 
 def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
@@ -221,7 +221,7 @@ def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
         if not said.explained:
             assert f"they pass their landmarks at {said.miss * 1e3:.0f} mm" in said.words
             assert said.words.startswith("No known mistake of the frame explains these pokes")
-            assert offered(said, rig_answer(None), 21) is None
+            assert offered(said, rig_answer(None), 21, {}) is None
     assert unexplained >= 0.9 * SLIPS
 
 

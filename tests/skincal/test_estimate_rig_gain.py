@@ -83,7 +83,7 @@ def test_a_rig_that_is_not_corrected_is_off_as_drawn_ones_are(names):
 def test_landmark_pokes_leave_as_much_as_is_foretold(count):
     """By another route: landmark pokes at drawn rigs, with noise, each rig corrected by them as a session's is."""
     rig, rng = make_rig(RigErrors.noise(), 1), np.random.default_rng(6)
-    plan, noise, drawn = planned(rig, 3)[:: 21 // count], rig.scene.noise, []
+    plan, noise, drawn = planned(rig, count // 7), rig.scene.noise, []
     sds = np.repeat([noise.force, noise.moment], 3)
     for _ in range(60):
         one, pokes = Drawn(told(rig), rng), []
