@@ -248,13 +248,18 @@ def test_what_is_skipped_is_the_landmark_or_else_the_taxel():
 
 def test_what_they_are_worth_is_told_and_falls_as_they_are_poked():
     landmarks = Landmarks(part(), plan_of(part()))
-    pokes, at = six()
-    first = shown(landmarks, of_pokes()).gain
+    four = (*POINTS, Landmark("end", np.array([0.036, -0.036, 0.0]), UP))
+    pokes = [press(i + 1, 1.0 + i, four[i % 4].place) for i in range(6)]
+    at = {i + 1: four[i % 4].name for i in range(6)}
+    first = shown(landmarks, of_pokes(points=four)).gain
     assert first.pokes == 6
     assert 0 < first.after < first.now
-    fifth = shown(landmarks, of_pokes(*pokes[:5], at={n: at[n] for n in range(1, 6)})).gain
+    fifth = shown(landmarks, of_pokes(*pokes[:5], at={n: at[n] for n in range(1, 6)}, points=four)).gain
     assert (fifth.pokes, fifth.now) == (1, pytest.approx(first.now)), "fewer than six correct nothing"
-    there = replace(of_pokes(*pokes, touch(7), at=at, pose="high"), link_from_sensor=np.diag([-1.0, -1.0, 1.0, 1.0]))
+    three = shown(Landmarks(part(), plan_of(part())), of_pokes()).gain
+    assert three.after == three.now, "three landmarks correct nothing, however often they are poked"
+    there = of_pokes(*pokes, touch(7), at=at, pose="high", points=four)
+    there = replace(there, link_from_sensor=np.diag([-1.0, -1.0, 1.0, 1.0]))
     second = shown(landmarks, there).gain
     assert second.pokes == 3
     assert second.after < second.now < first.now

@@ -100,9 +100,10 @@ def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
     assert bench.window.pedals.learn("another", "F15") == ""
     wishes: list[int] = []
     bench.window.commands.actions["another"].triggered.connect(lambda: wishes.append(1))
-    target = bench.window.desk.frame.target.channel
+    target = bench.window.desk.frame.target
     bench.key(Key.Key_F15)
-    assert bench.window.desk.frame.target.channel != target
+    now = bench.window.desk.frame.target
+    assert (now.channel, now.landmark) != (target.channel, target.landmark)
     again = QKeyEvent(QEvent.Type.KeyPress, Key.Key_F15, Qt.KeyboardModifier.NoModifier, "", True)
     for _ in range(5):
         QApplication.sendEvent(bench.window, again)
