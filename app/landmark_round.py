@@ -18,9 +18,8 @@ from skincal.guide.places import Plan
 from skincal.readings import FloatArray
 from skincal.scene import Landmark
 from skincal.session.actions import AtLandmark
-from skincal.session.known_points import poke_at
+from skincal.session.known_points import landmark_normals, landmark_pokes, poke_at
 from skincal.session.snapshot import Snapshot
-from skincal.surface.nearest import nearest_points
 
 POSES = 7
 """Arm poses that the gain is foretold for, those with most contacts, beside the present one: streamed joints make more."""
@@ -126,10 +125,8 @@ class Landmarks:
 
     def _made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
         """Return the landmark pokes that count."""
-        at, known = snapshot.at_landmarks, {one.name: one for one in snapshot.landmarks}
-        counting = (one.outcome for one in snapshot.pokes if at.get(one.outcome.poke) in known and not one.excluded)
-        found = (poke_at(outcome, known[at[outcome.poke]]) for outcome in counting)
-        return [one for one in found if one is not None]
+        counting = (one.outcome for one in snapshot.pokes if not one.excluded)
+        return landmark_pokes(counting, snapshot.landmarks, snapshot.at_landmarks)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
         """Foretell what the landmarks of this arm pose are worth for the taxels that are poked in it and in those before."""
@@ -154,16 +151,13 @@ class Landmarks:
 
     def _normal(self, landmark: Landmark) -> FloatArray:
         """Return the outward normal at a landmark: its own, else the surface's, else away from the skin's middle."""
-        if landmark.normal is not None:
-            return landmark.normal
         key = landmark.place.tobytes()
         if key not in self._normals:
-            self._normals[key] = self._found_normal(landmark.place)
+            (found,) = landmark_normals([landmark], self._surface)
+            self._normals[key] = self._outward_at(landmark.place) if found is None else found
         return self._normals[key]
 
-    def _found_normal(self, place: FloatArray) -> FloatArray:
-        if self._surface is not None:
-            return self._surface.normals[nearest_points(self._surface, place[None])[1][0]]
+    def _outward_at(self, place: FloatArray) -> FloatArray:
         away = place - self._taxels.mean(axis=0) if len(self._taxels) else place
         size = float(np.linalg.norm(away))
         return away / size if size > 0 else np.array([0.0, 0.0, 1.0])

@@ -7,13 +7,11 @@ closes. On that input a simulated operator is told what the guide shows (`skinca
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
-from pathlib import Path
 
-from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, Signal
+from PySide6.QtCore import QObject, QProcess, Signal
 
-import skincal
+from app.child import child_environment
 
 STOP_MS = 700
 """The process gets this long to end by itself after its input closed, before it is terminated."""
@@ -41,11 +39,7 @@ class LinkServer(QObject):
 
     def start(self, command: Sequence[str]) -> None:
         """Start the process; returns at once."""
-        environment = QProcessEnvironment.systemEnvironment()
-        # The window may have been started from another folder than the package's.
-        paths = [str(Path(skincal.__file__).resolve().parent.parent), environment.value("PYTHONPATH")]
-        environment.insert("PYTHONPATH", os.pathsep.join(filter(None, paths)))
-        self._process.setProcessEnvironment(environment)
+        self._process.setProcessEnvironment(child_environment())
         self._process.start(command[0], list(command[1:]))
 
     @property

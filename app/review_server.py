@@ -6,14 +6,12 @@ passed on.
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import replace
-from pathlib import Path
 
-from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, Signal
+from PySide6.QtCore import QObject, QProcess, Signal
 
-import skincal
+from app.child import child_environment
 from skincal.session.review import Asked, Review
 from skincal.session.review_process import Part, Unpacker, packed
 from skincal.session.session import Session
@@ -50,11 +48,7 @@ class ReviewServer(QObject):
         self._process.readyReadStandardOutput.connect(self._read)
         self._process.finished.connect(self._finished)
         self._process.errorOccurred.connect(self._error)
-        environment = QProcessEnvironment.systemEnvironment()
-        # The window may have been started from another folder than the package's.
-        paths = [str(Path(skincal.__file__).resolve().parent.parent), environment.value("PYTHONPATH")]
-        environment.insert("PYTHONPATH", os.pathsep.join(filter(None, paths)))
-        self._process.setProcessEnvironment(environment)
+        self._process.setProcessEnvironment(child_environment())
 
     def follow(self, snapshot: Snapshot) -> None:
         """Ask for a review of the session where its newest snapshot tells enough that the one reviewed last did not."""

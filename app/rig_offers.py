@@ -54,12 +54,8 @@ def rig_words(before: float, after: float) -> str:
 
 
 def used_words(used: UsedCorrection) -> str:
-    """Return what is in use, with the misses."""
-    what, held = ("The sensor's frame", "they") if used.of == FRAME else ("The rig", "held-out ones")
-    told = millimetres(used.before)
-    return (
-        f"{what} is corrected from {used.pokes} landmark pokes: {held} pass at {millimetres(used.after)}, without it at {told}."
-    )
+    """Return what is in use, with the misses, as a sentence."""
+    return f"{used.words[0].upper()}{used.words[1:]}."
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:

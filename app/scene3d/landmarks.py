@@ -17,9 +17,9 @@ from app.scene3d.picking import project
 from app.scene3d.shapes import Segments, closed, tangents
 from skincal.readings import FloatArray
 from skincal.scene import Landmark
+from skincal.session.known_points import landmark_normals
 from skincal.session.snapshot import Snapshot
 from skincal.surface.mesh import Surface
-from skincal.surface.nearest import nearest_points
 
 DIAMOND = 2.6e-3
 """m. From the middle of a diamond to its corners: a screw's head, and well inside the target's ring."""
@@ -158,15 +158,9 @@ def poked_here(snapshot: Snapshot) -> frozenset[str]:
 
 
 def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> FloatArray:
-    """Return the outward normal at each of n landmarks, (n, 3) float, unit: its own, else the surface's, else the link's z."""
-    normals = np.tile([0.0, 0.0, 1.0], (len(landmarks), 1))
-    bare = [row for row, one in enumerate(landmarks) if one.normal is None]
-    if surface is not None and bare:
-        normals[bare] = surface.normals[nearest_points(surface, np.array([landmarks[row].place for row in bare]))[1]]
-    for row, one in enumerate(landmarks):
-        if one.normal is not None:
-            normals[row] = one.normal
-    return normals
+    """Return the outward normal at each of n landmarks, (n, 3) float, unit: the link's z where nothing tells it."""
+    up = np.array([0.0, 0.0, 1.0])
+    return np.array([up if one is None else one for one in landmark_normals(landmarks, surface)]).reshape(-1, 3)
 
 
 def strokes(places: FloatArray, normals: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:

@@ -14,10 +14,10 @@ from skincal.readings import FloatArray
 from skincal.scene import Landmark
 from skincal.session.actions import AddLandmark, AtLandmark
 from skincal.session.history import Step
+from skincal.tables import LENGTH_MAX
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
-from skincal.tables import LENGTH_MAX
 
 ON_SURFACE = 0.010
 """m: what lies farther from the surface is no point of it, such as one of a jig, and may be poked from any side."""
@@ -94,13 +94,20 @@ class KnownPoints:
 
     def pokes(self, outcomes: Iterable[Outcome]) -> tuple[LandmarkPoke, ...]:
         """Return those of `outcomes` that were at a landmark."""
-        places = {one.name: one for one in self.landmarks}
-        found = [
-            poke_at(outcome, places[name])
-            for outcome in outcomes
-            if (name := self._named.get(outcome.poke)) is not None and name in places
-        ]
-        return tuple(one for one in found if one is not None)
+        return tuple(landmark_pokes(outcomes, self.landmarks, self._named))
+
+
+def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:
+    """Return those of `outcomes` that were at a landmark, in their order.
+
+    Parameters
+    ----------
+    named : pokes that were at a landmark: number to its name; the landmark may be there no more
+    """
+    known = {one.name: one for one in landmarks}
+    there = ((outcome, known.get(named.get(outcome.poke, ""))) for outcome in outcomes)
+    found = (poke_at(outcome, landmark) for outcome, landmark in there if landmark is not None)
+    return [one for one in found if one is not None]
 
 
 def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:

@@ -21,7 +21,7 @@ from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer, RigRequest, correc
 from skincal.estimate.solve import estimate_taxels
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Landmark, Scene
-from skincal.session.known_points import landmark_normals, poke_at
+from skincal.session.known_points import landmark_normals, landmark_pokes
 from skincal.session.session import Session, methods_of
 from skincal.wrench import axis_point, move_wrench
 
@@ -135,7 +135,7 @@ class Reviewer:
         ordered = [self._pokes[number] for number in sorted(self._pokes)]
         contacts = [one for one in ordered if isinstance(one, Contact)]
         known = {one.name: one for one in newest.landmarks}
-        pokes = _at_landmarks(ordered, known, newest.at_landmarks)
+        pokes = landmark_pokes(ordered, newest.landmarks, newest.at_landmarks)
         frame = diagnose(pokes, landmark_normals([known[one.name] for one in pokes], self._surface))
         between()
         rig = correct_rig(RigRequest(self._scene, self._surface, contacts, pokes, newest.dead), between)
@@ -161,13 +161,6 @@ class Reviewer:
             method: np.array([unknown if one.position is None else one.position for one in found.values()]).reshape(-1, 3)
             for method, found in solved.items()
         }
-
-
-def _at_landmarks(
-    outcomes: Sequence[Outcome], landmarks: Mapping[str, Landmark], named: Mapping[int, str]
-) -> list[LandmarkPoke]:
-    found = [poke_at(one, landmarks[named[one.poke]]) for one in outcomes if one.poke in named and named[one.poke] in landmarks]
-    return [one for one in found if one is not None]
 
 
 def _passes(poke: LandmarkPoke) -> float:

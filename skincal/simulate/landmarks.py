@@ -9,10 +9,10 @@ import numpy as np
 from skincal.estimate.rig_fit import LandmarkPoke
 from skincal.readings import FloatArray
 from skincal.scene import Landmark
+from skincal.session.known_points import landmark_normals
 from skincal.simulate.contacts import pressed
 from skincal.simulate.poke import Pokes, cone_tilts, push_directions, tangents
 from skincal.simulate.rig import Rig
-from skincal.surface.nearest import nearest_points
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,8 @@ def _aimed(rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Gen
     """Return one poke at each of `wanted`, `off` metres (n,) beside it and by the hand's aim."""
     count = len(wanted)
     places = np.array([one.place for one in wanted])
-    normals = np.array([_normal(rig, one) for one in wanted])
+    up = np.array([0.0, 0.0, 1.0])
+    normals = np.array([up if one is None else one for one in landmark_normals(wanted, rig.surface)])
     e1, e2 = tangents(normals)
     beside = habits.aim * rng.standard_normal((count, 2)) + np.column_stack([off, np.zeros(count)])
     tilts, azimuths = cone_tilts(count, habits.cone, rng), rng.uniform(-np.pi, np.pi, count)
@@ -70,12 +71,3 @@ def _aimed(rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Gen
         np.full(count, -1, dtype=np.int64), places + beside[:, :1] * e1 + beside[:, 1:] * e2, normals,
         push_directions(normals, tilts, azimuths), rng.uniform(*habits.force, count), np.zeros(count),
     )  # fmt: skip
-
-
-def _normal(rig: Rig, landmark: Landmark) -> FloatArray:
-    """Return the outward normal at a landmark: its own, else the surface's, else up."""
-    if landmark.normal is not None:
-        return landmark.normal
-    if rig.surface is None:
-        return np.array([0.0, 0.0, 1.0])
-    return rig.surface.normals[nearest_points(rig.surface, landmark.place[None])[1][0]]

@@ -230,7 +230,7 @@ def test_a_wrench_that_is_not_a_number_counts_as_saturated():
     script = quiet_script().press(FORCE, POINT, ANSWERS)
     middle = len(script.samples) - 20
     script.samples[middle] = dataclasses.replace(script.samples[middle], wrench=np.full(6, np.nan))
-    rejected(script.quiet(), Reason.SATURATED)
+    assert rejected(script.quiet(), Reason.SATURATED).value == 1
 
 
 def test_readings_lost():
