@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,8 +74,8 @@ def bench(qtbot, qapp, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def recorded(tmp_path_factory):
-    """A short session on the forearm, recorded without a window."""
+def recorded_once(tmp_path_factory):
+    """A short session on the forearm, recorded without a window; opening it would write into it."""
     from skincal.scene import load_scene
     from skincal.simulate.faults import RigErrors
     from skincal.simulate.session import simulate_session
@@ -84,6 +85,12 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded") / "session"
     simulate_session(scene, load_surface(scene.surface)[0], folder, 3, 3, RigErrors.none())
     return folder
+
+
+@pytest.fixture
+def recorded(recorded_once, tmp_path):
+    """A session on the forearm, this test's own: what a window does to it, no other test finds."""
+    return shutil.copytree(recorded_once, tmp_path / "recorded" / "session")
 
 
 @pytest.fixture
