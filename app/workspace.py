@@ -31,8 +31,8 @@ from app.theme import GAP, Colours
 from app.words import METHOD_NAMES, error_words, pokes_words, summary_words
 from skincal.estimate.result import Method
 from skincal.guide.coach import leeway
-from skincal.session.session import methods_of
 from skincal.session.snapshot import Snapshot
+from skincal.session.solving import methods_of
 
 SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
 """Methods in the order in which they are offered; the first that there is is shown first."""

@@ -22,7 +22,8 @@ from skincal.estimate.solve import estimate_taxels
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Landmark, Scene
 from skincal.session.known_points import landmark_normals, landmark_pokes
-from skincal.session.session import Session, methods_of
+from skincal.session.session import Session
+from skincal.session.solving import methods_of
 from skincal.wrench import axis_point, move_wrench
 
 if TYPE_CHECKING:

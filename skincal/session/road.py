@@ -126,9 +126,9 @@ class Road:
         """Write what the journal buffers if it is due; call it in any rhythm."""
         self._record(lambda journal: journal.tick(now_ns))
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self, within_s: float = np.inf) -> Snapshot:
         """Return what the session holds; see `Session.snapshot`."""
-        return self.session.snapshot()
+        return self.session.snapshot(within_s)
 
     def live(self, now_ns: int) -> LiveView:
         """Return the newest readings."""

@@ -6,6 +6,7 @@ numbers, and nothing else, so that taking a poke out and in again gives the same
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
@@ -16,13 +17,9 @@ import numpy as np
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.errors import InputError
-from skincal.estimate.boards import Boards
 from skincal.estimate.correction import UsedCorrection
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.modules import estimate_modules
-from skincal.estimate.result import PER_TAXEL, Estimate, Method
+from skincal.estimate.result import Method
 from skincal.estimate.rig_fit import LandmarkPoke, RigRequest
-from skincal.estimate.solve import estimate_from
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Landmark, Scene
 from skincal.session.actions import (
@@ -42,6 +39,7 @@ from skincal.session.corrections import Corrections
 from skincal.session.history import History, PokeStep, Step
 from skincal.session.known_points import KnownPoints
 from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.session.solving import Solving
 
 if TYPE_CHECKING:
     from skincal.estimate.evidence import Evidence
@@ -50,12 +48,6 @@ if TYPE_CHECKING:
 
 MARKED = "marked by the operator"
 """Reason of a channel that the operator left out."""
-
-
-def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
-    """Return the methods that a scene has: what it lacks costs nothing."""
-    there = {Method.SURFACE: surface is not None, Method.MODULES: scene.skin.layout is not None}
-    return tuple(method for method in Method if there.get(method, True))
 
 
 class Session:
@@ -71,10 +63,9 @@ class Session:
     def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None = None) -> None:
         self.scene = scene
         self.surface = surface
-        self.methods = tuple(one for one in methods_of(scene, surface) if methods is None or one in methods)
-        layout = scene.skin.layout
-        solved = layout is not None and Method.MODULES in self.methods
-        self.boards = Boards(layout, scene.skin.anchor, surface) if layout is not None and solved else None
+        self._solving = Solving(scene, surface, methods)
+        self.methods = self._solving.methods
+        self.boards = self._solving.boards
         """The modules; None where their method is not solved."""
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
@@ -87,16 +78,15 @@ class Session:
         self._history = History()
         self._answers: Counter[int] = Counter()
         """How many contacts that count each channel answered in."""
+        layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
-        self._ledger = Ledger()
-        self._stale: set[int] = set()
-        """Pokes that the ledger does not know as they are now."""
-        self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
-        self._dirty: set[int] = set(self.channels)
+        self._solving.taxels_changed(self.channels)
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._current_pose: tuple[str, FloatArray | None] = (self.pose, None)
         self._generation = 0
+        self._last: Snapshot | None = None
         self._snapshot: Snapshot | None = None
+        """The last one, where nothing changed since; else None."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -231,20 +221,33 @@ class Session:
             self._choose_channel(action)
         self._changed()
 
-    def snapshot(self) -> Snapshot:
-        """Return everything a view may show; the same object until something changes. Taxels that changed are solved."""
+    @property
+    def unsolved(self) -> int:
+        """How many taxels are to be solved before there is a new snapshot."""
+        return self._solving.waiting
+
+    def snapshot(self, within_s: float = math.inf) -> Snapshot:
+        """Return everything a view may show; the same object until something changes. Taxels that changed are solved.
+
+        Parameters
+        ----------
+        within_s : s. Solving pauses after so long, or little later, and goes on with the next call; meanwhile the last
+            snapshot is returned. The estimates are the same, to the bit. There must be a first one: that takes its time.
+        """
         if self._snapshot is not None:
             return self._snapshot
         channels = self.channels
+        self._solving.solve(channels, self._kept, self.dead, math.inf if self._last is None else within_s)
+        if self.unsolved and self._last is not None:
+            return self._last
+        fresh, last = self._solving.take_fresh(), self._history.last(self._is_excluded)
         # The first snapshot solves every taxel, which is no poke's doing: a session that was opened again rings none.
-        if self._dirty and self._generation:
-            self._touched = np.array(sorted(self._dirty), dtype=np.int64)
-        self._solve(channels)
-        last = self._history.last(self._is_excluded)
-        self._snapshot = Snapshot(
+        if len(fresh) and self._generation:
+            self._touched = fresh
+        self._last = self._snapshot = Snapshot(
             generation=self._generation,
             pokes=tuple(self._records.values()),
-            estimates={method: tuple(map(of.__getitem__, channels)) for method, of in self._estimates.items()},
+            estimates=self._solving.estimates(channels),
             touched=self._touched,
             pose=self._current_pose[0],
             link_from_sensor=self._current_pose[1],
@@ -257,8 +260,8 @@ class Session:
         return self._snapshot
 
     def evidence(self, channels: Collection[int]) -> Evidence:
-        """Return what the contacts of the last snapshot say of those of `channels` that answered; all of them count fully."""
-        return self._ledger.evidence(channels)
+        """Return what the contacts say of those of `channels` that answered, as they were solved last; all count fully."""
+        return self._solving.evidence(channels)
 
     def calibration(self) -> Calibration:
         """Return what the calibration files are written from."""
@@ -277,23 +280,6 @@ class Session:
             corrections=tuple(self.corrections.values()),
         )
 
-    def _solve(self, channels: tuple[int, ...]) -> None:
-        dirty = [channel for channel in channels if channel in self._dirty]
-        for poke in self._stale:
-            self._ledger.drop(poke)
-        self._ledger.add(self._kept(self._stale))
-        self._stale.clear()
-        last, dead, noise = self._estimates.get(Method.SURFACE, {}), self.dead, self.scene.noise
-        alone = [method for method in self.methods if method in PER_TAXEL]
-        solved = estimate_from(self._ledger, dirty, alone, noise, self.surface, dead, last)
-        for method, estimates in solved.items():
-            self._estimates[method].update(estimates)
-        if self.boards is not None:
-            modules = self.boards.modules_of(dirty)
-            others = [self._estimates[method] for method in reversed(alone)]
-            self._estimates[Method.MODULES].update(estimate_modules(self._ledger, self.boards, modules, noise, others, dead))
-        self._dirty.clear()
-
     def _kept(self, pokes: Iterable[int]) -> list[Contact]:
         """Return those of `pokes` that count, in the order of their numbers."""
         records = (self._records[poke] for poke in sorted(pokes))
@@ -303,8 +289,10 @@ class Session:
         """Correct every poke anew, from what the rig told."""
         for poke, record in self._records.items():
             self._records[poke] = replace(record, outcome=self._corrections.corrected(poke))
-        self._dirty.update(self.channels)
-        self._stale.update(poke for poke, one in self._records.items() if isinstance(one.outcome, Contact))
+        for poke, one in self._records.items():
+            if isinstance(one.outcome, Contact):
+                self._solving.poke_changed(poke, ())
+        self._solving.taxels_changed(self.channels)
 
     def _put(self, record: PokeRecord) -> None:
         """Take a poke as it stands now, in place of what it was."""
@@ -323,8 +311,7 @@ class Session:
         outcome = record.outcome
         if isinstance(outcome, Contact):
             channels = outcome.channels.tolist()
-            self._dirty.update(channels)
-            self._stale.add(outcome.poke)
+            self._solving.poke_changed(outcome.poke, channels)
             if not record.excluded:
                 for channel in channels:
                     self._answers[channel] += by
@@ -379,16 +366,17 @@ class Session:
         before = (set(self._marked), set(self._revived))
         (self._marked.add if isinstance(action, MarkDead) else self._marked.discard)(channel)
         (self._revived.discard if isinstance(action, MarkDead) else self._revived.add)(channel)
-        self._dirty.add(channel)
+        self._solving.taxels_changed([channel])
 
         def take_back() -> None:
             self._marked, self._revived = before
-            self._dirty.add(channel)
+            self._solving.taxels_changed([channel])
 
         words = f"mark of channel {channel}" if isinstance(action, MarkDead) else f"return of channel {channel}"
         self._history.add(Step(words, take_back))
 
     def _redo_dead(self, before: Mapping[int, str]) -> None:
         now = self.dead
-        self._dirty.update(channel for channel in before.keys() | now.keys() if before.get(channel) != now.get(channel))
+        known = before.keys() | now.keys()
+        self._solving.taxels_changed(channel for channel in known if before.get(channel) != now.get(channel))
         self._changed()

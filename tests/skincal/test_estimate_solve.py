@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 
@@ -420,14 +418,13 @@ def test_a_pose_in_which_a_taxel_is_blind_does_not_count():
     assert average_over_poses([], [0], Method.FREE, NOISE, None)[0].state is State.UNSEEN
 
 
-def test_a_dirty_taxel_is_solved_in_milliseconds():
+def test_a_dirty_taxel_is_solved_in_milliseconds(least_time):
     contacts, _, _ = session(np.random.default_rng(11), taxels=84, pokes=840, exact=False)
     surface = tube(around=100, along=50)
-    times = []
-    for _ in range(5):
-        begin = time.process_time()
+
+    def work():
         for method in PER_TAXEL:
             solve(contacts, [1, 2, 3], method, NOISE, surface)
-        times.append(time.process_time() - begin)
+
     # Measured 8 ms on 10,000 triangles with 30 contacts a taxel; the bar on the processor's time is loose for a busy machine.
-    assert min(times) < 0.05
+    assert least_time(work, below=0.05) < 0.05

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.estimate.result import Estimate, Method, State
 from skincal.readings import Chunk
-from skincal.session import session as session_module
+from skincal.session import solving as solving_module
 from skincal.session.actions import Exclude, Restore, Undo
 from skincal.session.closing import survey
 from skincal.session.journal import Ending, create_session
@@ -118,8 +118,8 @@ def filled(layout, pokes):
 
 @pytest.mark.parametrize("layout", [True, False], ids=["layout", "no layout"])
 def test_a_poke_costs_the_same_after_four_thousand_as_after_four_hundred(monkeypatch, layout):
-    monkeypatch.setattr(session_module, "estimate_from", without_solver)
-    monkeypatch.setattr(session_module, "estimate_modules", without_boards)
+    monkeypatch.setattr(solving_module, "estimate_from", without_solver)
+    monkeypatch.setattr(solving_module, "estimate_modules", without_boards)
     pokes = contacts(4200)
     sessions = {300: filled(layout, pokes[:300]), 3900: filled(layout, pokes[:3900])}
     spent = {before: [] for before in sessions}

@@ -1,4 +1,3 @@
-import time
 from fractions import Fraction
 
 import numpy as np
@@ -278,19 +277,14 @@ def test_large_triangles_are_found_however_far_their_centres():
     assert wrong_centre > 3, "the case is as hard as it is meant to be"
 
 
-def test_a_hundred_thousand_triangles_take_milliseconds():
+def test_a_hundred_thousand_triangles_take_milliseconds(least_time):
     surface = tube(around=250, along=200)
     push = np.array([-1.0, 0.1, 0.05])
     metric = np.eye(3) - np.outer(push, push) / (push @ push)
     target = np.array([0.04, 0.002, 0.07])
     nearest_in_metric(surface, metric, target, push)
-    times = []
-    for _ in range(5):
-        begin = time.process_time()
-        nearest_in_metric(surface, metric, target, push)
-        times.append(time.process_time() - begin)
     # Measured 3 ms; every triangle by the same closed form takes 100 ms. The bar is loose for a busy machine.
-    assert min(times) < 0.03
+    assert least_time(lambda: nearest_in_metric(surface, metric, target, push), below=0.03) < 0.03
 
 
 def square(z: float, cells: int = 1, side: float = 0.1) -> Surface:

@@ -1,0 +1,133 @@
+"""The estimates of a session's taxels, kept until a poke or a decision changes what they follow from."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.estimate.boards import Boards
+from skincal.estimate.ledger import Ledger
+from skincal.estimate.modules import estimate_modules
+from skincal.estimate.result import PER_TAXEL, Estimate, Method
+from skincal.estimate.solve import estimate_from
+from skincal.readings import IntArray
+from skincal.scene import Scene
+
+if TYPE_CHECKING:
+    from skincal.estimate.evidence import Evidence
+    from skincal.surface.mesh import Surface
+
+MODULES_AT_ONCE, TAXELS_AT_ONCE = 4, 64
+"""Solved between two looks at the clock: some 40 ms by the modules method, less where taxels are solved alone."""
+
+
+def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
+    """Return the methods that a scene has: what it lacks costs nothing."""
+    there = {Method.SURFACE: surface is not None, Method.MODULES: scene.skin.layout is not None}
+    return tuple(method for method in Method if there.get(method, True))
+
+
+class Solving:
+    """Solves the taxels that changed, and no others.
+
+    Parameters
+    ----------
+    scene : what there is to calibrate
+    surface : the scene's mesh; None leaves out the surface method, and modules lie free in space
+    methods : those that are solved; None for all that the scene has
+    """
+
+    def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None) -> None:
+        self.methods = tuple(one for one in methods_of(scene, surface) if methods is None or one in methods)
+        layout = scene.skin.layout
+        solved = layout is not None and Method.MODULES in self.methods
+        self.boards = Boards(layout, scene.skin.anchor, surface) if layout is not None and solved else None
+        """The modules; None where their method is not solved."""
+        self._noise, self._surface = scene.noise, surface
+        self._alone = [method for method in self.methods if method in PER_TAXEL]
+        self._ledger = Ledger()
+        self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
+        self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
+        """Pokes that the ledger does not know as they are now; taxels to solve; taxels for the next answer of `take_fresh`."""
+
+    @property
+    def waiting(self) -> int:
+        """How many taxels are to be solved."""
+        return len(self._channels)
+
+    def poke_changed(self, poke: int, channels: Iterable[int]) -> None:
+        """Note that a contact came, went or is another one, with the channels that answered."""
+        self._pokes.add(poke)
+        self._channels.update(channels)
+
+    def taxels_changed(self, channels: Iterable[int]) -> None:
+        """Note that channels are to be solved anew."""
+        self._channels.update(channels)
+
+    def solve(
+        self,
+        channels: Collection[int],
+        kept: Callable[[Iterable[int]], Sequence[Contact]],
+        dead: Mapping[int, str],
+        within_s: float,
+    ) -> None:
+        """Solve the taxels that changed, or some of them.
+
+        Parameters
+        ----------
+        channels : those that are taxels
+        kept : gives those of some pokes that are contacts and count
+        dead : channels that are not used, with the reason
+        within_s : s. The work ends after so long, or little later; what is left waits
+        """
+        end = time.perf_counter() + within_s
+        for poke in self._pokes:
+            self._ledger.drop(poke)
+        self._ledger.add(kept(self._pokes))
+        self._pokes.clear()
+        self._fresh.update(self._channels)
+        self._channels.intersection_update(channels)
+        for part in self._parts(sorted(self._channels), within_s):
+            self._solve(part, dead)
+            self._channels.difference_update(part)
+            if time.perf_counter() > end:
+                break
+
+    def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
+        """Return for each method one estimate a channel; all of them were solved once."""
+        return {method: tuple(map(of.__getitem__, channels)) for method, of in self._estimates.items()}
+
+    def take_fresh(self) -> IntArray:
+        """Return the channels that were solved since the last call, ascending."""
+        fresh = np.array(sorted(self._fresh), dtype=np.int64)
+        self._fresh.clear()
+        return fresh
+
+    def evidence(self, channels: Collection[int]) -> Evidence:
+        """Return what the contacts that were solved last say of those of `channels` that answered; all count fully."""
+        return self._ledger.evidence(channels)
+
+    def _parts(self, channels: Sequence[int], within_s: float) -> Sequence[Sequence[int]]:
+        """Return channels in the parts that they are solved in; a module's stay together."""
+        if math.isinf(within_s):
+            return [channels]
+        if self.boards is None:
+            return [channels[at : at + TAXELS_AT_ONCE] for at in range(0, len(channels), TAXELS_AT_ONCE)]
+        modules = self.boards.modules_of(channels)
+        some = [modules[at : at + MODULES_AT_ONCE] for at in range(0, len(modules), MODULES_AT_ONCE)]
+        return [[channel for channel in self.boards.channels_of(part) if channel in self._channels] for part in some]
+
+    def _solve(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
+        last = self._estimates.get(Method.SURFACE, {})
+        solved = estimate_from(self._ledger, channels, self._alone, self._noise, self._surface, dead, last)
+        for method, estimates in solved.items():
+            self._estimates[method].update(estimates)
+        if self.boards is not None:
+            modules, others = self.boards.modules_of(channels), [self._estimates[one] for one in reversed(self._alone)]
+            found = estimate_modules(self._ledger, self.boards, modules, self._noise, others, dead)
+            self._estimates[Method.MODULES].update(found)
