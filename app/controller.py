@@ -42,6 +42,11 @@ BEHIND_MS = 4
 """The next tick comes this soon while readings still wait."""
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
+SOLVE_S = 0.012
+"""s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
+several ticks, in which the window answers."""
+SOLVING_S = 0.4
+"""s. Solving that lasts longer is said."""
 DRAW_S = 0.010
 """s. Pictures come no faster than this. Well below a tick: after a long one the timer comes early, to keep its pace, and that
 picture must not be left out."""
@@ -63,6 +68,8 @@ class Picture:
     """How long ago that was, while readings wait; else 0."""
     evidence: Callable[[Collection[int]], Evidence]
     """What the contacts of the newest snapshot say of some channels; holds until the next picture."""
+    unsolved: int = 0
+    """How many taxels are still to be solved before there is a newer snapshot; 0 too where that takes no time to speak of."""
 
 
 class Controller(QObject):
@@ -106,6 +113,8 @@ class Controller(QObject):
         self._opening = 0
         self._shown: Snapshot | None = None
         self._told_ns = 0
+        self._solving_ns = 0
+        """Since when taxels wait to be solved: host's monotonic clock; 0 where none do."""
         self.running = Running.OPENING
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
@@ -146,7 +155,7 @@ class Controller(QObject):
             reviewing.release()
         storage, self._storage = self._storage, None
         self._part = self._shown = None
-        self._links, self._truth, self._wish = (), b"", ""
+        self._links, self._truth, self._wish, self._solving_ns = (), b"", "", 0
         if recording is not None:
             self._run(recording.end, _nothing)
         elif storage is not None:
@@ -237,7 +246,7 @@ class Controller(QObject):
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)
         self.session_opened.emit(recording.road.snapshot())
         self._tell_storage()
-        self._publish(recording, time.monotonic_ns())
+        self._publish(recording, recording.road.snapshot(), time.monotonic_ns())
         part = self._part
         if part is not None:
             self._run(lambda: find_truth_of(recording.storage.folder, part), self._tell_truth)
@@ -260,14 +269,16 @@ class Controller(QObject):
         if recording is None:
             return
         drained = self._take_in(recording)
-        wanted = BEHIND_MS if recording.behind else TICK_MS
+        snapshot = recording.road.snapshot(SOLVE_S)
+        unsolved = recording.road.session.unsolved
+        wanted = BEHIND_MS if recording.behind or unsolved else TICK_MS
         if self._timer.interval() != wanted:
             self._timer.setInterval(wanted)
         now_ns = time.monotonic_ns()
         since_s = (now_ns - self._told_ns) * 1e-9
-        pause_s = DRAW_BEHIND_S if recording.behind else DRAW_S if drained or delivered else IDLE_S
-        if since_s >= pause_s or recording.road.snapshot() is not self._shown:
-            self._publish(recording, now_ns)
+        pause_s = DRAW_BEHIND_S if recording.behind or unsolved else DRAW_S if drained or delivered else IDLE_S
+        if since_s >= pause_s or snapshot is not self._shown:
+            self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
         drained = recording.drain(DRAIN_S)
@@ -278,15 +289,21 @@ class Controller(QObject):
             self.pause()
         return drained
 
-    def _publish(self, recording: Recording, now_ns: int) -> None:
+    def _publish(self, recording: Recording, snapshot: Snapshot, now_ns: int) -> None:
         self._told_ns = now_ns
-        self._shown = recording.road.snapshot()
-        if self._shown.landmarks:
-            self._review(recording.road.session, self._shown)
+        self._shown = snapshot
+        if snapshot.landmarks:
+            self._review(recording.road.session, snapshot)
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
         live = recording.road.live(reached_ns)
         evidence = recording.road.session.evidence
-        self.ticked.emit(Picture(self._shown, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence))
+        unsolved = self._worth_saying(recording.road.session.unsolved, now_ns)
+        self.ticked.emit(Picture(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence, unsolved))
+
+    def _worth_saying(self, unsolved: int, now_ns: int) -> int:
+        """Return how many taxels wait to be solved, once some have waited for long."""
+        self._solving_ns = (self._solving_ns or now_ns) if unsolved else 0
+        return unsolved if (now_ns - self._solving_ns) * 1e-9 >= SOLVING_S else 0
 
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process tell what landmark pokes say of the rig."""
@@ -338,7 +355,7 @@ class Controller(QObject):
         except InputError as error:
             self.said.emit(Message(str(error), error=True))
             return False
-        self._publish(self._recording, time.monotonic_ns())
+        self._publish(self._recording, self._recording.road.snapshot(SOLVE_S), time.monotonic_ns())
         return True
 
     def act_all(self, actions: Iterable[Action]) -> None:

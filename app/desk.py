@@ -37,6 +37,7 @@ from app.workspace import Workspace
 from skincal.errors import InputError
 from skincal.estimate.result import Method
 from skincal.session.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
+from skincal.session.corrections import used_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 
@@ -159,6 +160,7 @@ class Desk(QObject):
             coaching=self.guiding.coach(picture.live.progress),
             review=self._rigging.shown(picture.snapshot),
             offers=self._rigging.offers(picture.snapshot),
+            unsolved=picture.unsolved,
             eye=self.workspace.view.eye(),
         )
         self._hear(self.frame, picture.behind_s)
@@ -183,9 +185,7 @@ class Desk(QObject):
         if self.frame is not None and self.frame.offers:
             offer = self.frame.offers[0]
             if self._controller.act(offer.action):
-                self.said.emit(
-                    Message(f"{used_words(self.frame.snapshot.corrections[offer.action.of])} Backspace takes it back.")
-                )
+                self.said.emit(Message(f"{used_words(used_of(offer.action))} Backspace takes it back."))
 
     def _hear(self, frame: Frame, behind_s: float) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""

@@ -50,6 +50,8 @@ class Frame:
     """What pokes at landmarks tell of the rig, and the places with and without its correction; None while nothing does."""
     offers: tuple[Offer, ...] = ()
     """What could put the rig right; none of it happens by itself."""
+    unsolved: int = 0
+    """How many taxels are being solved anew; what is shown is from before. 0 too where that takes no time to speak of."""
     eye: Eye = PLAIN
     """How the 3D view's camera stands: small pictures stand upright beside it."""
 

@@ -14,7 +14,7 @@ from enum import Enum
 import numpy as np
 
 from app.coaching import SILENT, CoachMemory, Force, follow, force_words, hint_words, pressing_words
-from app.display_units import newtons, number
+from app.display_units import count, newtons, number
 from app.frame import Frame
 from app.guide_words import (
     BETWEEN,
@@ -206,6 +206,9 @@ def _verdict(outcome: Outcome, memory: NowMemory, at: Frame) -> Now:
 
 
 def _calm(phase: Phase, at: Frame) -> Now:
+    if at.unsolved:
+        left = f"{count(at.unsolved, 'taxel')} to go: what changed concerns all of them. Pokes count meanwhile."
+        return Now(Tone.WAIT, "solving anew", left)
     if phase is Phase.NO_DATA:
         return _no_data(at)
     if phase is Phase.TARING:

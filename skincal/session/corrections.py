@@ -53,8 +53,7 @@ class Corrections:
         InputError
             It is none.
         """
-        used = UsedCorrection(action.of, correction_of(action), action.before, action.after, action.pokes)
-        return self._set({**self._kept_beside(action.of), action.of: used}, f"correction of {KINDS[action.of]}")
+        return self._set({**self._kept_beside(action.of), action.of: used_of(action)}, f"correction of {KINDS[action.of]}")
 
     def drop(self, action: Uncorrect) -> Step:
         """Use a correction no more; return how that is taken back.
@@ -119,6 +118,17 @@ class Corrections:
             force, moment = one.correction.wrench(force, moment)
         force, moment = move_wrench(self.pose(told, name), force, moment)
         return force, axis_point(force, moment)
+
+
+def used_of(action: Correct) -> UsedCorrection:
+    """Return the correction that an action uses, with what speaks for it.
+
+    Raises
+    ------
+    InputError
+        It is none; see `correction_of`.
+    """
+    return UsedCorrection(action.of, correction_of(action), action.before, action.after, action.pokes)
 
 
 def correction_of(action: Correct) -> Correction:

@@ -13,12 +13,15 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from whole_window import OPEN_MS
 
+from app import controller
 from app.plan import Plan
 from app.running import Running
 from skincal.contacts.outcome import Contact, Phase, Reason, Rejection
-from skincal.estimate.correction import RIG
+from skincal.estimate.correction import RIG, Correction
 from skincal.guide.landmarks import ASTRAY
+from skincal.session import solving
 from skincal.session.actions import SetPose
+from skincal.session.corrections import correct_action
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import Rig, RigErrors
 
@@ -226,6 +229,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert_nothing_is_cut(poked)
 
     bench.key(Key.Key_C)
+    bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
     assert bench.snapshot.corrections[RIG].pokes == 6
     assert bench.snapshot.can_undo == "correction of the rig"
     bench.until(lambda: "has moved the taxels" in panel.said.text(), OPEN_MS)
@@ -237,7 +241,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert moved(before, bench.snapshot.estimates) > 1e-3
 
     bench.key(Key.Key_Backspace)
-    assert not bench.snapshot.corrections
+    bench.until(lambda: not bench.snapshot.corrections, 5000)
     assert moved(before, bench.snapshot.estimates) == 0.0
     poked.until_offered()
 
@@ -253,3 +257,24 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert process
     bench.window.close()
     bench.until(lambda: not is_running(process), 5000)
+
+
+def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked, monkeypatch):
+    bench = poked.bench
+    for name, value in (("SOLVE_S", 0.0), ("SOLVING_S", 0.0), ("DRAW_BEHIND_S", 0.0)):
+        monkeypatch.setattr(controller, name, value)
+    monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
+    shown: list[tuple[object, int, str]] = []
+    bench.controller.ticked.connect(lambda it: shown.append((it.snapshot, it.unsolved, poked.now.headline.text())))
+    before = bench.snapshot
+    matrix = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
+    assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
+    bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
+
+    waiting = [left for snapshot, left, _ in shown if snapshot is before]
+    assert len(waiting) >= 6, "84 taxels of seven modules, a module in each tick"
+    assert waiting == sorted(waiting, reverse=True)
+    assert all(snapshot is before for snapshot, left, _ in shown if left)
+    assert "solving anew" in [words for _, left, words in shown if left]
+    bench.until(lambda: poked.now.headline.text() != "solving anew", 5000)
+    assert moved(before.estimates, bench.snapshot.estimates) > 1e-5

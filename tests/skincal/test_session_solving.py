@@ -1,0 +1,122 @@
+"""A session that is solved in parts: paused, gone on with, and the same at the end as solved at once."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.estimate.correction import RIG, Correction
+from skincal.estimate.result import Method
+from skincal.session.actions import Exclude, MarkDead, Undo
+from skincal.session.corrections import correct_action
+from skincal.session.session import Session
+from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.rig import RigErrors
+from tests.skincal.poke_script import same_estimates
+from tests.skincal.sim_support import make_rig
+
+MATRIX = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
+ACTION = correct_action(RIG, Correction(MATRIX, np.eye(4)), 0.009, 0.002, 6)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return make_rig(RigErrors.noise(), 1)
+
+
+@pytest.fixture(scope="module")
+def contacts(rig):
+    rng = np.random.default_rng(3)
+    return simulate_contacts(rig, unguided(rig, 1, rng), rng)
+
+
+def session_of(rig, contacts, *, layout=True):
+    scene = rig.scene if layout else replace(rig.scene, skin=replace(rig.scene.skin, layout=None, anchor=None))
+    session = Session(scene, rig.surface)
+    for contact in contacts:
+        session.add(contact)
+    session.snapshot()
+    return session
+
+
+def steps_to_the_end(session):
+    """Solve in the smallest steps; return how many are waiting after each."""
+    waiting, before = [], None
+    while True:
+        snapshot = session.snapshot(0.0)
+        waiting.append(session.unsolved)
+        if not session.unsolved:
+            assert session.snapshot() is snapshot
+            return waiting
+        assert before is None or snapshot is before, "until all is solved, what was known before is shown"
+        before = snapshot
+
+
+@pytest.mark.parametrize("layout", [True, False], ids=["modules", "no layout"])
+def test_a_correction_solved_in_parts_is_the_same_to_the_bit(rig, contacts, layout):
+    at_once, in_parts = (session_of(rig, contacts, layout=layout) for _ in range(2))
+    for session in (at_once, in_parts):
+        session.act(ACTION)
+    shown = in_parts.snapshot(0.0)
+    assert not shown.corrections
+    waiting = [in_parts.unsolved, *steps_to_the_end(in_parts)]
+    assert waiting == sorted(waiting, reverse=True)
+    assert all(a - b <= max(TAXELS_AT_ONCE, 12 * MODULES_AT_ONCE) for a, b in itertools.pairwise(waiting))
+    assert same_estimates(at_once.snapshot(), in_parts.snapshot())
+    assert in_parts.snapshot().corrections.keys() == {RIG}
+    assert in_parts.snapshot().generation == shown.generation + 1
+    assert set(in_parts.snapshot().touched) == set(at_once.snapshot().touched) >= set(in_parts.channels)
+
+
+def test_what_comes_in_between_is_in_it_too(rig, contacts):
+    at_once, in_parts = session_of(rig, contacts[:-1]), session_of(rig, contacts[:-1])
+    for session, pauses in ((at_once, False), (in_parts, True)):
+        session.act(ACTION)
+        if pauses:
+            session.snapshot(0.0)
+        session.add(contacts[-1])
+        session.act(Exclude(contacts[0].poke))
+        if pauses:
+            session.snapshot(0.0)
+        session.act(MarkDead(int(contacts[5].channels[0])))
+    assert in_parts.unsolved
+    steps_to_the_end(in_parts)
+    assert same_estimates(at_once.snapshot(), in_parts.snapshot())
+    assert len(in_parts.snapshot().pokes) == len(contacts)
+    assert in_parts.snapshot().dead
+
+
+def test_taken_back_before_it_was_solved_all_is_as_it_was(rig, contacts):
+    session = session_of(rig, contacts)
+    before = session.snapshot()
+    session.act(ACTION)
+    session.snapshot(0.0)
+    session.act(Undo())
+    steps_to_the_end(session)
+    assert same_estimates(before, session.snapshot())
+
+
+def test_a_file_is_written_from_what_is_solved_to_the_end(rig, contacts):
+    at_once, in_parts = session_of(rig, contacts), session_of(rig, contacts)
+    for session in (at_once, in_parts):
+        session.act(ACTION)
+    in_parts.snapshot(0.0)
+    assert in_parts.unsolved
+    written = in_parts.calibration().estimates[Method.MODULES]
+    assert not in_parts.unsolved
+    assert [one.position.tolist() for one in written] == [
+        one.position.tolist() for one in at_once.snapshot().estimates[Method.MODULES]
+    ]
+
+
+def test_the_first_snapshot_is_whole_and_a_poke_is_solved_in_one_step(rig, contacts):
+    session = Session(rig.scene, rig.surface)
+    for contact in contacts[:-1]:
+        session.add(contact)
+    assert session.snapshot(0.0).pokes
+    assert not session.unsolved
+    session.add(contacts[-1])
+    session.snapshot(0.0)
+    assert not session.unsolved
