@@ -16,6 +16,7 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from app.background import Background
 from app.link_server import LinkServer
+from app.pace import BEHIND_MS, TICK_MS, Pace
 from app.panels.message_bar import Message
 from app.plan import Plan, find_scene, link_specs
 from app.recording import Recording, stop_all
@@ -36,24 +37,11 @@ if TYPE_CHECKING:
     from skincal.simulate.orders import Wish
     from skincal.streams.links import LinkSpec
 
-TICK_MS = 33
-"""One picture a tick: 30 a second."""
-BEHIND_MS = 4
-"""The next tick comes this soon while readings still wait."""
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
 SOLVE_S = 0.012
 """s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
 several ticks, in which the window answers."""
-SOLVING_S = 0.4
-"""s. Solving that lasts longer is said."""
-DRAW_S = 0.010
-"""s. Pictures come no faster than this. Well below a tick: after a long one the timer comes early, to keep its pace, and that
-picture must not be left out."""
-DRAW_BEHIND_S = 0.1
-"""s. While readings wait, pictures come no faster than this: readings go before pictures."""
-IDLE_S = 0.5
-"""s. While nothing arrives the links are looked at this often, to say that one fell silent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,9 +100,7 @@ class Controller(QObject):
         self._reviewing: ReviewServer | None = None
         self._opening = 0
         self._shown: Snapshot | None = None
-        self._told_ns = 0
-        self._solving_ns = 0
-        """Since when taxels wait to be solved: host's monotonic clock; 0 where none do."""
+        self._pace = Pace()
         self.running = Running.OPENING
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
@@ -155,7 +141,7 @@ class Controller(QObject):
             reviewing.release()
         storage, self._storage = self._storage, None
         self._part = self._shown = None
-        self._links, self._truth, self._wish, self._solving_ns = (), b"", "", 0
+        self._links, self._truth, self._wish, self._pace = (), b"", "", Pace()
         if recording is not None:
             self._run(recording.end, _nothing)
         elif storage is not None:
@@ -270,14 +256,12 @@ class Controller(QObject):
             return
         drained = self._take_in(recording)
         snapshot = recording.road.snapshot(SOLVE_S)
-        unsolved = recording.road.session.unsolved
-        wanted = BEHIND_MS if recording.behind or unsolved else TICK_MS
+        behind = recording.behind or recording.road.session.unsolved > 0
+        wanted = BEHIND_MS if behind else TICK_MS
         if self._timer.interval() != wanted:
             self._timer.setInterval(wanted)
         now_ns = time.monotonic_ns()
-        since_s = (now_ns - self._told_ns) * 1e-9
-        pause_s = DRAW_BEHIND_S if recording.behind or unsolved else DRAW_S if drained or delivered else IDLE_S
-        if since_s >= pause_s or snapshot is not self._shown:
+        if self._pace.is_due(now_ns, behind=behind, news=drained or delivered) or snapshot is not self._shown:
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
@@ -290,20 +274,15 @@ class Controller(QObject):
         return drained
 
     def _publish(self, recording: Recording, snapshot: Snapshot, now_ns: int) -> None:
-        self._told_ns = now_ns
+        self._pace.show(now_ns)
         self._shown = snapshot
         if snapshot.landmarks:
             self._review(recording.road.session, snapshot)
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
         live = recording.road.live(reached_ns)
         evidence = recording.road.session.evidence
-        unsolved = self._worth_saying(recording.road.session.unsolved, now_ns)
+        unsolved = self._pace.worth_saying(recording.road.session.unsolved, now_ns)
         self.ticked.emit(Picture(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence, unsolved))
-
-    def _worth_saying(self, unsolved: int, now_ns: int) -> int:
-        """Return how many taxels wait to be solved, once some have waited for long."""
-        self._solving_ns = (self._solving_ns or now_ns) if unsolved else 0
-        return unsolved if (now_ns - self._solving_ns) * 1e-9 >= SOLVING_S else 0
 
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process tell what landmark pokes say of the rig."""

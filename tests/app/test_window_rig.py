@@ -13,7 +13,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from whole_window import OPEN_MS
 
-from app import controller
+from app import controller, pace
 from app.plan import Plan
 from app.running import Running
 from skincal.contacts.outcome import Contact, Phase, Reason, Rejection
@@ -261,8 +261,8 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
 
 def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked, monkeypatch):
     bench = poked.bench
-    for name, value in (("SOLVE_S", 0.0), ("SOLVING_S", 0.0), ("DRAW_BEHIND_S", 0.0)):
-        monkeypatch.setattr(controller, name, value)
+    for module, name in ((controller, "SOLVE_S"), (pace, "SOLVING_S"), (pace, "DRAW_BEHIND_S")):
+        monkeypatch.setattr(module, name, 0.0)
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
     shown: list[tuple[object, int, str]] = []
     bench.controller.ticked.connect(lambda it: shown.append((it.snapshot, it.unsolved, poked.now.headline.text())))
