@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from app.review_server import ReviewServer
     from skincal.estimate.evidence import Evidence
     from skincal.estimate.result import Method
+    from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
     from skincal.session.actions import Action
     from skincal.session.road import Road
@@ -361,12 +362,25 @@ class Controller(QObject):
         return self._recording is not None and self._recording.storage.can_keep
 
     def export(
-        self, format_: str, path: Path, method: Method, done: Callable[[tuple[str, ...]], None], failed: Callable[[str], None]
+        self,
+        format_: str,
+        path: Path,
+        method: Method,
+        check: LandmarkCheck | None,
+        done: Callable[[tuple[str, ...]], None],
+        failed: Callable[[str], None],
     ) -> None:
-        """Write a calibration file in the background; `done` gets the sentences of its lint, `failed` why there is none."""
+        """Write a calibration file in the background.
+
+        Parameters
+        ----------
+        check : what landmark pokes say of a correction of the rig
+        done : gets the sentences of the file's lint
+        failed : gets why there is none
+        """
         if self._recording is None:
             return
-        calibration = self._recording.road.session.calibration()
+        calibration = replace(self._recording.road.session.calibration(), landmark_check=check)
 
         def write() -> tuple[str, ...]:
             from skincal.files.export import write_calibration

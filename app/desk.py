@@ -36,6 +36,7 @@ from app.wishes import wish_of
 from app.workspace import Workspace
 from skincal.errors import InputError
 from skincal.estimate.result import Method
+from skincal.files.calibration import landmark_check
 from skincal.session.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.session.corrections import used_of
 from skincal.session.review import Review
@@ -323,7 +324,9 @@ class Desk(QObject):
         dialog = ExportDialog(self.workspace.methods, self.method, stem, parent)
 
         def write(format_: str, path: Path, method: Method) -> None:
-            self._controller.export(format_, path, method, dialog.show_findings, dialog.show_failure)
+            review = None if self.frame is None else self.frame.review
+            check = None if review is None else landmark_check(review.rig)
+            self._controller.export(format_, path, method, check, dialog.show_findings, dialog.show_failure)
 
         dialog.write_requested.connect(write)
         dialog.open()

@@ -60,7 +60,7 @@ class ReviewServer(QObject):
         elif self._shown is not None and not _due(self._shown, snapshot):
             return
         self._shown = snapshot
-        self._tell(self._asked.change(self._session))
+        self._tell(self._asked.change(self._session, snapshot))
 
     def _start(self) -> None:
         self._started = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ from skincal.estimate.result import Method
 if TYPE_CHECKING:
     from skincal.estimate.frame_doctor import FrameDiagnosis
     from skincal.estimate.rig_fit import RigAnswer
+    from skincal.files.calibration import Calibration
     from skincal.readings import FloatArray
     from skincal.session.road import Road
     from skincal.session.session import Session
@@ -207,6 +209,16 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
     return rig, [*(() if frame is None else (frame.words,)), *in_use, *found]
 
 
+def _calibration(session: Session) -> Calibration:
+    """Return what the files are written from, with what landmark pokes say of a correction of the rig."""
+    if not session.landmark_pokes:
+        return session.calibration()
+    from skincal.estimate.rig_fit import correct_rig
+    from skincal.files.calibration import landmark_check
+
+    return replace(session.calibration(), landmark_check=landmark_check(correct_rig(session.rig_request())))
+
+
 def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
     """Write every format for every method the scene has; return the files and what was found."""
     from skincal.files.export import write_calibration
@@ -215,7 +227,7 @@ def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], l
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
-    calibration = road.session.calibration()
+    calibration = _calibration(road.session)
     files: list[str] = []
     findings: list[str] = []
 
@@ -256,7 +268,7 @@ def export(
     road = _opened(session, replay, None)
     if correct:
         _correct(road.session)
-    calibration = road.session.calibration()
+    calibration = _calibration(road.session)
     chosen = method or (Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE)
     if chosen not in calibration.estimates:
         lacks = "surface" if chosen is Method.SURFACE else "layout"

@@ -11,8 +11,30 @@ from skincal.contacts.outcome import Contact
 from skincal.errors import InputError
 from skincal.estimate.correction import UsedCorrection
 from skincal.estimate.result import Estimate, Method
+from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkCheck:
+    """How well held-out landmark pokes are foretold with a correction of the rig, and without it."""
+
+    pokes: int
+    """How many landmark pokes it was tried with."""
+    before: float
+    """m: at what distance they pass their landmarks as the rig tells, root mean square."""
+    after: float
+    """m: the same of held-out ones under a correction made without them."""
+    worth_using: bool
+    """Whether these are foretold so much better that the correction is offered."""
+
+
+def landmark_check(answer: RigAnswer) -> LandmarkCheck | None:
+    """Return what came out of a search for a correction; None where there were too few pokes to try it."""
+    if answer.correction is None:
+        return None
+    return LandmarkCheck(len(answer.trust), answer.before, answer.after, answer.used)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +58,11 @@ class Calibration:
     """Channels that were not used, with the reason."""
     corrections: tuple[UsedCorrection, ...] = ()
     """Of what the rig tells: the estimates are those of the contacts under them, one after another."""
+
+    landmark_pokes: tuple[LandmarkPoke, ...] = ()
+    """Pokes at known points of the part, as the rig told them; those whose poke is in `excluded` did not count."""
+    landmark_check: LandmarkCheck | None = None
+    """What they say of a correction of the rig, used or not; None where nobody tried."""
 
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.

@@ -20,13 +20,14 @@ from skincal.contacts.outcome import Contact
 from skincal.errors import InputError
 from skincal.estimate.correction import Correction, UsedCorrection
 from skincal.estimate.result import Estimate, Method, Rival, State
-from skincal.files.calibration import Calibration
+from skincal.estimate.rig_fit import LandmarkPoke
+from skincal.files.calibration import Calibration, LandmarkCheck
 from skincal.readings import FloatArray
 from skincal.scene import ContactSettings, NoiseSettings
 
 FORMAT = "skincal-calibration/3"
 OLDER = "skincal-calibration/2"
-"""Knows no corrections of the rig."""
+"""Knows no landmark pokes and no corrections of the rig."""
 CONTACT_UNITS = {
     "force_min": "N", "force_max": "N", "touch_force": "N", "release_force": "N", "still_s": "", "still_change": "",
     "slide_max": "m", "pitch_max": "m", "taxels_max": "", "response_min": "raw", "response_noises": "", "quiet_s": "",
@@ -67,6 +68,9 @@ class CalibrationFile:
     estimates: Mapping[Method, tuple[Estimate, ...]]
     corrections: tuple[UsedCorrection, ...] = ()
     """Of what the rig told, to be applied one after another."""
+    landmark_pokes: tuple[LandmarkPoke, ...] = ()
+    """Pokes at known points as the rig told them, in their order; those in `excluded` did not count."""
+    landmark_check: LandmarkCheck | None = None
 
     @property
     def used_contacts(self) -> tuple[Contact, ...]:
@@ -98,6 +102,8 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         "channels": [int(channel) for channel in calibration.channels],
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
         "corrections": [_correction(one) for one in calibration.corrections],
+        "landmark_check": _check(calibration.landmark_check),
+        "landmark_pokes": [_landmark_poke(poke) for poke in calibration.landmark_pokes],
         "excluded_pokes": [int(poke) for poke in calibration.excluded],
         "contacts": [_contact(contact) for contact in calibration.contacts],
         "estimates": {
@@ -189,6 +195,29 @@ def _correction(used: UsedCorrection) -> dict[str, Any]:
     }
 
 
+def _check(check: LandmarkCheck | None) -> dict[str, Any] | None:
+    if check is None:
+        return None
+    return {
+        "landmark_pokes": int(check.pokes),
+        "miss_before_m": _number(check.before),
+        "miss_after_m": _number(check.after),
+        "worth_using": bool(check.worth_using),
+    }
+
+
+def _landmark_poke(poke: LandmarkPoke) -> dict[str, Any]:
+    return {
+        "poke": int(poke.poke),
+        "landmark": poke.name,
+        "landmark_place_m": _array(poke.place),
+        "force_sensor_N": _array(poke.force),
+        "moment_sensor_Nm": _array(poke.moment),
+        "link_from_sensor_m": _array(poke.link_from_sensor),
+        "pose": poke.pose,
+    }
+
+
 def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
     rival = estimate.rival
     return {
@@ -240,6 +269,7 @@ def read_json(path: Path) -> CalibrationFile:
 
 def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
     mesh: dict[str, Any] = document["mesh"] or {"sha256": None, "findings": []}
+    newer = document["format"] == FORMAT
     return CalibrationFile(
         version=document["skincal_version"],
         frame=document["frame"],
@@ -257,7 +287,9 @@ def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
             Method(name): tuple(_read_estimate(item, Method(name)) for item in items)
             for name, items in document["estimates"].items()
         },
-        corrections=tuple(_read_correction(one) for one in document["corrections"]) if document["format"] == FORMAT else (),
+        corrections=tuple(_read_correction(one) for one in document["corrections"]) if newer else (),
+        landmark_pokes=tuple(_read_landmark_poke(one) for one in document["landmark_pokes"]) if newer else (),
+        landmark_check=_read_check(document["landmark_check"]) if newer else None,
     )
 
 
@@ -300,6 +332,25 @@ def _read_correction(values: dict[str, Any]) -> UsedCorrection:
         after=values["miss_after_m"],
         pokes=values["landmark_pokes"],
     )
+
+
+def _read_landmark_poke(values: dict[str, Any]) -> LandmarkPoke:
+    return LandmarkPoke(
+        poke=values["poke"],
+        name=values["landmark"],
+        place=_read_array(values["landmark_place_m"]),
+        force=_read_array(values["force_sensor_N"]),
+        moment=_read_array(values["moment_sensor_Nm"]),
+        link_from_sensor=_read_array(values["link_from_sensor_m"]),
+        pose=values["pose"],
+    )
+
+
+def _read_check(values: dict[str, Any] | None) -> LandmarkCheck | None:
+    if values is None:
+        return None
+    misses = [math.nan if values[key] is None else values[key] for key in ("miss_before_m", "miss_after_m")]
+    return LandmarkCheck(values["landmark_pokes"], misses[0], misses[1], values["worth_using"])
 
 
 def _read_estimate(values: dict[str, Any], method: Method) -> Estimate:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
-from skincal.estimate.rig_fit import FEWEST
+from skincal.estimate.rig_fit import FEWEST, FEWEST_POINTS
 from skincal.readings import FloatArray
 from skincal.scene import Landmark
 
@@ -71,8 +71,10 @@ class LandmarkRound:
         every = list(poked)
         here = Counter(name for there, name in every if there == pose)
         open_ = [one for one in landmarks if (pose, one.name) not in self._skipped]
-        # The first pose gets as many as a correction takes: perhaps there is no other.
-        wanted = max(A_POSE, FEWEST - len(every) + here.total())
+        elsewhere = len(every) - here.total()
+        # The first pose gets as many as a correction takes: perhaps there is no other. Too few landmarks correct nothing,
+        # but three pokes tell of the frame.
+        wanted = max(A_POSE, FEWEST - elsewhere) if len(landmarks) >= FEWEST_POINTS else A_POSE - elsewhere
         if pose in self._left_out or not open_ or here.total() >= wanted:
             return None
         total = Counter(name for _, name in every)

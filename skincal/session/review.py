@@ -23,6 +23,7 @@ from skincal.readings import FloatArray, IntArray
 from skincal.scene import Landmark, Scene
 from skincal.session.known_points import landmark_normals, landmark_pokes
 from skincal.session.session import Session
+from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.wrench import axis_point, move_wrench
 
@@ -82,11 +83,10 @@ class Asked:
     used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections in use."""
 
-    def change(self, session: Session) -> Change:
-        """Return what is new in a session."""
+    def change(self, session: Session, snapshot: Snapshot) -> Change:
+        """Return what is new in a session, of which `snapshot` is the newest."""
         before, now = self.pokes, session.framed()
         self.generation, self.pokes = self.generation + 1, now
-        snapshot = session.snapshot()
         self.used = snapshot.corrections
         return Change(
             generation=self.generation,

@@ -278,6 +278,7 @@ class Session:
             excluded=self.excluded,
             dead=self.dead,
             corrections=tuple(self.corrections.values()),
+            landmark_pokes=self._known.pokes(map(self._corrections.told.__getitem__, self._records)),
         )
 
     def _kept(self, pokes: Iterable[int]) -> list[Contact]:

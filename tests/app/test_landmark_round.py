@@ -20,6 +20,7 @@ from app.running import Running
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.estimate.result import Method
 from skincal.estimate.rig_gain import Gain
+from skincal.guide import landmarks as landmarks_module
 from skincal.guide.guidance import Phase as GuidePhase
 from skincal.guide.landmarks import LandmarkWish
 from skincal.scene import Landmark
@@ -32,6 +33,14 @@ CORNER, OTHER, SIDE = (
     for name, place in (("corner", (0.036, 0.036, 0.0)), ("other", (-0.036, -0.036, 0.0)), ("side", (-0.036, 0.036, 0.0)))
 )
 POINTS = (CORNER, OTHER, SIDE)
+
+
+@pytest.fixture(autouse=True)
+def three_are_enough(monkeypatch):
+    """Three landmarks stand for as many as a correction takes: with four each case is longer and says the same."""
+    monkeypatch.setattr(landmarks_module, "FEWEST_POINTS", 3)
+
+
 ARROW, BETWEEN = "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE DOT}  "
 
 

@@ -87,7 +87,7 @@ def test_it_answers_what_the_session_itself_finds_and_ends_when_it_is_told(qtbot
     (answer,) = answers
     assert [one.poke for one in answer.pokes] == [1, 2, 3], "of the newest alone"
     reviewer = Reviewer(session.scene, session.surface)
-    reviewer.take(Asked().change(session))
+    reviewer.take(Asked().change(session, session.snapshot()))
     own = reviewer.review(lambda: None)
     assert answer.told == own.told
     assert answer.frame.words == own.frame.words

@@ -8,6 +8,7 @@ import pytest
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.estimate.result import Method
 from skincal.estimate.rig_gain import Gain
+from skincal.guide import landmarks as landmarks_module
 from skincal.guide.guidance import Guidance, Phase
 from skincal.guide.landmarks import A_POSE, ASTRAY, LandmarkRound, LandmarkWish, was_there
 from skincal.scene import Landmark
@@ -16,6 +17,19 @@ FAR, MIDDLE, NEAR = (
     Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in (("far", 0.3), ("middle", 0.2), ("near", 0.1))
 )
 LANDMARKS = (NEAR, MIDDLE, FAR)
+FOUR = (*LANDMARKS, Landmark("aside", np.array([0.2, 0.1, 0.0]), None))
+
+
+@pytest.fixture(autouse=True)
+def three_are_enough(request, monkeypatch):
+    """Three landmarks stand for as many as a correction takes: with four each case is longer and says the same."""
+    if "needs_four" not in request.fixturenames:
+        monkeypatch.setattr(landmarks_module, "FEWEST_POINTS", 3)
+
+
+@pytest.fixture
+def needs_four():
+    """Ask for as many landmarks as a correction takes."""
 
 
 def names(wishes):
@@ -27,6 +41,7 @@ def at(pose, *named):
     return [(pose, name) for name in named]
 
 
+SIX_OF_FOUR = ("near", "middle", "far", "aside", "near", "middle")
 SIX = at("low", "near", "middle", "far", "near", "middle", "far")
 
 
@@ -37,6 +52,15 @@ def test_the_first_pose_gets_as_many_as_a_correction_takes_and_each_later_one_th
     later = asked.plan(LANDMARKS, SIX, "high")
     assert [(wish.done, wish.wanted) for wish in later] == [(done, A_POSE) for done in range(3)]
     assert asked.plan(LANDMARKS, SIX, "low") == []
+
+
+@pytest.mark.usefixtures("needs_four")
+def test_fewer_landmarks_than_a_correction_takes_are_poked_for_the_frame_alone():
+    assert [wish.wanted for wish in LandmarkRound().plan(FOUR, [], "low")] == [6] * 6
+    assert [(wish.done, wish.wanted) for wish in LandmarkRound().plan(LANDMARKS, [], "low")] == [(0, 3), (1, 3), (2, 3)]
+    assert LandmarkRound().plan(LANDMARKS, at("low", "near", "far", "middle"), "high") == [], "the frame is the same there"
+    assert [wish.done for wish in LandmarkRound().plan(LANDMARKS, at("low", "near", "far"), "high")] == [0]
+    assert len(LandmarkRound().plan(FOUR, at("low", *SIX_OF_FOUR), "high")) == A_POSE
 
 
 def test_a_second_pose_makes_up_for_what_the_first_left_out():
@@ -106,7 +130,7 @@ def test_in_a_pose_that_comes_again_what_was_poked_there_counts():
 def test_without_landmarks_none_is_asked_for_and_one_alone_is_poked_again():
     assert LandmarkRound().plan((), [], "low") == []
     assert LandmarkRound().next((), [], "low") is None
-    assert names(LandmarkRound().plan((NEAR,), [], "low")) == ["near"] * 6
+    assert names(LandmarkRound().plan((NEAR,), [], "low")) == ["near"] * A_POSE
 
 
 def test_pokes_at_a_landmark_that_is_gone_count_and_lead_nowhere():

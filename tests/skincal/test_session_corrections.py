@@ -12,8 +12,9 @@ from skincal.errors import InputError
 from skincal.estimate.correction import FRAME, RIG, Correction, frame_correction
 from skincal.estimate.frame_doctor import diagnose
 from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import correct_rig
+from skincal.estimate.rig_fit import RigRequest, correct_rig
 from skincal.estimate.solve import estimate_taxels
+from skincal.files.calibration import LandmarkCheck, landmark_check
 from skincal.files.export import write_calibration
 from skincal.files.json_file import read_json
 from skincal.readings import Chunk
@@ -250,6 +251,39 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
         assert used.words in (tmp_path / kind).read_text(encoding="utf-8")
 
 
+def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp_path):
+    session, _ = bad
+    found = correct_rig(session.rig_request())
+    session.act(correct_action(RIG, found.correction, found.before, found.after, 21))
+    session.act(Exclude(session.contacts[0].poke))
+    calibration = replace(session.calibration(), landmark_check=landmark_check(found))
+    write_calibration(calibration, "json", tmp_path / "c.json", Method.MODULES)
+    file = read_json(tmp_path / "c.json")
+    assert file.landmark_check == LandmarkCheck(21, found.before, found.after, True)
+    assert len(file.landmark_pokes) == 21
+    told = session.outcome(file.landmark_pokes[0].poke)
+    assert np.array_equal(file.landmark_pokes[0].force, told.force), "as the rig told it"
+
+    contacts = [one for one in file.contacts if one.poke not in file.excluded]
+    again = correct_rig(RigRequest(session.scene, session.surface, contacts, file.landmark_pokes, file.dead))
+    session.act(Uncorrect(RIG))
+    expected = correct_rig(session.rig_request())
+    assert np.array_equal(again.correction.matrix, expected.correction.matrix)
+    assert (again.before, again.after) == (expected.before, expected.after)
+
+
+def test_an_older_file_knows_no_landmark_pokes_and_one_without_a_check_says_so(bad, tmp_path):
+    session, _ = bad
+    write_calibration(session.calibration(), "json", tmp_path / "c.json", Method.MODULES)
+    assert read_json(tmp_path / "c.json").landmark_check is None
+    document = json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) | {"format": "skincal-calibration/2"}
+    for key in ("corrections", "landmark_pokes", "landmark_check"):
+        del document[key]
+    (tmp_path / "older.json").write_text(json.dumps(document), encoding="utf-8")
+    older = read_json(tmp_path / "older.json")
+    assert (older.corrections, older.landmark_pokes, older.landmark_check) == ((), (), None)
+
+
 @pytest.fixture(scope="module")
 def recorded(poked, tmp_path_factory):
     """A recorded session on the bad rig: its pokes are written as a detector's, without bytes."""
@@ -279,6 +313,8 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert "modules-corrected" not in told["methods"]
     file = read_json(tmp_path / "calibration.json")
     assert len(file.corrections) == 1
+    assert file.landmark_check.worth_using
+    assert file.landmark_check.after < file.landmark_check.before
     assert main(["export", str(recorded), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
     assert "the rig is corrected from 21 landmark pokes" in (tmp_path / "p.txt").read_text(encoding="utf-8")
     assert main(["solve", str(recorded)]) == 0

@@ -68,55 +68,55 @@ FRAME_ACTION = correct_action(FRAME, Correction(np.diag([1.0, 1.0, 1.0, 1e-3, 1e
 
 def test_the_first_time_all_is_new_and_then_nothing(session):
     asked = Asked()
-    first = asked.change(session)
+    first = asked.change(session, session.snapshot())
     assert first.generation == 1
     assert first.pokes == session.framed()
     assert len(first.pokes) == 32
     assert (first.gone, first.corrected, first.dead) == ((), False, {})
     assert first.channels == session.channels
-    second = asked.change(session)
+    second = asked.change(session, session.snapshot())
     assert (second.generation, second.pokes, second.gone) == (2, {}, ())
 
 
 def test_only_a_poke_that_came_or_came_again_goes_there(session):
     asked = Asked()
-    asked.change(session)
+    asked.change(session, session.snapshot())
     told = session.outcome(3)
     session.add(replace(told, poke=9000))
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert list(change.pokes) == [9000]
     session.add(replace(told, final=not told.final))
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert list(change.pokes) == [3]
     assert change.pokes[3] is session.outcome(3)
 
 
 def test_a_poke_that_is_taken_out_is_told_as_gone_and_comes_back_by_undo(session):
     asked = Asked()
-    asked.change(session)
+    asked.change(session, session.snapshot())
     session.act(Exclude(4))
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert (change.pokes, change.gone) == ({}, (4,))
-    assert (asked.change(session).gone) == ()
+    assert (asked.change(session, session.snapshot()).gone) == ()
     session.act(Undo())
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert (list(change.pokes), change.gone) == ([4], ())
 
 
 def test_another_frame_makes_all_pokes_others_and_a_corrected_rig_none(session):
     asked = Asked()
-    asked.change(session)
+    asked.change(session, session.snapshot())
     session.act(FRAME_ACTION)
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert change.pokes.keys() == session.framed().keys()
     assert not change.corrected
     np.testing.assert_array_equal(change.pokes[3].moment, 1e-3 * session.outcome(3).moment)
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 8))
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert change.corrected
     assert (change.pokes, change.gone) == ({}, ())
     session.act(Uncorrect(FRAME))
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert len(change.pokes) == 32
     assert not change.corrected
     assert change.pokes[3] is session.outcome(3)
@@ -124,13 +124,13 @@ def test_another_frame_makes_all_pokes_others_and_a_corrected_rig_none(session):
 
 def test_which_poke_was_at_which_landmark_is_told_as_it_stands(session):
     asked = Asked()
-    before = asked.change(session)
+    before = asked.change(session, session.snapshot())
     assert before.at_landmarks == session.snapshot().at_landmarks
     assert len(before.at_landmarks) == 8
     session.act(AddLandmark("screw", 0.01, 0.02, 0.03))
     session.act(AtLandmark(3, "screw"))
     session.act(MarkDead(session.channels[0]))
-    change = asked.change(session)
+    change = asked.change(session, session.snapshot())
     assert change.pokes == {}
     assert change.at_landmarks == {**before.at_landmarks, 3: "screw"}
     assert change.landmarks[-1].name == "screw"
@@ -139,10 +139,10 @@ def test_which_poke_was_at_which_landmark_is_told_as_it_stands(session):
 
 def test_without_a_layout_a_channel_comes_with_its_first_poke():
     session, asked = Session(small_scene(layout=False), None), Asked()
-    assert asked.change(session).channels == ()
+    assert asked.change(session, session.snapshot()).channels == ()
     k = np.array([5])
     session.add(Contact(1, 0.0, 0.3, np.array([0, 0, -9.0]), np.zeros(3), k, np.ones(1), np.eye(4), "", 0.05, True))
-    assert asked.change(session).channels == (5,)
+    assert asked.change(session, session.snapshot()).channels == (5,)
 
 
 # What comes back
@@ -150,7 +150,7 @@ def test_without_a_layout_a_channel_comes_with_its_first_poke():
 
 def reviewed(session, reviewer=None, asked=None):
     reviewer = reviewer or Reviewer(session.scene, session.surface)
-    reviewer.take((asked or Asked()).change(session))
+    reviewer.take((asked or Asked()).change(session, session.snapshot()))
     return reviewer.review(lambda: None)
 
 
@@ -270,7 +270,7 @@ class EnoughError(Exception):
 
 def test_work_is_given_up_at_any_step_and_can_be_done_again(session):
     reviewer = Reviewer(session.scene, session.surface)
-    reviewer.take(Asked().change(session))
+    reviewer.take(Asked().change(session, session.snapshot()))
     calls = []
     whole = reviewer.review(lambda: calls.append(1))
     assert len(calls) >= 4
@@ -313,7 +313,7 @@ def test_a_message_comes_with_its_last_byte_and_not_before():
 
 
 def test_a_review_and_a_change_arrive_as_they_were_sent(session):
-    change = Asked().change(session)
+    change = Asked().change(session, session.snapshot())
     (there,) = Unpacker().feed(packed(change))
     assert there.at_landmarks == change.at_landmarks
     for number, poke in change.pokes.items():
@@ -362,10 +362,10 @@ def part_of(scene, surface):
 
 def test_what_is_asked_is_answered_until_the_input_ends(session):
     served, asked = Served(), Asked()
-    served.feed.put(part_of(session.scene, session.surface), asked.change(session))
+    served.feed.put(part_of(session.scene, session.surface), asked.change(session, session.snapshot()))
     assert_is_of(session, served.answer())
     session.act(AtLandmark(FIRST, ""))
-    served.feed.put(asked.change(session))
+    served.feed.put(asked.change(session, session.snapshot()))
     second = served.answer()
     assert second.generation == 2
     assert len(second.pokes) == 7
