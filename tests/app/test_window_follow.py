@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
+import numpy as np
 from guide_support import guidance, target
 from PySide6.QtCore import Qt
 from whole_window import OPEN_MS
@@ -16,6 +17,7 @@ from app.running import Running
 from app.wishes import wish_of
 from app.words import peak_channel
 from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
+from skincal.wrench import axis_point, move_wrench
 
 LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
 
@@ -120,3 +122,17 @@ def test_pokes_come_where_the_window_asks_for_them(bench, said):
     bench.until(lambda: said[-1].startswith("target "), 5000)
     known = len(bench.snapshot.pokes)
     bench.until(lambda: len(bench.snapshot.pokes) > known)
+
+
+def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked_for(bench, said):
+    bench.open_served()
+    bench.until(lambda: bench.window.desk.frame.target is not None and bench.window.desk.frame.target.landmark != "")
+    bench.until(lambda: len(bench.snapshot.at_landmarks) >= 3)
+    order = read_order(said[-1])
+    assert order.known == (bench.window.desk.frame.target.landmark != "")
+    made = bench.controller._recording.road.session.landmark_pokes
+    assert len({one.name for one in made}) == len(made) >= 3, "one after another, each once"
+    for one in made:
+        force, moment = move_wrench(one.link_from_sensor, one.force, one.moment)
+        away = np.cross(one.place - axis_point(force, moment), force) / np.linalg.norm(force)
+        assert np.linalg.norm(away) < 0.006, "sensor noise and 0.7 mm of the hand: the axis passes its landmark"
