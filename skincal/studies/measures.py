@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.estimate.boards import Boards
 from skincal.estimate.ledger import Ledger
 from skincal.estimate.result import Estimate, Method
 from skincal.estimate.solve import average_over_poses, estimate_from, estimate_taxels
@@ -42,6 +43,9 @@ LABELS = {
     "bounded": "surface: every triangle's bound, then closed form",
     "quadprog": "surface: each triangle by quadprog",
     "slsqp": "surface: each triangle by SLSQP",
+    "modules": "modules, as shipped",
+    "modules-general": "modules: scipy's Levenberg-Marquardt",
+    "modules-per-pose": "modules: each pose alone, averaged",
     "surface-per-pose": "surface: each pose alone, averaged",
     "free-per-pose": "free: each pose alone, averaged",
     "lstsq": "free: numpy's lstsq for each taxel",
@@ -103,6 +107,14 @@ class Cell:
         }
 
 
+def boards_of(cell: Cell) -> Boards:
+    """Return the boards of a cell's part on its mesh."""
+    skin = cell.bench.scene.skin
+    if skin.layout is None:
+        raise ValueError(f"{cell.bench.name} has no layout")
+    return Boards(skin.layout, skin.anchor, cell.surface)
+
+
 def positions_of(estimates: Mapping[int, Estimate]) -> Positions:
     """Return the positions of those that have one."""
     return {channel: one.position for channel, one in estimates.items() if one.position is not None}
@@ -118,12 +130,13 @@ class Shipped:
         self.cell, self.method = cell, method
         self._seconds: list[float] = []
         self._results: list[dict[int, Estimate]] = []
+        self._boards = boards_of(cell) if method is Method.MODULES else None
         # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
         self._solve(cell.runs[0][:WARM], cell.channels[:WARM])
 
     def _solve(self, contacts: Sequence[Contact], channels: Sequence[int]) -> dict[int, Estimate]:
         noise = self.cell.bench.scene.noise
-        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface)[self.method]
+        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, boards=self._boards)[self.method]
 
     def run(self) -> dict[int, Estimate]:
         """Measure, and return the first seed's estimates."""
@@ -165,10 +178,11 @@ def _from_session(cell: Cell, method: Method) -> Spread:
 
 def per_pose(cell: Cell, method: Method) -> Row:
     """Measure the paper's averaging over arm poses (IV-B)."""
+    boards = boards_of(cell) if method is Method.MODULES else None
 
     def solve(contacts: Sequence[Contact]) -> Positions:
         noise = cell.bench.scene.noise
-        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface))
+        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, boards=boards))
 
     timings, found = _each_run(cell, solve, cell.repeats)
     return cell.row(f"{method.value}-per-pose", Spread.of(timings), found)

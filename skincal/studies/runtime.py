@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from skincal.contacts.outcome import Contact
 from skincal.estimate.result import PER_TAXEL, Method
-from skincal.studies import alternatives, live, measures
+from skincal.studies import alternatives, board_measures, live, measures
 from skincal.studies.benches import Bench
 from skincal.studies.clock import CLOCK, timed
 from skincal.studies.measures import Cell, Row, Searches
@@ -75,7 +75,7 @@ QUICK = Sizes(
     small=PartSizes("icub-forearm", 2, 2, (1_000, 100_000), (1, 30), budget_s=0.3),
     large=PartSizes("whole-body", 1, 2, (1_000,), (), (84, 420), budget_s=0.8),
     everywhere=False,
-    growth_until_s=27.0,
+    growth_until_s=20.0,
     live_pokes=60,
     live_per_taxel=(12,),
     memory_pokes=1_000,
@@ -130,6 +130,7 @@ def _table(benches: Sequence[tuple[Bench, PartSizes]], sizes: Sizes, progress: P
         mains.append(Cell(bench, bench.surface, sizes.per_taxel, runs, bench.channels, part.repeats, part.budget_s))
         yield from _free(mains[-1])
         yield from _surface(mains[-1], True)
+        yield from board_measures.modules(replace(mains[-1], repeats=max(1, part.repeats // 2)))
     pairs = list(zip(mains, (part for _, part in benches), strict=True))
     growth = (on_size for main, part in reversed(pairs) for on_size in _growth(main, part, sizes))
     for number, on_size in enumerate(growth):
@@ -143,7 +144,7 @@ def _growth(main: Cell, part: PartSizes, sizes: Sizes) -> Iterator[Iterator[Row]
     """Give the cells on which one size differs; the first of the large part is needed for the ratios."""
     short = replace(main, runs=main.runs[:1], repeats=max(1, part.repeats // 2), budget_s=part.budget_s / 5)
     for triangles in part.meshes:
-        yield _surface(replace(short, surface=main.bench.mesh(triangles)), sizes.everywhere)
+        yield _on_mesh(replace(short, surface=main.bench.mesh(triangles)), sizes.everywhere)
     for taxels in part.taxels:
         channels = main.channels[:taxels]
         yield _shipped(replace(short, channels=channels, runs=[_answered(main.runs[0], channels)]))
@@ -159,11 +160,18 @@ def _poked(cell: Cell, per_taxel: int, seeds: int, everything: bool) -> Iterator
         yield from _shipped(cell)
         return
     yield measures.shipped(cell, Method.SURFACE)
+    yield measures.shipped(cell, Method.MODULES)
     yield from _free(cell)
 
 
+def _on_mesh(cell: Cell, everything: bool) -> Iterator[Row]:
+    yield from _surface(cell, everything)
+    if everything:
+        yield measures.shipped(cell, Method.MODULES)
+
+
 def _shipped(cell: Cell) -> Iterator[Row]:
-    for method in PER_TAXEL:
+    for method in Method:
         yield measures.shipped(cell, method)
 
 
