@@ -15,7 +15,7 @@ import numpy as np
 
 from skincal.errors import InputError
 from skincal.readings import FloatArray, IntArray
-from skincal.tables import Table, read_toml
+from skincal.tables import Table, parse_toml, read_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,11 +127,14 @@ class Layout:
     ----------
     modules : at least one
     width : channels of a skin frame
+    path, text : of the file it was read from; None and empty where it was made otherwise
     """
 
-    def __init__(self, modules: tuple[Module, ...], width: int) -> None:
+    def __init__(self, modules: tuple[Module, ...], width: int, path: Path | None = None, text: str = "") -> None:
         self.modules = modules
         self.width = width
+        self.path = path
+        self.text = text
 
     @cached_property
     def channels(self) -> IntArray:
@@ -181,7 +184,23 @@ def load_layout(path: Path, width: int) -> Layout:
     InputError
         Names the file, the module and what was expected.
     """
-    document = Table(read_toml(path), str(path))
+    return read_layout(read_text(path), path, width)
+
+
+def read_layout(text: str, path: Path, width: int) -> Layout:
+    """Read the text of a `*.modules.toml` file.
+
+    Parameters
+    ----------
+    path : of the file, for what is said of it
+    width : channels of a skin frame
+
+    Raises
+    ------
+    InputError
+        As for `load_layout`.
+    """
+    document = Table(parse_toml(text, path), str(path))
     kinds, own = dict(KINDS), document.table("kinds")
     for name, table in own.each_table() if own is not None else ():
         kinds[name] = _read_kind(name, table)
@@ -191,7 +210,7 @@ def load_layout(path: Path, width: int) -> Layout:
     document.done()
     modules = tuple(_read_module(table, kinds, width) for table in tables)
     _check_owners(modules, path)
-    return Layout(modules, width)
+    return Layout(modules, width, path, text)
 
 
 def _check_owners(modules: tuple[Module, ...], path: Path) -> None:

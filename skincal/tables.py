@@ -19,14 +19,27 @@ LENGTH_MAX = 10.0
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Return a TOML file's content; `InputError` says what is wrong with it and where."""
+    return parse_toml(read_text(path), path)
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text, its ends of line as they are; `InputError` says why it cannot be read."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return path.read_bytes().decode("utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; check the path.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its rights.") from None
+
+
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file's text; `InputError` says what is wrong with it and where."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
 
 
 class Table:

@@ -3,7 +3,7 @@
 All of it follows from the estimates of single taxels, which know nothing of modules. A module's estimates, seen along their
 mean normal, are fitted by its pads, as planned and mirrored, moved and turned as may be; that pose is compared with the plan's,
 less the rigid motion that most modules share. Modules are wrong by ten millimetres where one of these mistakes was made, and by
-two where none was. What it says is an offer; nothing is changed by it.
+two where none was. What it says is an offer (`board_mend` makes a layout of it); nothing is changed by it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from skincal.estimate.compare import places_of
 from skincal.estimate.evidence import across
 from skincal.estimate.result import Estimate
 from skincal.readings import FloatArray, IntArray
-from skincal.skin import Layout
+from skincal.skin import Layout, Module
 
 FEWEST = 5
 """Taxels of a module with an estimate below which nothing is said of it."""
@@ -27,10 +27,16 @@ MIRRORED = 0.6
 """The mirrored pads must fit this much better: the paper's modules fit to 2.1 mm straight and 10.4 mm mirrored."""
 TURN_MIN = float(np.radians(30.0))
 """rad: a module that is turned by less against most others is laid badly, not mounted wrongly."""
+TURN_ABOUT = float(np.radians(25.0))
+"""rad: a turn that lays the board on itself is meant by turns that are seen so near to it."""
+TURN_STEP, TURN_NEAR = float(np.radians(30.0)), float(np.radians(8.0))
+"""rad: other mistakes are made in such steps, and are seen so near to them: a board's turn is seen to 3 degrees (sd)."""
 SWAP_SHARE = 0.3
 """A module lies where another one is planned when it is nearer to that place than this share of its way from its own."""
 FAR = 0.008
 """m: modules farther than this from where the others put them count less for what all are moved by alike."""
+ARM = 0.02
+"""m: a module's normal counts as a point so far above it, lest a flat skin be turned upside down."""
 ROUNDS = 5
 ALIKE = 1e-3
 """m: corners of an outline that lie nearer than this are the same."""
@@ -58,17 +64,19 @@ class Misfit:
     after: float
     """m, rms: the same with the correction."""
     turn: float = 0.0
-    """rad: what the layout's angle is to be changed by."""
+    """rad: what the layout's angle is to be changed by; of a mirrored one once its mirror is changed."""
     other: int | None = None
     """Id of the module in whose place it lies."""
 
     @property
     def words(self) -> str:
         """A sentence for the operator."""
+        turn = f"{np.degrees(self.turn):.0f}"
+        too = f", and its angle_deg by {turn} degrees" if self.turn else ""
         what = {
-            MisfitKind.MIRRORED: "is mirrored against the layout: change its mirror",
-            MisfitKind.TURNED: f"is turned by {np.degrees(self.turn):.0f} degrees: change its angle_deg by that",
-            MisfitKind.SWAPPED: f"lies where module {self.other} is planned: exchange their first_channel",
+            MisfitKind.MIRRORED: f"is mirrored against the layout: change its mirror{too}",
+            MisfitKind.TURNED: f"is turned by {turn} degrees: change its angle_deg by that",
+            MisfitKind.SWAPPED: f"lies where module {self.other} is planned: give that one its first_channel",
         }[self.kind]
         return (
             f"Module {self.module} {what}. Its taxels then lie {self.after * 1e3:.0f} mm off, not {self.before * 1e3:.0f} mm."
@@ -88,6 +96,8 @@ class _Seen:
     """m, rms from the pads as planned and mirrored, moved and turned as may be."""
     turn: float
     """rad, of the better one against the plan."""
+    normals: FloatArray
+    """(2, 3) float, unit: of the plan, and of the estimates."""
 
     def replanned(self, motion: FloatArray) -> _Seen:
         """Return it with the plan moved by `motion` (4, 4)."""
@@ -106,28 +116,48 @@ def find_misfits(boards: Boards, estimates: Mapping[int, Estimate]) -> tuple[Mis
     ----------
     estimates : of single taxels by channel, of the surface method where there is a surface
     """
-    seen = {index: one for index in range(len(boards.pads)) if (one := _seen(boards, index, estimates)) is not None}
-    if not seen:
-        return ()
-    motion = _common([one.places.mean(axis=0) for one in seen.values()], [one.planned.mean(axis=0) for one in seen.values()])
-    seen = {index: one.replanned(motion) for index, one in seen.items()}
-    turns = np.array([one.turn for one in seen.values()], dtype=np.float64)
-    usual = float(np.arctan2(np.median(np.sin(turns)), np.median(np.cos(turns))))
-    elsewhere = _in_place_of(seen)
-    found = (_misfit(boards, index, one, seen, elsewhere[index], usual) for index, one in seen.items())
+    seen, motion = _all_seen(boards, estimates)
+    elsewhere = _in_place_of(boards, seen, motion)
+    usual = _usual([one.turn for index, one in seen.items() if index not in elsewhere])
+    found = (_misfit(boards, index, one, elsewhere.get(index), usual) for index, one in seen.items())
     return tuple(one for one in found if one is not None)
 
 
-def _common(places: Sequence[FloatArray], planned: Sequence[FloatArray]) -> FloatArray:
+def miss_of(boards: Boards, estimates: Mapping[int, Estimate]) -> float:
+    """Return how far taxels lie from the plan, less what most modules are moved by alike: rms, m; 0 where nothing is known."""
+    seen, _ = _all_seen(boards, estimates)
+    return _rms(np.concatenate([one.places - one.planned for one in seen.values()])) if seen else 0.0
+
+
+def _all_seen(boards: Boards, estimates: Mapping[int, Estimate]) -> tuple[dict[int, _Seen], FloatArray]:
+    """Return the modules of which enough is known, their plans moved by what most are moved by, and that motion (4, 4)."""
+    seen = {index: one for index in range(len(boards.pads)) if (one := _seen(boards, index, estimates)) is not None}
+    if not seen:
+        return {}, np.eye(4)
+    motion = _common(list(seen.values()))
+    return {index: one.replanned(motion) for index, one in seen.items()}, motion
+
+
+def _usual(turns: Sequence[float]) -> float:
+    """Return the turn that is nearest to all, the smallest of those equally near; 0 of none."""
+    every = np.array(sorted(turns, key=abs), dtype=np.float64)
+    apart = np.abs(np.angle(np.exp(1j * (every[:, None] - every)))).sum(axis=1)
+    # To a billionth of a radian: which of two comes first must not hang on their last digit.
+    return float(every[int(np.argmin(apart.round(9)))]) if len(every) else 0.0
+
+
+def _common(seen: Sequence[_Seen]) -> FloatArray:
     """Return the rigid motion (4, 4) from the plan to the places that most modules share; a shift where they are two or one."""
-    here, there = np.array(planned), np.array(places)
+    here, there = np.array([one.planned.mean(axis=0) for one in seen]), np.array([one.places.mean(axis=0) for one in seen])
+    up, outward = (ARM * np.array([one.normals[row] for one in seen]) for row in range(2))
     weights, motion = np.ones(len(here)), np.eye(4)
     motion[:3, 3] = np.median(there - here, axis=0)
     for _ in range(ROUNDS if len(here) > 2 else 0):
         off = there - here @ motion[:3, :3].T - motion[:3, 3]
         weights = 1.0 / (1.0 + np.sum(off * off, axis=1) / FAR**2)
         middle, centre = weights @ here / weights.sum(), weights @ there / weights.sum()
-        left, _, right = np.linalg.svd((weights[:, None] * (there - centre)).T @ (here - middle))
+        weighed = weights[:, None]
+        left, _, right = np.linalg.svd((weighed * (there - centre)).T @ (here - middle) + (weighed * outward).T @ up)
         turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
         motion[:3, :3], motion[:3, 3] = turn, centre - turn @ middle
     return motion
@@ -156,7 +186,8 @@ def _seen(boards: Boards, module: int, estimates: Mapping[int, Estimate]) -> _Se
     flat = np.stack([points @ x, points @ y], axis=1)
     straight, turn = _fit(pads, flat)
     mirrored, other = _fit(pads * np.array([-1.0, 1.0]), flat)
-    return _Seen(points, planned[rows], straight, mirrored, turn if straight <= mirrored else other)
+    return _Seen(points, planned[rows], straight, mirrored, turn if straight <= mirrored else other,
+                 np.array([plan.normals[0], normal]))  # fmt: skip
 
 
 def _fit(pads: FloatArray, flat: FloatArray) -> tuple[float, float]:
@@ -172,48 +203,83 @@ def _rms(off: FloatArray) -> float:
     return float(np.sqrt(np.sum(off * off) / len(off)))
 
 
-def _misfit(
-    boards: Boards, index: int, one: _Seen, seen: Mapping[int, _Seen], other: int | None, usual: float
-) -> Misfit | None:
-    """Return what is wrong with a module that lies in the place of an `other`, or of none; the largest mistake first."""
+def _misfit(boards: Boards, index: int, one: _Seen, elsewhere: tuple[int, float] | None, usual: float) -> Misfit | None:
+    """Return what is wrong with a module; the largest mistake first.
+
+    Parameters
+    ----------
+    elsewhere : the module in whose place it lies and how far from it; None for its own place
+    usual : the turn that most have
+    """
     number = boards.layout.modules[index].id
     before = _rms(one.places - one.planned)
-    if other is not None:
-        after = float(np.linalg.norm(one.places.mean(axis=0) - seen[other].planned.mean(axis=0)))
-        return Misfit(number, MisfitKind.SWAPPED, before, float(np.hypot(after, one.straight)),
+    if elsewhere is not None:
+        other, way = elsewhere
+        return Misfit(number, MisfitKind.SWAPPED, before, float(np.hypot(way, one.straight)),
                       other=boards.layout.modules[other].id)  # fmt: skip
     beside = float(np.linalg.norm(one.places.mean(axis=0) - one.planned.mean(axis=0)))
-    if one.mirrored < MIRRORED * one.straight:
-        return Misfit(number, MisfitKind.MIRRORED, before, float(np.hypot(beside, one.mirrored)))
     turn = float(np.angle(np.exp(1j * (one.turn - usual))))
+    if one.mirrored < MIRRORED * one.straight:
+        turn = _meant(turn, boards.layout.modules[index], mirrored=True)
+        return Misfit(number, MisfitKind.MIRRORED, before, float(np.hypot(beside, one.mirrored)), turn=turn)
     if abs(turn) > TURN_MIN:
-        turn = _symmetric(turn, boards.layout, index)
+        turn = _meant(turn, boards.layout.modules[index], mirrored=False)
         return Misfit(number, MisfitKind.TURNED, before, float(np.hypot(beside, one.straight)), turn=turn)
     return None
 
 
-def _in_place_of(seen: Mapping[int, _Seen]) -> dict[int, int | None]:
-    """Return for each module in whose planned place it lies; None where it lies in its own."""
-    here = np.array([one.places.mean(axis=0) for one in seen.values()])
-    there = np.array([one.planned.mean(axis=0) for one in seen.values()])
-    ways = np.sqrt(np.sum((here[:, None] - there) ** 2, axis=2))
-    indices = list(seen)
-    found: dict[int, int | None] = {}
-    for row, nearest in enumerate(np.argmin(ways, axis=1).tolist()):
-        elsewhere = nearest != row and ways[row, nearest] < SWAP_SHARE * ways[row, row]
-        found[indices[row]] = indices[nearest] if elsewhere else None
+def _in_place_of(boards: Boards, seen: Mapping[int, _Seen], motion: FloatArray) -> dict[int, tuple[int, float]]:
+    """Return the modules that lie in another's planned place: that one, and how far from it.
+
+    Modules of which too little is known are looked at, too, but only where one lies so far off that it may be in their place:
+    on a large skin their plans cost more than all else.
+    """
+    here = {index: one.places.mean(axis=0) for index, one in seen.items()}
+    there = {index: one.planned.mean(axis=0) for index, one in seen.items()}
+    far = any(_apart(here[index], there[index]) > _rms(one.planned - there[index]) for index, one in seen.items())
+    if far:
+        there |= {
+            index: planned.mean(axis=0) @ motion[:3, :3].T + motion[:3, 3]
+            for index in range(len(boards.pads))
+            if index not in seen and (planned := boards.planned(index)) is not None
+        }
+    nearest = {index: _nearest(place, there) for index, place in here.items()} if far else {}
+    astray = {index: one for index, one in nearest.items() if one[0] != index}
+    found = {index: one for index, one in astray.items() if one[1] < SWAP_SHARE * _apart(here[index], there[index])}
+    # Who has another in its place lies in the place of one that is astray, too, if less surely so.
+    while more := [other for other, _ in found.values() if other in astray and other not in found]:
+        found |= {one: _nearest(here[one], {index: there[index] for index in astray if index != one}) for one in more}
     return found
 
 
-def _symmetric(turn: float, layout: Layout, index: int) -> float:
-    """Return the nearest turn within 25 degrees that lays a board's outline on itself; else the turn as it is."""
-    outline = layout.modules[index].kind.outline @ np.array([1.0, 1j])
-    own = outline - outline.mean()
-    for angle in np.radians([60.0, 90.0, 120.0, 180.0, -60.0, -90.0, -120.0]).tolist():
-        gap = np.abs(own[:, None] * np.exp(1j * angle) - own[None]).min(axis=1).max()
-        if gap < ALIKE and abs(np.angle(np.exp(1j * (angle - turn)))) < np.radians(25.0):
+def _nearest(place: FloatArray, centres: Mapping[int, FloatArray]) -> tuple[int, float]:
+    """Return which of some places is nearest to one, and how far from it."""
+    apart = np.sqrt(np.sum((np.array(list(centres.values())) - place) ** 2, axis=1))
+    row = int(np.argmin(apart))
+    return list(centres)[row], float(apart[row])
+
+
+def _apart(place: FloatArray, other: FloatArray) -> float:
+    return float(np.linalg.norm(place - other))
+
+
+def _meant(turn: float, module: Module, *, mirrored: bool) -> float:
+    """Return the turn that is meant by one that is seen.
+
+    That is one that lays the board, mirrored or not, on its own outline, else one in steps of `TURN_STEP`, else whole degrees.
+    Of a mirrored board a turn that none would be told of alone counts for none.
+    """
+    outline = module.kind.outline @ np.array([-1.0 if module.mirror else 1.0, 1j])
+    before = outline - outline.mean()
+    after = -before.conj() if mirrored else before
+    for angle in np.radians([0.0, 60.0, 90.0, 120.0, 180.0, -60.0, -90.0, -120.0]).tolist():
+        gap = np.abs(after[:, None] * np.exp(1j * angle) - before[None]).min(axis=1).max()
+        if gap < ALIKE and abs(np.angle(np.exp(1j * (angle - turn)))) < TURN_ABOUT:
             return float(angle)
-    return turn
+    if abs(turn) < TURN_MIN:
+        return 0.0
+    step = TURN_STEP * round(turn / TURN_STEP)
+    return step if abs(turn - step) < TURN_NEAR else float(np.radians(round(np.degrees(turn))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -161,8 +161,13 @@ class Boards:
         for module in layout.modules:
             self.place_of[module.channels] = np.arange(len(module.channels))
         self._anchor = anchor
+        self._surface = surface
         self._plans: dict[int, Poses | None] = {}
         self._planned: dict[int, FloatArray] = {}
+
+    def replanned(self, layout: Layout) -> Boards:
+        """Return the boards of another layout on the same part."""
+        return Boards(layout, self._anchor, self._surface)
 
     def plan(self, module: int) -> Poses | None:
         """Return where the plan puts a module, one pose; None where it does not say, or is of another part."""

@@ -1,0 +1,116 @@
+"""The corrected layout as a file: the text of the one that was read, with what changes in it and all else as it was.
+
+Comments, the order and the writing of what does not change stay, so that the two files can be compared line by line. What is
+written is read back and must say what was meant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from skincal.errors import InputError
+from skincal.estimate.board_mend import Change, Mend
+from skincal.files.atomic import write_atomically
+from skincal.skin import Layout, load_layout, read_layout
+
+SAME = 1e-7
+"""rad: angles that differ by less are the same; a file has six digits of a degree."""
+
+
+def write_layout(given: Layout, mend: Mend, path: Path) -> None:
+    """Write the corrected layout to a file; an older one there is kept with `.bak` after its name.
+
+    Parameters
+    ----------
+    given : as it was read from its file
+    mend : of this layout, with at least one change
+    path : another file than the one that was read
+
+    Raises
+    ------
+    InputError
+        It is the file that was read, the layout is of no file, or the file cannot be written or would say something else;
+        the file that was read is as it was.
+    """
+    if given.path is None:
+        raise InputError(f"{path}: the layout was read from no file, so there is none to correct; expected one that was.")
+    if _same_file(path, given.path):
+        raise InputError(
+            f"{path}: is the layout that was read, which is kept as it is; choose another name, such as {_beside(path)}."
+        )
+    text = corrected_text(given.text, mend.changes)
+    _check(read_layout(text, path, given.width), mend.layout, path)
+    write_atomically(path, text.encode("utf-8"))
+    _check(load_layout(path, given.width), mend.layout, path)
+
+
+def corrected_text(text: str, changes: Sequence[Change]) -> str:
+    """Return the text of a layout's file with some modules changed, and all else as it was.
+
+    Raises
+    ------
+    InputError
+        It is written in a way that can be read, but not changed.
+    """
+    # Only here: a layout is corrected once, and nothing else needs it.
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    # What is added ends in a line feed; so does all else while it is worked on.
+    windows = "\r\n" in text
+    try:
+        document = tomlkit.parse(text.replace("\r\n", "\n"))
+    except TOMLKitError as error:
+        raise InputError(f"the layout's file cannot be changed ({error}); change it by hand.") from None
+    by_id = {change.module: change for change in changes}
+    # A table of the file reads as a dictionary, whether it is written as [[modules]] or as a list of { }.
+    for table in cast("list[MutableMapping[str, Any]]", document["modules"]):
+        if (change := by_id.get(int(table["id"]))) is not None:
+            for key, value in change.keys.items():
+                _put(table, key, value)
+    done = tomlkit.dumps(document)
+    return done.replace("\n", "\r\n") if windows else done
+
+
+def _put(table: MutableMapping[str, Any], key: str, value: float | bool | int) -> None:
+    """Give a table a value: in its place where it has one, else below its last, above comments that lead to the next table."""
+    from tomlkit.items import Item, Table
+
+    tail: list[Item] = []
+    if key not in table and isinstance(table, Table):
+        body = table.value.body
+        while body and body[-1][0] is None:
+            tail.insert(0, body.pop()[1])
+    table[key] = value
+    for item in tail:
+        cast(Any, table).add(item)
+
+
+def _check(found: Layout, meant: Layout, path: Path) -> None:
+    """Refuse a file that says something else than was meant."""
+    for one, other in zip(found.modules, meant.modules, strict=False):
+        turn = abs(float(np.angle(np.exp(1j * (one.angle - other.angle)))))
+        same = (one.id, one.first_channel, one.mirror) == (other.id, other.first_channel, other.mirror)
+        if not same or turn > SAME or not np.array_equal(one.place, other.place):
+            raise InputError(
+                f"{path}: module {other.id} would not be read as it was meant; change the layout by hand: "
+                f"first_channel = {other.first_channel}, angle_deg = {np.degrees(other.angle):g}, "
+                f"mirror = {str(other.mirror).lower()}."
+            )
+    if len(found.modules) != len(meant.modules):
+        raise InputError(f"{path}: {len(found.modules)} modules would be read; {len(meant.modules)} were expected.")
+
+
+def _same_file(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except OSError:
+        return path.absolute() == other.absolute()
+
+
+def _beside(path: Path) -> str:
+    return f"corrected-{path.name}"

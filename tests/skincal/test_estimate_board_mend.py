@@ -1,0 +1,262 @@
+"""A layout that was damaged is put right from the estimates of single taxels; what cannot be is said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.estimate.board_health import Misfit, MisfitKind, find_misfits
+from skincal.estimate.board_mend import Change, changes_of, mend_boards, mend_layout
+from skincal.estimate.boards import Boards
+from skincal.estimate.result import Method
+from skincal.estimate.solve import estimate_taxels
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.rig import RigErrors
+from skincal.skin import KINDS, Layout, Module
+from tests.skincal.sim_support import make_rig
+from tests.skincal.test_estimate_board_health import poked
+
+OFF = 0.0002
+"""m. A plan that was put right lies so near to the undamaged one; two files may say the same angle with other digits."""
+
+
+def damaged(layout, **changes):
+    """A layout that says something else: by index, a dictionary of what it says, or a function of the module."""
+    modules = list(layout.modules)
+    for name, change in changes.items():
+        index = int(name.removeprefix("m"))
+        modules[index] = change(modules[index])
+    return Layout(tuple(modules), layout.width)
+
+
+def mirrored(module):
+    return replace(module, mirror=not module.mirror)
+
+
+def turned(degrees):
+    return lambda module: replace(module, angle=module.angle + np.radians(degrees))
+
+
+def both(degrees):
+    return lambda module: mirrored(turned(degrees)(module))
+
+
+def exchanged(layout, *ring):
+    """A layout in which each of some modules has the channels of the next."""
+    modules = list(layout.modules)
+    for here, there in zip(ring, (*ring[1:], ring[0]), strict=True):
+        modules[here] = replace(modules[here], first_channel=layout.modules[there].first_channel)
+    return Layout(tuple(modules), layout.width)
+
+
+def several(layout):
+    return damaged(exchanged(layout, 0, 3, 6), m1=mirrored, m4=turned(120))
+
+
+DAMAGES = {
+    "mirrored": lambda layout: damaged(layout, m0=mirrored),
+    "turned": lambda layout: damaged(layout, m2=turned(120)),
+    "turned half": lambda layout: damaged(layout, m2=turned(180)),
+    "turned 90": lambda layout: damaged(layout, m5=turned(-90)),
+    "mirrored the other way": lambda layout: damaged(layout, m1=both(180)),
+    "mirrored and turned": lambda layout: damaged(layout, m6=both(-120)),
+    "swapped": lambda layout: exchanged(layout, 1, 5),
+    "cycle": lambda layout: exchanged(layout, 0, 4, 2),
+    "swapped and turned": lambda layout: damaged(exchanged(layout, 1, 5), m5=turned(120)),
+    "swapped and mirrored": lambda layout: damaged(exchanged(layout, 1, 5), m1=both(180)),
+    "two swaps": lambda layout: exchanged(exchanged(layout, 1, 5), 0, 3),
+    "two at once": lambda layout: damaged(layout, m1=mirrored, m4=turned(-120)),
+    "several": several,
+}
+
+
+def taxels(rig, found, seed, sd=0.0015):
+    """Estimates of single taxels: their true places and noise."""
+    rng = np.random.default_rng(seed)
+    return {
+        channel: replace(one, position=rig.places[row] + rng.normal(0.0, sd, 3))
+        for row, (channel, one) in enumerate(found[Method.SURFACE].items())
+    }
+
+
+def check_mended(rig, layout, estimates):
+    """Put a layout right and compare it with the rig's own."""
+    scene = rig.scene
+    boards = Boards(layout, scene.skin.anchor, rig.surface)
+    assert find_misfits(boards, estimates), "the damage is seen"
+    mend = mend_boards(boards, estimates)
+    assert mend.left == ()
+    assert find_misfits(boards.replanned(mend.layout), estimates) == ()
+    np.testing.assert_allclose(mend.layout.places, scene.skin.layout.places, atol=OFF)
+    np.testing.assert_array_equal(mend.layout.module_of, scene.skin.layout.module_of)
+    return mend
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_damaged_layout_is_put_right_from_taxels_that_are_known_to_two_millimetres(name, seed):
+    rig, found = poked(1)
+    check_mended(rig, DAMAGES[name](rig.scene.skin.layout), taxels(rig, found, seed))
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_damaged_layout_is_put_right_from_pokes(name, seed):
+    rig, found = poked(seed)
+    check_mended(rig, DAMAGES[name](rig.scene.skin.layout), found[Method.SURFACE])
+
+
+def test_with_the_papers_rig_errors_single_mistakes_are_put_right():
+    rig, found = poked(1, "paper")
+    for name in ("mirrored", "turned", "swapped"):
+        check_mended(rig, DAMAGES[name](rig.scene.skin.layout), found[Method.SURFACE])
+
+
+def test_a_layout_that_is_right_is_left_as_it_is():
+    rig, found = poked(1)
+    layout = rig.scene.skin.layout
+    mend = mend_boards(Boards(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
+    assert (mend.layout, mend.changes, mend.left) == (layout, (), ())
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda layout: damaged(layout, m0=mirrored),
+        lambda layout: damaged(layout, m3=turned(90)),
+        lambda layout: damaged(layout, m2=both(90)),
+        lambda layout: exchanged(layout, 0, 3),
+    ],
+)
+def test_square_boards_in_space_are_put_right_without_a_surface(damage):
+    rig = make_rig(RigErrors.noise(), 1, "flat-patch")
+    rng = np.random.default_rng(4)
+    contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
+    found = estimate_taxels(contacts, rig.channels.tolist(), [Method.FREE], rig.scene.noise, None)[Method.FREE]
+    known = {
+        channel: replace(one, position=rig.places[row] + rng.normal(0.0, 0.001, 3), normal=np.array([0.0, 0.0, 1.0]))
+        for row, (channel, one) in enumerate(found.items())
+    }
+    assert rig.surface is None
+    check_mended(rig, damage(rig.scene.skin.layout), known)
+
+
+def test_of_two_modules_the_turned_one_is_named_and_not_the_other():
+    rig, found = poked(1)
+    layout = rig.scene.skin.layout
+    two = Layout(layout.modules[:2], layout.width)
+    boards = Boards(damaged(two, m1=turned(120)), rig.scene.skin.anchor, rig.surface)
+    (said,) = find_misfits(boards, found[Method.SURFACE])
+    assert (said.module, said.kind) == (layout.modules[1].id, MisfitKind.TURNED)
+
+
+def test_pokes_of_a_wrong_layout_are_solved_as_well_as_those_of_the_right_one_once_it_is_put_right():
+    rig, found = poked(2)
+    wrong = Boards(several(rig.scene.skin.layout), rig.scene.skin.anchor, rig.surface)
+    right = wrong.replanned(mend_boards(wrong, found[Method.SURFACE]).layout)
+    rng = np.random.default_rng(2)
+    make = make_rig(RigErrors.noise(), 2)
+    contacts = simulate_contacts(make, unguided(make, 3, rng), rng)
+
+    def error(boards):
+        solved = estimate_taxels(
+            contacts, rig.channels.tolist(), [Method.SURFACE, Method.MODULES], rig.scene.noise, rig.surface, boards=boards
+        )[Method.MODULES]
+        off = [one.position - place for one, place in zip(solved.values(), rig.places, strict=True) if one.position is not None]
+        return float(np.mean(np.linalg.norm(off, axis=1)))
+
+    planned = error(Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface))
+    assert error(wrong) > 2.0 * planned
+    assert error(right) == pytest.approx(planned, abs=1e-4)
+
+
+# What cannot be put right
+
+
+def test_a_swap_with_a_module_that_is_not_known_is_not_put_right():
+    rig, found = poked(1)
+    layout = rig.scene.skin.layout
+    unseen = set(layout.modules[5].channels.tolist())
+    estimates = {channel: one for channel, one in found[Method.SURFACE].items() if channel not in unseen}
+    boards = Boards(exchanged(layout, 1, 5), rig.scene.skin.anchor, rig.surface)
+    (said,) = find_misfits(boards, estimates)
+    assert said.kind is MisfitKind.SWAPPED
+    mend = mend_boards(boards, estimates)
+    assert (mend.layout, mend.changes) == (boards.layout, ())
+    (why,) = mend.left
+    assert why.startswith(f"Module {said.module} lies where module {said.other} is planned")
+    assert "poke" in why
+
+
+def of_kinds(*kinds):
+    return Layout(
+        tuple(
+            Module(10 + number, KINDS[kind], 12 * number, np.array([0.04 * number, 0.0]), 0.0, False)
+            for number, kind in enumerate(kinds)
+        ),
+        12 * len(kinds),
+    )
+
+
+def swap(module, other):
+    return Misfit(module, MisfitKind.SWAPPED, 0.04, 0.001, other=other)
+
+
+def test_boards_of_other_kinds_do_not_exchange_their_channels():
+    layout = of_kinds("triangle_12", "triangle_10pad", "triangle_12")
+    same, left = mend_layout(layout, [swap(10, 11), swap(11, 10)])
+    assert same is layout
+    assert left == (
+        "Modules 10 and 11 lie in each other's places, but their kinds are different boards: exchange what the layout says of "
+        "their places by hand.",
+    )
+    other, left = mend_layout(layout, [swap(10, 12), swap(12, 10)])
+    assert left == ()
+    assert [one.first_channel for one in other.modules] == [24, 12, 0]
+
+
+def test_rings_exchange_and_open_chains_do_not():
+    layout = of_kinds(*["triangle_12"] * 5)
+    ring, left = mend_layout(layout, [swap(10, 11), swap(11, 12), swap(12, 10), swap(13, 14)])
+    # What lies in 11's place has the channels of 10, and so on.
+    assert [one.first_channel for one in ring.modules] == [24, 0, 12, 36, 48]
+    assert [sentence.split(" lies")[0] for sentence in left] == ["Module 13"]
+    same, left = mend_layout(layout, [swap(10, 11), swap(11, 12), swap(12, 11)])
+    assert [one.first_channel for one in same.modules] == [0, 24, 12, 36, 48]
+    assert [sentence.split(" lies")[0] for sentence in left] == ["Module 10"]
+
+
+def test_a_correction_that_lies_no_nearer_is_none(monkeypatch):
+    rig, found = poked(1)
+    boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    wrong = Misfit(28, MisfitKind.TURNED, 0.01, 0.001, turn=float(np.radians(120.0)))
+    monkeypatch.setattr("skincal.estimate.board_mend.find_misfits", lambda *_: (wrong,))
+    mend = mend_boards(boards, found[Method.SURFACE])
+    assert (mend.layout, mend.changes) == (boards.layout, ())
+    assert mend.left[0].startswith("Module 28 does not lie as planned, but no change of the layout lies nearer to its taxels")
+
+
+# What is said
+
+
+def test_a_change_says_what_the_file_is_to_say():
+    assert Change(17, angle=float(np.radians(-60.0)), mirror=True).words == "module 17: angle_deg = -60, mirror = true"
+    assert Change(17, first_channel=204).keys == {"first_channel": 204}
+    assert Change(17, angle=0.1).keys == {"angle_deg": pytest.approx(5.72958, abs=1e-5)}
+    assert Change(17).keys == {}
+
+
+@pytest.mark.parametrize(("angle", "turn", "then"), [(-180, 120, -60), (120, 120, -120), (-60, -120, 180), (0, 180, 180)])
+def test_angles_stay_within_half_a_turn(angle, turn, then):
+    layout = damaged(of_kinds("triangle_12"), m0=turned(angle))
+    other, _ = mend_layout(layout, [Misfit(10, MisfitKind.TURNED, 0.01, 0.001, turn=float(np.radians(turn)))])
+    (change,) = changes_of(layout, other)
+    assert change.keys == {"angle_deg": then}
+
+
+def test_a_mirrored_module_says_its_turn_only_where_it_has_one():
+    plain = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
+    assert plain.words.startswith("Module 17 is mirrored against the layout: change its mirror. Its taxels")
+    too = replace(plain, turn=float(np.radians(180.0)))
+    assert "change its mirror, and its angle_deg by 180 degrees." in too.words
+    assert "give that one its first_channel" in swap(10, 11).words
