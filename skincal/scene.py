@@ -6,7 +6,7 @@ The file's lengths are metres and its angles degrees unless the key ends in a un
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -304,6 +304,17 @@ def _read_contacts(table: Table | None) -> ContactSettings:
                 f"they were expected to rise: {' < '.join(rising)}."
             )
     return settings
+
+
+def with_layout(scene: Scene, path: Path) -> Scene:
+    """Return a scene with the layout of another file.
+
+    Raises
+    ------
+    InputError
+        The file is no layout, or its channels do not fit the skin.
+    """
+    return replace(scene, skin=replace(scene.skin, layout=load_layout(path, scene.skin.channels)))
 
 
 def resource(name: str) -> Path:

@@ -37,6 +37,15 @@ Correct = Annotated[
     bool,
     typer.Option("--correct", help="Use the corrections of the sensor's frame and of the rig that landmark pokes offer."),
 ]
+LayoutFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--layout",
+        help="Layout (*.modules.toml; lengths in mm, angles in degrees) in place of the session's own. Pokes stay as they were "
+        "judged; with --replay they are judged anew, too.",
+        show_default=False,
+    ),
+]
 SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
 
 
@@ -64,6 +73,15 @@ def solve(
     per_pose: Annotated[
         bool, typer.Option("--per-pose", help="Also solve each arm pose alone and average the results, as the paper does.")
     ] = False,
+    layout_out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for the corrected layout where modules are mirrored, turned or swapped in the layout; an older one is "
+            "kept as .bak, the layout that was read is not touched. Nothing is written where nothing is wrong.",
+            show_default=False,
+        ),
+    ] = None,
+    layout: LayoutFile = None,
     correct: Correct = False,
     part: Part = None,
     replay: Replay = False,
@@ -72,18 +90,19 @@ def solve(
 ) -> None:
     """Estimate every taxel of a session by each method of its scene."""
     from skincal.cli import report
+    from skincal.cli.layouts import layout_result
     from skincal.files.reference import read_reference
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
-    road = _opened(session, replay, speed)
+    road = _opened(session, replay, speed, layout)
     if correct:
         _correct(road.session)
     snapshot = road.snapshot()
     counts = report.poke_counts(snapshot)
-    layout = road.session.scene.skin.layout
-    methods = {method.value: report.method_summary(items, known, layout) for method, items in snapshot.estimates.items()}
+    plan = road.session.scene.skin.layout
+    methods = {method.value: report.method_summary(items, known, plan) for method, items in snapshot.estimates.items()}
     if per_pose:
         methods |= _per_pose(road, known)
     rig, rig_lines = _corrected(road, known)
@@ -94,8 +113,8 @@ def solve(
     losses = report.loss_counts(totals.links, totals.unpaired)
     text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    misfits = [misfit.words for misfit in report.misfits_of(road.session)]
-    text += [*rig_lines, *misfits]
+    modules, module_lines = layout_result(road.session, layout, layout_out)
+    text += [*rig_lines, *module_lines]
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -104,7 +123,7 @@ def solve(
         "methods": methods,
         **losses,
         **({"rig": rig} if rig else {}),
-        "misfits": misfits,
+        **modules,
         "dead": dead,
         "files": files,
         "findings": findings,
@@ -112,14 +131,14 @@ def solve(
     report.print_result({**result, "text": text}, as_json)
 
 
-def _opened(session: Path, from_bytes: bool, speed: float | None) -> Road:
+def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path | None) -> Road:
     from skincal.session.replay import load, replay
 
     if speed is not None and not from_bytes:
         raise InputError("--speed needs --replay: without it nothing is played.")
     if speed is not None and not 0 < speed < float("inf"):
         raise InputError(f"--speed is {speed:g}; expected a number above 0, such as 1 for real time.")
-    return replay(session, speed) if from_bytes else load(session)
+    return replay(session, speed, layout=layout) if from_bytes else load(session, layout)
 
 
 def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
@@ -254,6 +273,7 @@ def export(
     method: Annotated[
         Method | None, typer.Option(help="Whose positions to write; the surface method where the scene has a surface.")
     ] = None,
+    layout: LayoutFile = None,
     correct: Correct = False,
     part: Part = None,
     replay: Replay = False,
@@ -265,7 +285,7 @@ def export(
 
     if part is not None and format_ is not Format.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
-    road = _opened(session, replay, None)
+    road = _opened(session, replay, None, layout)
     if correct:
         _correct(road.session)
     calibration = _calibration(road.session)
@@ -276,8 +296,7 @@ def export(
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
     findings = [*road.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, road.session.scene.skin.layout)
+    used = {} if layout is None else {"layout": str(layout)}
     text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]
-    report.print_result(
-        {"file": str(out), "format": format_.value, "method": chosen.value, **summary, "findings": findings, "text": text},
-        as_json,
-    )
+    result = {"file": str(out), "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
+    report.print_result({**result, "text": text}, as_json)

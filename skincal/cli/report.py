@@ -11,11 +11,10 @@ import numpy as np
 import typer
 
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.estimate.board_health import Misfit, find_misfits, spacing_ratio
+from skincal.estimate.board_health import spacing_ratio
 from skincal.estimate.result import Estimate, Method, State
 from skincal.files.reference import error_summary
 from skincal.readings import FloatArray, LinkHealth, LinkState
-from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.session.totals import LinkTotals
 from skincal.skin import Layout
@@ -63,13 +62,6 @@ def method_summary(
             "p95": error.p95 * 1e3, "max": error.max * 1e3, "worst_channel": error.worst_channel,
         }  # fmt: skip
     return summary
-
-
-def misfits_of(session: Session) -> tuple[Misfit, ...]:
-    """Return the modules that do not lie as the layout plans them, by the surface method where there is one, else by free."""
-    estimates = session.snapshot().estimates
-    told = estimates.get(Method.SURFACE) or estimates.get(Method.FREE, ())
-    return () if session.boards is None else find_misfits(session.boards, {one.channel: one for one in told})
 
 
 def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict[str, Any]:

@@ -54,6 +54,8 @@ class Change:
 class Mend:
     """How a layout is put right."""
 
+    misfits: tuple[Misfit, ...]
+    """What is wrong with it, as `find_misfits` says it."""
     layout: Layout
     """The corrected one; as it was where nothing can be put right."""
     changes: tuple[Change, ...]
@@ -69,9 +71,10 @@ def mend_boards(boards: Boards, estimates: Mapping[int, Estimate]) -> Mend:
     ----------
     boards, estimates : as for `find_misfits`
     """
-    given, left = boards.layout, ()
+    given, first, left = boards.layout, None, ()
     for more in reversed(range(ROUNDS + 1)):
         misfits = find_misfits(boards, estimates)
+        first = misfits if first is None else first
         layout, left = mend_layout(boards.layout, misfits)
         if not changes_of(boards.layout, layout):
             break
@@ -80,7 +83,7 @@ def mend_boards(boards: Boards, estimates: Mapping[int, Estimate]) -> Mend:
             left = (*left, _no_nearer(misfits))
             break
         boards = mended
-    return Mend(boards.layout, changes_of(given, boards.layout), left)
+    return Mend(first or (), boards.layout, changes_of(given, boards.layout), left)
 
 
 def mend_layout(layout: Layout, misfits: Sequence[Misfit]) -> tuple[Layout, tuple[str, ...]]:

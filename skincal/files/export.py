@@ -15,7 +15,7 @@ from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, placed_taxels
 from skincal.files.csv_file import csv_text
 from skincal.files.icub import SKIN_PARTS, icub_text, parse_icub, skin_part
-from skincal.files.json_file import json_text, modules_text
+from skincal.files.json_file import json_text
 from skincal.files.lint import Reference, lint
 from skincal.files.ply import ply_text
 from skincal.readings import FloatArray
@@ -73,10 +73,6 @@ def write_calibration(
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
         sentences += _left_out(calibration.of(each), each, format)
-    if format == "json" and calibration.scene.skin.layout is not None and modules_text(calibration) is None:
-        sentences.append(
-            "the file of the layout is gone, so its text is not in the JSON; the positions can still be computed again."
-        )
     if format == "icub":
         sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, text)]
     write_atomically(path, text.encode("utf-8"))

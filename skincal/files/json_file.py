@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -134,15 +133,9 @@ def _compact(value: object) -> str:
 
 
 def modules_text(calibration: Calibration) -> str | None:
-    """Return the layout file's text; None without a layout, or where the file is gone."""
-    scene = calibration.scene
-    if scene.skin.layout is None:
-        return None
-    try:
-        name = tomllib.loads(scene.text)["skin"]["modules"]
-        return (scene.path.parent / name).read_text(encoding="utf-8")
-    except (OSError, KeyError, TypeError, ValueError):
-        return None
+    """Return the text of the layout that was used, as it was read; None without one."""
+    layout = calibration.scene.skin.layout
+    return None if layout is None else layout.text or None
 
 
 def _settings(settings: ContactSettings | NoiseSettings, units: Mapping[str, str]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skincal.errors import InputError
-from skincal.scene import Scene
+from skincal.scene import Scene, with_layout
 from skincal.session.actions import Stamped
 from skincal.session.journal import Ending, open_next_segment
 from skincal.session.log import LogItem, LogState, SegmentMark, SessionLog
@@ -31,7 +31,9 @@ MAX_PAUSE_S = 1.0
 """s. Longest pause of a replay at speed: between segments, and where a device was silent, nothing happens."""
 
 
-def replay(folder: Path, speed: float | None = None, stop: Callable[[], bool] = lambda: False) -> Road:
+def replay(
+    folder: Path, speed: float | None = None, stop: Callable[[], bool] = lambda: False, layout: Path | None = None
+) -> Road:
     """Play a session again into a road of its own; nothing in the folder changes.
 
     Parameters
@@ -39,6 +41,7 @@ def replay(folder: Path, speed: float | None = None, stop: Callable[[], bool] = 
     folder : of the session
     speed : times real time; None as fast as it goes
     stop : asked after each item; true ends the replay early
+    layout : file of a layout that takes the place of the scene's
 
     Returns
     -------
@@ -50,15 +53,19 @@ def replay(folder: Path, speed: float | None = None, stop: Callable[[], bool] = 
         The folder is not a session, or its scene or mesh cannot be read.
     """
     log = SessionLog(folder)
-    road = Road(log.scene, log.links, _surface(log.scene))
+    road = _new_road(log, layout)
     _play(log, road, speed, stop)
     return road
 
 
-def load(folder: Path) -> Road:
+def load(folder: Path, layout: Path | None = None) -> Road:
     """Return a session as it was taken, without playing its bytes; nothing in the folder changes.
 
     Where the bytes must be played after all, they are: the session is older than the notes, or its scene was changed since.
+
+    Parameters
+    ----------
+    layout : file of a layout that takes the place of the scene's; pokes are as they were judged with that one
 
     Returns
     -------
@@ -70,19 +77,19 @@ def load(folder: Path) -> Road:
     InputError
         As for `replay`.
     """
-    return _load(folder)[0]
+    return _load(folder, layout)[0]
 
 
-def _load(folder: Path) -> tuple[Road, bool]:
+def _load(folder: Path, layout: Path | None = None) -> tuple[Road, bool]:
     """Return the road, and whether every segment is known to be whole."""
     log = SessionLog(folder)
     if log.scene_changed or not log.has_notes:
-        return replay(folder), False
-    road = Road(log.scene, log.links, _surface(log.scene))
+        return replay(folder, layout=layout), False
+    road = _new_road(log, layout)
     misfits: list[str] = []
     for item in log.state():
         if log.scene_changed or not log.has_notes:
-            return replay(folder), False
+            return replay(folder, layout=layout), False
         try:
             _load_step(road, item)
         except InputError as error:
@@ -90,6 +97,12 @@ def _load(folder: Path) -> tuple[Road, bool]:
     road.renew_detector()
     road.findings = (*log.findings, *misfits)
     return road, log.whole
+
+
+def _new_road(log: SessionLog, layout: Path | None) -> Road:
+    """Return an empty road for a session, with the layout of a file where one is given."""
+    scene = log.scene if layout is None else with_layout(log.scene, layout)
+    return Road(scene, log.links, _surface(scene))
 
 
 def _load_step(road: Road, item: LogState) -> None:

@@ -110,7 +110,7 @@ def mended(layout: Layout, **of_first) -> Mend:
     one, *others = layout.modules
     values = {name: getattr(one, name) for name in ("id", "kind", "first_channel", "place", "angle", "mirror", "anchor")}
     after = Layout((Module(**(values | of_first)), *others), layout.width, layout.path, layout.text)
-    return Mend(after, changes_of(layout, after), ())
+    return Mend((), after, changes_of(layout, after), ())
 
 
 def test_the_file_that_is_written_is_the_layout_that_was_meant(layout, tmp_path):
@@ -140,10 +140,10 @@ def test_the_file_that_was_read_is_never_written(layout, tmp_path):
 
 def test_what_would_be_read_otherwise_is_not_written(layout, tmp_path):
     meant = mended(layout, mirror=True)
-    silent = Mend(meant.layout, (Change(3, angle=1.0),), ())
+    silent = Mend((), meant.layout, (Change(3, angle=1.0),), ())
     with pytest.raises(InputError, match=r"module 3 would not be read as it was meant; change the layout by hand: first_chann"):
         write_layout(layout, silent, tmp_path / "new.toml")
-    short = Mend(Layout(layout.modules[:2], layout.width), (), ())
+    short = Mend((), Layout(layout.modules[:2], layout.width), (), ())
     with pytest.raises(InputError, match="3 modules would be read; 2 were expected"):
         write_layout(layout, short, tmp_path / "new.toml")
     assert not (tmp_path / "new.toml").exists()

@@ -1,0 +1,68 @@
+"""What `solve` says of the layout, and the corrected one that it writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from skincal.errors import InputError
+from skincal.estimate.board_health import judged_modules
+from skincal.estimate.board_mend import Mend, mend_boards
+from skincal.estimate.result import Method
+from skincal.session.session import Session
+
+
+def layout_result(session: Session, used: Path | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
+    """Return what is to be said of the layout, for JSON and in lines; write the corrected one where that is wanted.
+
+    Modules are judged by the estimates of the surface method where there is one, else by those of free.
+
+    Parameters
+    ----------
+    used : the layout's file where it is not the session's own
+    out : file for the corrected layout; None writes none
+
+    Raises
+    ------
+    InputError
+        There is no layout to correct, or the file cannot be written.
+    """
+    lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
+    result: dict[str, Any] = {"misfits": [], "layout": {"used": _name(used), "changes": [], "left": [], "written": None}}
+    if session.boards is None:
+        if out is not None:
+            raise InputError(
+                "--layout-out corrects a layout, and the scene has none; expected modules in its [skin], or --layout."
+            )
+        return result, lines
+    told = session.snapshot().estimates
+    estimates = {one.channel: one for one in told.get(Method.SURFACE) or told.get(Method.FREE, ())}
+    mend = mend_boards(session.boards, estimates)
+    written = out is not None and bool(mend.changes)
+    if written:
+        from skincal.files.layout_file import write_layout
+
+        write_layout(session.boards.layout, mend, out)
+    misfits = [misfit.words for misfit in mend.misfits]
+    changes = [{"module": change.module, **change.keys} for change in mend.changes]
+    layout = {"used": _name(used), "changes": changes, "left": list(mend.left), "written": _name(out) if written else None}
+    lines += [*misfits, *_lines(mend, out, judged_modules(session.boards, estimates))]
+    return {"misfits": misfits, "layout": layout}, lines
+
+
+def _lines(mend: Mend, out: Path | None, judged: int) -> list[str]:
+    """Return what is said of the correction, without the misfits themselves."""
+    changes = "; ".join(change.words for change in mend.changes)
+    if mend.changes and out is not None:
+        return [*mend.left, f"corrected {changes}", f"wrote {out}; `skincal solve SESSION --layout {out}` solves with it"]
+    if mend.changes:
+        return [*mend.left, f"the corrected layout says {changes}; --layout-out FILE writes it"]
+    if out is None:
+        return list(mend.left)
+    found = f"none of {judged} modules looks mirrored, turned or swapped" if judged else "too little is known of every module"
+    why = "nothing that was found can be put right by it" if mend.misfits else found
+    return [*mend.left, f"{out} is not written: {why}"]
+
+
+def _name(path: Path | None) -> str | None:
+    return None if path is None else str(path)

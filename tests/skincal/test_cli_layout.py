@@ -1,0 +1,160 @@
+"""`solve` offers the corrected layout as a file, and `solve` and `export` use a layout that is given."""
+
+from __future__ import annotations
+
+import io
+import json
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.cli import main
+from skincal.estimate.result import Method
+from skincal.files.json_file import read_json
+from skincal.scene import load_scene, resource
+from skincal.skin import load_layout
+from tests.skincal.test_cli_health import sample
+
+SAMPLE = resource("sessions/sample")
+TRUTH = SAMPLE / "truth.json"
+# Module 17 of the sample, planned mirrored and turned; 28 and 29 with each other's channels.
+DAMAGE = (
+    ("angle_deg = -180\nmirror = false", "angle_deg = 60   # by hand\nmirror = true"),
+    ("first_channel = 336", "first_channel = 1"),
+    ("first_channel = 348", "first_channel = 336"),
+    ("first_channel = 1\n", "first_channel = 348\n"),
+)
+
+
+@dataclass
+class Damaged:
+    folder: Path
+    out: Path
+    """The corrected layout."""
+    said: list[str]
+    """What was said while it was written."""
+
+
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory):
+    """The sample session with a layout that is wrong in three of seven modules, and the corrected one."""
+    made = tmp_path_factory.mktemp("damaged")
+    folder = sample(made, "modules.toml", *DAMAGE[0])
+    path = folder / "scene" / "modules.toml"
+    text = path.read_text(encoding="utf-8")
+    for old, new in DAMAGE[1:]:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    out, said = made / "corrected.modules.toml", io.StringIO()
+    with redirect_stdout(said):
+        assert main(["solve", str(folder), "--layout-out", str(out)]) == 0
+    return Damaged(folder, out, said.getvalue().splitlines())
+
+
+def run(capsys, *words, code=0):
+    assert main([str(word) for word in words]) == code
+    said = capsys.readouterr()
+    return said.err if code else said.out
+
+
+def told(capsys, *words) -> dict:
+    return json.loads(run(capsys, *words, "--json"))
+
+
+def error(result: dict) -> float:
+    return result["methods"]["modules"]["error_mm"]["mean"]
+
+
+def test_the_corrected_layout_is_written_and_a_session_solved_with_it(damaged, capsys):
+    given, undamaged = load_layout(damaged.out, 384), load_scene(SAMPLE / "scene" / "scene.toml").skin.layout
+    np.testing.assert_allclose(given.places, undamaged.places, atol=1e-9)
+    assert "angle_deg = 180   # by hand" in damaged.out.read_text(encoding="utf-8")
+
+    before = told(capsys, "solve", damaged.folder, "--reference", TRUTH)
+    assert len(before["misfits"]) == 3
+    assert before["layout"] == {
+        "used": None,
+        "changes": [
+            {"module": 17, "angle_deg": 180, "mirror": False},
+            {"module": 28, "first_channel": 336},
+            {"module": 29, "first_channel": 348},
+        ],
+        "left": [],
+        "written": None,
+    }
+    after = told(capsys, "solve", damaged.folder, "--reference", TRUTH, "--layout", damaged.out)
+    assert (after["misfits"], after["layout"]["used"], after["layout"]["changes"]) == ([], str(damaged.out), [])
+    right = told(capsys, "solve", SAMPLE, "--reference", TRUTH)
+    assert error(before) > 2.0 * error(right)
+    assert error(after) == pytest.approx(error(right), abs=0.01)
+
+
+def test_it_says_what_it_corrects_and_where_it_is(damaged, capsys):
+    change = "module 17: angle_deg = 180, mirror = false; module 28: first_channel = 336; module 29: first_channel = 348"
+    assert f"corrected {change}" in damaged.said
+    assert f"wrote {damaged.out}; `skincal solve SESSION --layout {damaged.out}` solves with it" in damaged.said
+    lines = run(capsys, "solve", damaged.folder).splitlines()
+    assert f"the corrected layout says {change}; --layout-out FILE writes it" in lines
+    lines = run(capsys, "solve", SAMPLE, "--layout", damaged.out).splitlines()
+    assert f"solved with the layout {damaged.out} in place of the session's" in lines
+
+
+def test_where_nothing_is_wrong_no_file_is_written(tmp_path, capsys):
+    out = tmp_path / "new.toml"
+    said = run(capsys, "solve", SAMPLE, "--layout-out", out)
+    assert f"{out} is not written: none of 7 modules looks mirrored, turned or swapped" in said
+    assert told(capsys, "solve", SAMPLE, "--layout-out", out)["layout"]["written"] is None
+    assert not out.exists()
+
+
+def test_an_export_with_a_layout_is_of_that_layout(damaged, tmp_path, capsys):
+    files = [tmp_path / name for name in ("a.json", "b.json")]
+    plan = damaged.folder / "scene" / "modules.toml"
+    said = told(capsys, "export", SAMPLE, "--format", "json", "--out", files[0], "--layout", plan)
+    assert said["layout"] == str(plan)
+    assert read_json(files[0]).modules_text == plan.read_text(encoding="utf-8")
+    assert "layout" not in told(capsys, "export", SAMPLE, "--format", "json", "--out", files[1])
+    assert read_json(files[1]).modules_text != read_json(files[0]).modules_text
+    wrong, right = (np.array([one.position for one in read_json(file).estimates[Method.MODULES]]) for file in files)
+    assert np.abs(wrong - right).max() > 0.003
+
+
+def test_bytes_are_judged_by_the_layout_that_is_given(damaged, capsys):
+    plain, replayed = (told(capsys, "solve", SAMPLE, "--layout", damaged.out, *more) for more in ((), ("--replay",)))
+    assert plain["methods"] == replayed["methods"]
+    plan = damaged.folder / "scene" / "modules.toml"
+    wrong, judged = (told(capsys, "solve", SAMPLE, "--layout", plan, *more) for more in ((), ("--replay",)))
+    assert wrong["rejected"] == plain["rejected"]
+    assert judged["rejected"] != plain["rejected"], "neighbours of the wrong layout are no neighbours"
+
+
+def test_a_session_without_a_layout_is_solved_with_one(tmp_path, capsys):
+    folder = sample(tmp_path, "scene.toml", 'modules = "modules.toml"\n', "")
+    plan = SAMPLE / "scene" / "modules.toml"
+    said = told(capsys, "solve", folder, "--layout", plan, "--reference", TRUTH)
+    assert error(said) < 1.0
+    err = run(capsys, "solve", folder, "--layout-out", tmp_path / "new.toml", code=2)
+    assert "the scene has none; expected modules in its [skin], or --layout" in err
+
+
+def test_a_layout_that_does_not_fit_the_skin_is_refused(tmp_path, capsys):
+    wide = tmp_path / "wide.toml"
+    wide.write_text('[[modules]]\nid = 1\nkind = "triangle_12"\nfirst_channel = 380\n', encoding="utf-8")
+    for command in (("solve", SAMPLE), ("export", SAMPLE, "--format", "csv", "--out", tmp_path / "c.csv")):
+        err = run(capsys, *command, "--layout", wide, code=2)
+        assert "takes channels 380 to 391; a skin frame has 384" in err
+        assert "there is no such file" in run(capsys, *command, "--layout", tmp_path / "none.toml", code=2)
+    assert not (tmp_path / "c.csv").exists()
+
+
+def test_the_layout_that_was_read_is_not_overwritten(damaged, tmp_path, capsys):
+    path = damaged.folder / "scene" / "modules.toml"
+    text = path.read_text(encoding="utf-8")
+    assert "is the layout that was read" in run(capsys, "solve", SAMPLE, "--layout", path, "--layout-out", path, code=2)
+    assert path.read_text(encoding="utf-8") == text
+    missing = tmp_path / "none" / "new.toml"
+    assert "does not exist" in run(capsys, "solve", SAMPLE, "--layout", path, "--layout-out", missing, code=2)
