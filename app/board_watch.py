@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from app.frame import Frame
-from skincal.estimate.board_health import Misfit, find_misfits, judged_modules
+from skincal.estimate.board_health import judged_modules
+from skincal.estimate.board_mend import Mend, mend_boards
 from skincal.estimate.boards import Boards
 from skincal.estimate.result import Method
 
@@ -24,7 +25,8 @@ class Found:
 
     method: Method
     """Whose estimates were judged."""
-    misfits: tuple[Misfit, ...]
+    mend: Mend
+    """What is wrong with the modules, and how the layout is put right."""
     judged: int
     """Modules of which enough is known."""
 
@@ -60,7 +62,7 @@ class BoardWatch:
 
         def work() -> Found:
             try:
-                return Found(method, find_misfits(boards, estimates), judged_modules(boards, estimates))
+                return Found(method, mend_boards(boards, estimates), judged_modules(boards, estimates))
             except BaseException:
                 # Who runs the work says why; `take` is not called then.
                 self._busy = False

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from app.comparing import Origin, Pair, Source
 from app.display_units import DASH, TIMES, ChannelNames, count, millimetres, number
 from app.words import METHOD_NAMES
-from skincal.estimate.board_health import Misfit
+from skincal.estimate.board_mend import Mend
 from skincal.estimate.compare import ModuleDifference, Summary
 from skincal.estimate.result import Method
 
@@ -105,21 +106,40 @@ def spacing_words(ratios: Mapping[Method, float]) -> str:
     return f"Neighbours lie {', '.join(parts)} of the layout's spacing apart." if parts else ""
 
 
-def misfit_words(misfits: Sequence[Misfit], judged: int, method: Method) -> tuple[str, ...]:
+def misfit_words(mend: Mend, judged: int, method: Method) -> tuple[str, ...]:
     """Return what is said of modules that do not lie as planned, one sentence each; the first with the sign of a warning.
+
+    What cannot be put right by another layout follows.
 
     Parameters
     ----------
     judged : modules of which enough is known to say it
     method : whose estimates were judged
     """
-    if misfits:
-        many = count(len(misfits), "module")
+    if mend.misfits:
+        many = count(len(mend.misfits), "module")
         head = f"\N{WARNING SIGN} {many} not as planned ({METHOD_NAMES[method]}). Nothing is changed by itself:"
-        return (head, *(one.words for one in misfits))
+        return (head, *(one.words for one in mend.misfits), *mend.left)
     if not judged:
         return ()
     return (f"{_none_of(judged)} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
+
+
+def save_hint(mend: Mend) -> str:
+    """Return what the button that saves the corrected layout does."""
+    changes = "; ".join(change.words for change in mend.changes)
+    return (
+        f"Writes the layout as a new file in which it says {changes}. The file that was read stays as it is. (Tab, then Enter)"
+    )
+
+
+def saved_words(path: Path, mend: Mend) -> str:
+    """Return where the corrected layout is, and how it is used."""
+    changed = count(len(mend.changes), "module")
+    return (
+        f"The corrected layout is in {path}, {changed} changed. This session is solved with it by: skincal solve SESSION "
+        "--layout FILE. For the next one name it as modules in the [skin] of the scene file."
+    )
 
 
 def _none_of(judged: int) -> str:

@@ -23,6 +23,7 @@ from app.error_tracker import ErrorTracker
 from app.frame import Frame, same_results
 from app.guiding import Guiding
 from app.heard import Ear, heard
+from app.layout_saving import ask_layout
 from app.marking import Marking
 from app.opening import Part
 from app.panels.devices import LinkChips
@@ -43,6 +44,7 @@ from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 
 if TYPE_CHECKING:
+    from skincal.estimate.board_mend import Mend
     from skincal.files.reference import Reference
 
 LATE_S = 0.3
@@ -105,6 +107,7 @@ class Desk(QObject):
         workspace.taxel_selected.connect(self.select_taxel)
         workspace.method_chosen.connect(self.show_method)
         workspace.inspect.poke_wanted.connect(self.select_poke)
+        workspace.compare.layout_wanted.connect(self.ask_layout)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
         for panel in (workspace.map, workspace.inspect):
             panel.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
@@ -351,6 +354,10 @@ class Desk(QObject):
             self._take_reference,
             lambda sentence: self.said.emit(Message(sentence, error=True)),
         )
+
+    def ask_layout(self, mend: Mend) -> None:
+        """Ask for a file and save the corrected layout there."""
+        ask_layout(self.workspace, self._documents, self.workspace.part.scene, mend, self._controller.compute, self.said.emit)
 
     def offer(self, reference: Reference) -> None:
         """Compare estimates with it, where the panel of errors is open."""

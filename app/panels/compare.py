@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
     QLabel,
     QListWidget,
     QListWidgetItem,
+    QPushButton,
     QScrollArea,
     QTreeWidget,
     QTreeWidgetItem,
@@ -35,6 +36,7 @@ from app.compare_words import (
     listed_words,
     misfit_words,
     module_cells,
+    save_hint,
     scale_choice,
     source_words,
     spacing_words,
@@ -56,6 +58,7 @@ from skincal.skin import Layout
 if TYPE_CHECKING:
     from app.board_watch import BoardWatch
     from app.opening import Part
+    from skincal.estimate.board_mend import Mend
 
 WORST = 10
 """Taxels in the list of the worst."""
@@ -77,6 +80,8 @@ class ComparePanel(QScrollArea):
     taxel_wanted = Signal(int)
     comparison_changed = Signal(object)
     """`Comparison`, or None while nothing is compared."""
+    layout_wanted = Signal(object)
+    """`Mend`: the corrected layout is to be saved."""
 
     def __init__(self, part: Part, methods: tuple[Method, ...], names: ChannelNames, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -100,6 +105,8 @@ class ComparePanel(QScrollArea):
         self.legend = QLabel()
         self.summary = QLabel()
         self.health = QLabel()
+        self.save: QPushButton | None = None
+        """Saves the corrected layout; there only while there is one."""
         self.spacing = quiet(wrap=True)
         self.listed = quiet()
         self.modules = _module_list()
@@ -140,7 +147,7 @@ class ComparePanel(QScrollArea):
             choices.addWidget(box, row, 1)
             choices.addWidget(other, row, 2)
         inner = on_panel(self)
-        column = QVBoxLayout(inner)
+        self._column = column = QVBoxLayout(inner)
         column.setContentsMargins(GAP, GAP, GAP, GAP)
         column.addLayout(choices)
         for widget in (self.legend, self.summary, self.health, self.listed, self.modules, self.spacing):
@@ -248,9 +255,32 @@ class ComparePanel(QScrollArea):
         }
         put(self.spacing, spacing_words(ratios))
         found = None if self._watch is None else self._watch.found
-        sentences = () if found is None else misfit_words(found.misfits, found.judged, found.method)
+        sentences = () if found is None else misfit_words(found.mend, found.judged, found.method)
         put(self.health, "\n".join(sentences))
         self.health.setVisible(bool(sentences))
+        self._show_offer(None if found is None or not found.mend.changes else found.mend)
+
+    def _show_offer(self, mend: Mend | None) -> None:
+        """Have the button while there is a corrected layout to save."""
+        if mend is None:
+            if self.save is not None:
+                self.save.deleteLater()
+            self.save = None
+            return
+        if self.save is None:
+            self.save = QPushButton("Save the corrected layout\N{HORIZONTAL ELLIPSIS}")
+            # The space bar is taken: Enter presses the button that has the focus.
+            self.save.setAutoDefault(True)
+            self.save.clicked.connect(self._save_wanted)
+            self._column.insertWidget(self._column.indexOf(self.health) + 1, self.save, 0, Qt.AlignmentFlag.AlignLeft)
+            self.save.show()
+            QWidget.setTabOrder(self.scale, self.save)
+        self.save.setToolTip(save_hint(mend))
+
+    def _save_wanted(self) -> None:
+        found = None if self._watch is None else self._watch.found
+        if found is not None and found.mend.changes:
+            self.layout_wanted.emit(found.mend)
 
     def _draw(self, frame: Frame, here: FloatArray, there: FloatArray) -> None:
         """Have the 3D view draw it, and say what is what there."""

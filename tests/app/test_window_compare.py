@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from app.compare_words import (
     listed_words,
     misfit_words,
     module_cells,
+    save_hint,
+    saved_words,
     source_words,
     spacing_words,
 )
@@ -36,8 +39,9 @@ from app.scene3d.looks import DARK as DARK_LOOK
 from app.scene3d.looks import LIGHT as LIGHT_LOOK
 from app.scene3d.looks import Tint
 from app.theme import DARK
-from skincal.estimate import board_health
+from skincal.estimate import board_mend
 from skincal.estimate.board_health import Misfit, MisfitKind
+from skincal.estimate.board_mend import Change, Mend
 from skincal.estimate.compare import ModuleDifference, Summary
 from skincal.estimate.result import Method
 from skincal.estimate.rig_fit import RigAnswer
@@ -167,12 +171,18 @@ def test_spacing_is_said_of_every_method_that_knows():
 
 def test_a_misfit_is_an_offer_with_a_sign():
     misfit = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
-    head, sentence = misfit_words((misfit,), 7, Method.SURFACE)
+    mend = Mend((misfit,), PLAN, (Change(17, mirror=True),), ("It is not known.",))
+    head, sentence, left = misfit_words(mend, 7, Method.SURFACE)
     assert head.startswith("\N{WARNING SIGN} 1 module not as planned (surface).")
     assert "Nothing is changed by itself" in head
-    assert sentence == misfit.words
-    assert misfit_words((), 7, Method.FREE) == ("None of 7 modules looks mirrored, turned or swapped (free).",)
-    assert misfit_words((), 0, Method.FREE) == (), "of nothing that is known nothing is said"
+    assert (sentence, left) == (misfit.words, "It is not known.")
+    assert "says module 17: mirror = true. The file that was read stays" in save_hint(mend)
+    saved = saved_words(Path("folder") / "new.toml", mend)
+    assert saved.startswith(f"The corrected layout is in {Path('folder') / 'new.toml'}, 1 module changed.")
+    assert "skincal solve SESSION --layout FILE" in saved
+    right = Mend((), PLAN, (), ())
+    assert misfit_words(right, 7, Method.FREE) == ("None of 7 modules looks mirrored, turned or swapped (free).",)
+    assert misfit_words(right, 0, Method.FREE) == (), "of nothing that is known nothing is said"
 
 
 # The panel
@@ -363,11 +373,11 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     def broken(*_):
         raise RuntimeError("of the boards")
 
-    monkeypatch.setattr("app.board_watch.find_misfits", broken)
+    monkeypatch.setattr("app.board_watch.mend_boards", broken)
     watch.follow(at(known(), generation=4))
     with pytest.raises(RuntimeError, match="of the boards"):
         queue.finish()
-    monkeypatch.setattr("app.board_watch.find_misfits", board_health.find_misfits)
+    monkeypatch.setattr("app.board_watch.mend_boards", board_mend.mend_boards)
     watch.follow(at(known(), generation=4))
     assert not queue.waiting, "not at every picture"
     watch.follow(at(known(), generation=5))
