@@ -38,14 +38,14 @@ def layout_result(session: Session, used: Path | None, out: Path | None) -> tupl
     told = session.snapshot().estimates
     estimates = {one.channel: one for one in told.get(Method.SURFACE) or told.get(Method.FREE, ())}
     mend = mend_boards(session.boards, estimates)
-    written = out is not None and bool(mend.changes)
-    if written:
+    written = out if mend.changes else None
+    if written is not None:
         from skincal.files.layout_file import write_layout
 
-        write_layout(session.boards.layout, mend, out)
+        write_layout(session.boards.layout, mend, written)
     misfits = [misfit.words for misfit in mend.misfits]
     changes = [{"module": change.module, **change.keys} for change in mend.changes]
-    layout = {"used": _name(used), "changes": changes, "left": list(mend.left), "written": _name(out) if written else None}
+    layout = {"used": _name(used), "changes": changes, "left": list(mend.left), "written": _name(written)}
     lines += [*misfits, *_lines(mend, out, judged_modules(session.boards, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
 
