@@ -99,7 +99,14 @@ def mend_layout(layout: Layout, misfits: Sequence[Misfit]) -> tuple[Layout, tupl
     # What lies in a place that another was found in is not understood, be it turned or mirrored there.
     unclear = {one.other for one in swapped} - channels.keys()
     for one in misfits:
-        if one.kind is not MisfitKind.SWAPPED and one.module not in unclear:
+        if one.kind is MisfitKind.SWAPPED or one.module in unclear:
+            continue
+        if one.after > _radius(modules[one.module]):
+            left = (
+                *left,
+                f"Module {one.module} lies {one.after * 1e3:.0f} mm off its place even so: poke the modules beside it.",
+            )
+        else:
             modules[one.module] = _turned(modules[one.module], one)
     changed = tuple(replace(one, first_channel=channels.get(one.id, one.first_channel)) for one in modules.values())
     mended = Layout(changed, layout.width, layout.path, layout.text)
@@ -126,6 +133,12 @@ def _turned(module: Module, misfit: Misfit) -> Module:
     if misfit.turn:
         angle = np.pi - (np.pi - angle - misfit.turn) % (2.0 * np.pi)
     return replace(module, angle=float(angle), mirror=module.mirror != (misfit.kind is MisfitKind.MIRRORED))
+
+
+def _radius(module: Module) -> float:
+    """Return how far a board reaches from its middle, metres: one that lies farther from its place is not there."""
+    outline = module.kind.outline - module.kind.outline.mean(axis=0)
+    return float(np.sqrt(np.sum(outline * outline, axis=1)).max())
 
 
 def _exchanged(layout: Layout, swapped: Sequence[Misfit]) -> tuple[dict[int, int], tuple[str, ...]]:

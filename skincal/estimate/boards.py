@@ -166,8 +166,18 @@ class Boards:
         self._planned: dict[int, FloatArray] = {}
 
     def replanned(self, layout: Layout) -> Boards:
-        """Return the boards of another layout on the same part."""
-        return Boards(layout, self._anchor, self._surface)
+        """Return the boards of another layout of these modules on the same part; a plan that is the same is not made anew."""
+        boards = Boards(layout, self._anchor, self._surface)
+        for index, (one, other) in enumerate(zip(self.layout.modules, layout.modules, strict=True)):
+            if (one.angle, one.mirror) == (other.angle, other.mirror) and one.place is other.place and one.kind is other.kind:
+                boards._take_plan(index, self)
+        return boards
+
+    def _take_plan(self, module: int, other: Boards) -> None:
+        if module in other._plans:
+            self._plans[module] = other._plans[module]
+        if module in other._planned:
+            self._planned[module] = other._planned[module]
 
     def plan(self, module: int) -> Poses | None:
         """Return where the plan puts a module, one pose; None where it does not say, or is of another part."""

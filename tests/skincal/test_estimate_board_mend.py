@@ -226,6 +226,15 @@ def test_rings_exchange_and_open_chains_do_not():
     assert [sentence.split(" lies")[0] for sentence in left] == ["Module 10"]
 
 
+def test_a_module_that_lies_beside_its_place_however_it_is_turned_is_left():
+    layout = of_kinds("triangle_12", "triangle_12")
+    near = Misfit(10, MisfitKind.TURNED, 0.02, 0.016, turn=float(np.pi))
+    far = Misfit(11, MisfitKind.MIRRORED, 0.05, 0.018)
+    mended, left = mend_layout(layout, [near, far])
+    assert [change.module for change in changes_of(layout, mended)] == [10]
+    assert left == ("Module 11 lies 18 mm off its place even so: poke the modules beside it.",)
+
+
 def test_a_correction_that_lies_no_nearer_is_none(monkeypatch):
     rig, found = poked(1)
     boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
