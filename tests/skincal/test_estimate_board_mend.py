@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.estimate.board_health import Misfit, MisfitKind, find_misfits
+from skincal.estimate.board_health import Misfit, MisfitKind, _meant, find_misfits
 from skincal.estimate.board_mend import Change, changes_of, mend_boards, mend_layout
 from skincal.estimate.boards import Boards
 from skincal.estimate.result import Method
 from skincal.estimate.solve import estimate_taxels
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
-from skincal.skin import KINDS, Layout, Module
+from skincal.skin import KINDS, Layout, Module, ModuleKind
 from tests.skincal.sim_support import make_rig
 from tests.skincal.test_estimate_board_health import poked
 
@@ -110,6 +110,12 @@ def test_with_the_papers_rig_errors_single_mistakes_are_put_right():
     rig, found = poked(1, "paper")
     for name in ("mirrored", "turned", "swapped"):
         check_mended(rig, DAMAGES[name](rig.scene.skin.layout), found[Method.SURFACE])
+
+
+@pytest.mark.parametrize("seed", [2, 6])
+def test_with_the_papers_rig_errors_a_ring_closes_where_one_end_is_less_sure(seed):
+    rig, found = poked(seed, "paper")
+    check_mended(rig, DAMAGES["cycle"](rig.scene.skin.layout), found[Method.SURFACE])
 
 
 def test_a_layout_that_is_right_is_left_as_it_is():
@@ -243,6 +249,18 @@ def test_a_correction_that_lies_no_nearer_is_none(monkeypatch):
     mend = mend_boards(boards, found[Method.SURFACE])
     assert (mend.layout, mend.changes) == (boards.layout, ())
     assert mend.left[0].startswith("Module 28 does not lie as planned, but no change of the layout lies nearer to its taxels")
+
+
+@pytest.mark.parametrize(
+    ("seen", "straight", "mirrored"),
+    [(175.0, 180, 180), (168.0, 180, 168), (-57.0, -60, -60), (-47.0, -47, -47), (22.0, 0, 0)],
+)
+def test_a_turn_is_meant_that_lays_the_board_on_itself_or_one_in_steps(seen, straight, mirrored):
+    """A parallelogram lies on itself after half a turn, and its mirror image lies on it after none."""
+    outline = np.array([[-0.02, -0.01], [0.01, -0.01], [0.02, 0.01], [-0.01, 0.01]])
+    module = Module(1, ModuleKind("slanted", np.zeros((1, 2)), outline, 0), 0, np.zeros(2), 0.0, False)
+    for turn, expected in ((False, straight), (True, mirrored)):
+        assert np.degrees(_meant(float(np.radians(seen)), module, mirrored=turn)) == pytest.approx(expected)
 
 
 # What is said
