@@ -76,7 +76,13 @@ class Guiding:
             if self._told is None or self._told[1] is not method or self._guidance is not self._skin_guidance:
                 # Meanwhile another target was shown, or none.
                 guide.forget_target()
-            self._skin_guidance = guide.update(_contacts(snapshot), self._estimates(snapshot), evidence, _rejections(snapshot))
+            self._skin_guidance = guide.update(
+                _contacts(snapshot),
+                self._estimates(snapshot),
+                evidence,
+                _rejections(snapshot),
+                self.landmarks.rig_moves(snapshot),
+            )
             self._told = revision, method
         assert self._skin_guidance is not None
         self._guidance = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)

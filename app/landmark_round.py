@@ -13,7 +13,7 @@ from skincal.estimate.rig import RigPrior
 from skincal.estimate.rig_fit import LandmarkPoke
 from skincal.estimate.rig_gain import Gain, PlannedPoke, expected_error
 from skincal.guide.guidance import Guidance
-from skincal.guide.landmarks import LandmarkRound, LandmarkWish, Stances, was_there
+from skincal.guide.landmarks import LandmarkRound, LandmarkWish, Stances, rig_moves, was_there
 from skincal.guide.places import Plan
 from skincal.readings import FloatArray
 from skincal.scene import Landmark
@@ -127,6 +127,10 @@ class Landmarks:
         """Return the landmark pokes that count."""
         counting = (one.outcome for one in snapshot.pokes if not one.excluded)
         return landmark_pokes(counting, snapshot.landmarks, snapshot.at_landmarks)
+
+    def rig_moves(self, snapshot: Snapshot) -> float:
+        """Return by how much the rig moves estimates, as landmark pokes tell: sd in each direction, metres."""
+        return rig_moves(self._made(snapshot), self._scene.noise)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
         """Foretell what the landmarks of this arm pose are worth for the taxels that are poked in it and in those before."""

@@ -31,6 +31,9 @@ TURN_ABOUT = float(np.radians(25.0))
 """rad: a turn that lays the board on itself is meant by turns that are seen so near to it."""
 TURN_STEP, TURN_NEAR = float(np.radians(30.0)), float(np.radians(8.0))
 """rad: other mistakes are made in such steps, and are seen so near to them: a board's turn is seen to 3 degrees (sd)."""
+TURNED = 0.6
+"""The turned pads must fit this much better than the planned ones, moved alone: few estimates that lie close together fit any
+turn."""
 SWAP_SHARE = 0.3
 """A module lies where another one is planned when it is nearer to that place than this share of its way from its own."""
 FAR = 0.008
@@ -222,10 +225,15 @@ def _misfit(boards: Boards, index: int, one: _Seen, elsewhere: tuple[int, float]
     if one.mirrored < MIRRORED * one.straight:
         turn = _meant(turn, boards.layout.modules[index], mirrored=True)
         return Misfit(number, MisfitKind.MIRRORED, before, float(np.hypot(beside, one.mirrored)), turn=turn)
-    if abs(turn) > TURN_MIN:
+    if abs(turn) > TURN_MIN and one.straight < TURNED * _unturned(one):
         turn = _meant(turn, boards.layout.modules[index], mirrored=False)
         return Misfit(number, MisfitKind.TURNED, before, float(np.hypot(beside, one.straight)), turn=turn)
     return None
+
+
+def _unturned(one: _Seen) -> float:
+    """Return how far a module's estimates lie from its plan that is moved to them and not turned, metres, rms."""
+    return _rms((one.places - one.places.mean(axis=0)) - (one.planned - one.planned.mean(axis=0)))
 
 
 def _in_place_of(boards: Boards, seen: Mapping[int, _Seen], motion: FloatArray) -> dict[int, tuple[int, float]]:

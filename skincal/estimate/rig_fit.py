@@ -29,6 +29,7 @@ from skincal.estimate.rig import Readings, RigPrior, RigState, Rows, rig_rows
 from skincal.estimate.solve import estimate_from
 from skincal.readings import FloatArray
 from skincal.scene import Scene
+from skincal.wrench import axis_point, move_wrench
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
@@ -76,6 +77,12 @@ class LandmarkPoke:
     """(4, 4) float, metres: pose of the arm as told."""
     pose: str
     """Name of the arm pose."""
+
+    @property
+    def miss(self) -> float:
+        """How far its axis passes the landmark, metres."""
+        force, moment = move_wrench(self.link_from_sensor, self.force, self.moment)
+        return float(np.linalg.norm(np.cross(self.place - axis_point(force, moment), force / np.linalg.norm(force))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -76,6 +76,8 @@ class Guide:
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
         self._loose: BoolArray = np.isnan(plan.places[:, 0])
         """(n,) channels that the plan puts nowhere: no taxels until they answer."""
+        self._rig: float = 0.0
+        """m, sd of what the rig moves all estimates by, each direction."""
         self._gains_of: Phase | None = None
         self._gains = np.full((count, choose.TRIES), -np.inf)
         self._stale = np.ones(count, dtype=bool)
@@ -102,6 +104,7 @@ class Guide:
         estimates: Mapping[Method, Sequence[Estimate]],
         evidence: Callable[[Collection[int]], Evidence],
         rejections: Mapping[int, Rejection] = _NOTHING_REJECTED,
+        rig: float = 0.0,
     ) -> Guidance:
         """Take what a session holds now, and say what is to be done.
 
@@ -111,8 +114,9 @@ class Guide:
         estimates : of each method, one a taxel in the plan's order
         evidence : gives what is known of some channels
         rejections : pokes that do not count, by their number
+        rig : m, sd of what the rig's errors move all estimates by, each direction; 0 where nothing is known of it
         """
-        dirty = self._take(contacts, estimates, rejections)
+        dirty = self._take(contacts, estimates, rejections, rig)
         if dirty:
             doubted = {one.channel: one.doubted for one in estimates[self.method] if one.channel in dirty}
             told = evidence(dirty)
@@ -145,6 +149,7 @@ class Guide:
         contacts: Mapping[int, Contact],
         estimates: Mapping[Method, Sequence[Estimate]],
         rejections: Mapping[int, Rejection],
+        rig: float,
     ) -> set[int]:
         """Take the pokes that are new or changed, leave out those that are gone; return whose channels they touch."""
         rows, fresh, gone = self._pokes.take(contacts, rejections, self._last, self._drawn(), self._normals, self._pulls)
@@ -153,9 +158,10 @@ class Guide:
         if any(isinstance(one, Contact) for one in fresh):
             self._not_now = -1
         self._cover_with(fresh, contacts.keys() | rejections.keys())
-        if rows:
-            best = estimates.get(Method.SURFACE) or estimates[Method.FREE]
-            self._places = believed(self.plan, best)
+        if rows or rig != self._rig:
+            self._stale[:] |= rig != self._rig
+            self._rig, best = rig, estimates.get(Method.SURFACE) or estimates[Method.FREE]
+            self._places = believed(self.plan, best, rig)
             self._find_loose(rows, best)
         if self._pokes.tilt.usable != self._usable:
             self._usable = self._pokes.tilt.usable

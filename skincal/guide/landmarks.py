@@ -13,15 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
-from skincal.estimate.rig_fit import FEWEST, FEWEST_POINTS
+from skincal.estimate.rig import RigPrior
+from skincal.estimate.rig_fit import FEWEST, FEWEST_POINTS, LandmarkPoke
 from skincal.readings import FloatArray
-from skincal.scene import Landmark
+from skincal.scene import Landmark, NoiseSettings
 
 A_POSE = 3
 """Landmark pokes in each arm pose but the first: with three in each of seven the modules' error on the paper's rig falls to a
 tenth (`skincal study paper`)."""
 ALIKE_TURN, ALIKE_SHIFT = float(np.cos(np.radians(5.0))), 0.010
 """Cosine, and m: arm poses that differ by less are taken for one. What a rig does wrong changes little over that."""
+USUAL = 1.3863
+"""Median of chi-square with two degrees of freedom."""
 ASTRAY = 0.015
 """m. A poke whose answers have their middle farther from the landmark was on the skin: a taxel is felt from 8 mm away, and its
 place is known to 6 mm (sd) by the plan."""
@@ -90,6 +93,27 @@ class LandmarkRound:
     def leave_out(self, pose: str) -> None:
         """Ask for no landmark in this pose."""
         self._left_out.add(pose)
+
+
+def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
+    """Return by how much a rig's errors move what it is asked for, sd in each direction, metres; 0 where too few pokes tell.
+
+    The median of how far landmark pokes pass, so that one at another point does not tell it, less what the sensor's noise and
+    the hand make of it (`RigPrior.landmark`).
+
+    Parameters
+    ----------
+    pokes : as the corrections in use have them
+    """
+    if len(pokes) < A_POSE:
+        return 0.0
+    levers = [float(np.linalg.norm(one.place - one.link_from_sensor[:3, 3])) for one in pokes]
+    forces = [float(np.linalg.norm(one.force)) for one in pokes]
+    own = [
+        (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2 for force, lever in zip(forces, levers, strict=True)
+    ]
+    square = float(np.median([one.miss**2 for one in pokes])) / USUAL
+    return float(np.sqrt(max(0.0, square - float(np.median(own)) - RigPrior().landmark ** 2)))
 
 
 class Stances:

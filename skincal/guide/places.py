@@ -25,6 +25,9 @@ SPACING = 0.005
 """m, of neighbouring taxels where no layout tells it: the iCub's and most others'."""
 TAXEL = 0.001
 """m, sd of a taxel beside where its module puts it: pads are printed to less; the surface is not the part."""
+UNLIKE = 0.3
+"""Share of what a rig moves the whole skin by that differs between modules: turns of an arm pose of 1 degree (`RigPrior`) move
+places 0.1 m apart by 2 mm against each other, and the skin 0.2 to 0.4 m from the sensor by 3 to 7 mm."""
 FLOOR = 0.0005
 """m, sd: no estimate is taken for better known, so that one does not outvote the rest."""
 
@@ -58,22 +61,35 @@ def unplaced(channels: IntArray) -> Plan:
     return Plan(channels, nowhere, nowhere.copy(), np.zeros(len(channels), dtype=np.int64))
 
 
-def believed(plan: Plan, estimates: Sequence[Estimate]) -> FloatArray:
+def believed(plan: Plan, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
     """Return (n, 3) the believed places, metres; NaN where neither plan nor estimate says anything.
+
+    A rig's errors move all estimates nearly alike, as if the skin lay elsewhere. Where they are known to be large, what the
+    estimates are off in common is theirs rather than the skin's, and the tool is sent where the skin is.
 
     Parameters
     ----------
     estimates : one a taxel, in the plan's order
+    rig : m, sd of what the rig moves all estimates by, each direction; 0 where nothing is known of it
     """
     measured, precision = _measured(estimates)
     off = np.where(np.isfinite(plan.places), measured - plan.places, np.nan)
     known = np.isfinite(off).all(axis=1)
-    shift = _drawn(off[known], precision[known], np.zeros(int(known.sum()), dtype=np.int64), 1, WHOLE)[0]
-    rest = off - shift
-    count = int(plan.modules.max(initial=-1)) + 1
-    shifts = shift + _drawn(rest[known], precision[known], plan.modules[known], count, MODULE)
-    places = plan.places + shifts[plan.modules] if count else plan.places.copy()
-    return _with_own(places, measured, precision)
+    everyone, module = np.zeros(int(known.sum()), dtype=np.int64), plan.modules
+    whole = _drawn(off[known], precision[known], everyone, 1, float(np.hypot(WHOLE, rig)))[0]
+    rest = off - whole
+    count = int(module.max(initial=-1)) + 1
+    own = _drawn(rest[known], precision[known], module[known], count, float(np.hypot(MODULE, UNLIKE * rig)))
+    if not count:
+        return _with_own(plan.places.copy(), measured, precision, np.zeros(3))
+    moved = whole + own
+    skin = _share(WHOLE, rig) * whole + _share(MODULE, UNLIKE * rig) * own
+    return _with_own(plan.places + skin[module], measured, precision, (moved - skin)[module])
+
+
+def _share(skin: float, rig: float) -> float:
+    """Return how much of what estimates are off in common is the skin's, by the sd of both."""
+    return skin**2 / (skin**2 + rig**2)
 
 
 def _measured(estimates: Sequence[Estimate]) -> tuple[FloatArray, FloatArray]:
@@ -95,8 +111,8 @@ def _drawn(off: FloatArray, precision: FloatArray, groups: IntArray, count: int,
     return solved(total, pull)
 
 
-def _with_own(places: FloatArray, measured: FloatArray, precision: FloatArray) -> FloatArray:
-    """Return the places with each taxel's own estimate taken in, as far as it is better known."""
-    off = np.nan_to_num(measured - places)
+def _with_own(places: FloatArray, measured: FloatArray, precision: FloatArray, rig: FloatArray) -> FloatArray:
+    """Return the places with each taxel's own estimate taken in, as far as it is better known, less what the rig moves it."""
+    off = np.nan_to_num(measured - places - rig)
     own = solved(precision + np.eye(3) / TAXEL**2, (precision @ off[:, :, None])[:, :, 0])
     return np.where(np.isfinite(places), places + own, measured)

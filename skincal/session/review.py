@@ -25,7 +25,6 @@ from skincal.session.known_points import landmark_normals, landmark_pokes
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
-from skincal.wrench import axis_point, move_wrench
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
@@ -146,7 +145,7 @@ class Reviewer:
         return Review(
             generation=newest.generation,
             pokes=tuple(pokes),
-            told={one.poke: _passes(one) for one in pokes},
+            told={one.poke: one.miss for one in pokes},
             frame=frame,
             rig=rig,
             channels=np.array(newest.channels, dtype=np.int64),
@@ -162,9 +161,3 @@ class Reviewer:
             method: np.array([unknown if one.position is None else one.position for one in found.values()]).reshape(-1, 3)
             for method, found in solved.items()
         }
-
-
-def _passes(poke: LandmarkPoke) -> float:
-    """Return how far a poke's axis passes its landmark, metres."""
-    force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
-    return float(np.linalg.norm(np.cross(poke.place - axis_point(force, moment), force / np.linalg.norm(force))))

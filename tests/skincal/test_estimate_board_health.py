@@ -8,7 +8,7 @@ import pytest
 
 from skincal.estimate.board_health import MisfitKind, find_misfits, spacing_ratio
 from skincal.estimate.boards import Boards
-from skincal.estimate.result import Method
+from skincal.estimate.result import Estimate, Method, State
 from skincal.estimate.solve import estimate_taxels
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
@@ -48,6 +48,24 @@ def test_modules_that_lie_as_planned_are_left_alone(errors, seed):
     rig, found = poked(seed, errors)
     assert find_misfits(planned(rig, lambda _, module: module), found[Method.SURFACE]) == ()
     assert find_misfits(planned(rig, lambda _, module: module), {}) == ()
+
+
+def test_a_few_estimates_close_together_fit_any_turn_and_tell_none():
+    """Six of a module's taxels, drawn together to half their distance and scattered by 2 mm."""
+    rig, _ = poked(1)
+    boards = planned(rig, lambda _, module: module)
+    for seed in range(40):
+        rng, estimates = np.random.default_rng(seed), {}
+        for module in range(2):
+            every = boards.channels_of([module])
+            places = np.array([rig.places[rig.row_of(channel)] for channel in every])
+            some = rng.permutation(len(every))[:6]
+            near = 0.5 * (places[some] + places[some].mean(axis=0)) + 0.002 * rng.normal(size=(6, 3))
+            for row, place in zip(some.tolist(), near, strict=True):
+                normal = rig.normals[rig.row_of(every[row])]
+                estimates[every[row]] = Estimate(every[row], Method.SURFACE, State.ESTIMATED, 3, position=place, normal=normal)
+        for said in find_misfits(boards, estimates):
+            assert said.after < 0.8 * said.before, said.words
 
 
 @pytest.mark.parametrize(("errors", "seed"), CASES)

@@ -10,8 +10,15 @@ from skincal.estimate.result import Method
 from skincal.estimate.rig_gain import Gain
 from skincal.guide import landmarks as landmarks_module
 from skincal.guide.guidance import Guidance, Phase
-from skincal.guide.landmarks import A_POSE, ASTRAY, LandmarkRound, LandmarkWish, was_there
+from skincal.guide.landmarks import A_POSE, ASTRAY, LandmarkRound, LandmarkWish, rig_moves, was_there
+from skincal.guide.places import believed, plan_from
 from skincal.scene import Landmark
+from skincal.session.session import Session
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.rig import RigErrors
+from skincal.surface.lay import lay
+from tests.skincal.sim_support import make_rig
 
 FAR, MIDDLE, NEAR = (
     Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in (("far", 0.3), ("middle", 0.2), ("near", 0.1))
@@ -193,3 +200,41 @@ def test_where_nobody_knows_the_pace_nobody_foretells_the_time():
     assert of_skin(seconds_left=None).before_skin(wish, np.array([1.0, 0, 0]), None).seconds_left is None
     enough = of_skin(pokes_left=0, seconds_left=0.0, phase=Phase.ENOUGH).before_skin(wish, np.array([1.0, 0, 0]), None)
     assert (enough.pokes_left, enough.seconds_left, enough.phase) == (1, 0.0, Phase.LANDMARKS)
+
+
+def bad_rig(errors, seed):
+    """A rig, contacts of its first arm pose and six landmark pokes there."""
+    rig, rng = make_rig(errors, seed), np.random.default_rng(seed)
+    pose = next(iter(rig.stances))
+    contacts = [one for one in simulate_contacts(rig, unguided(rig, 1, rng), rng) if one.pose == pose]
+    pokes = [one for one in poke_landmarks(rig, rig.scene.landmarks, 6, rng, 5001) if one.pose == pose]
+    return rig, contacts, pokes[:6]
+
+
+def test_a_rig_that_passes_its_landmarks_moves_the_estimates_and_the_tool_is_sent_where_the_skin_is():
+    beside: dict[bool, list[float]] = {False: [], True: []}
+    for seed in range(1, 7):
+        rig, contacts, pokes = bad_rig(RigErrors.paper(), seed)
+        scene, session = rig.scene, Session(rig.scene, rig.surface, (Method.SURFACE,))
+        for one in contacts[:12]:
+            session.add(one)
+        told = {one.channel: one for one in session.snapshot().estimates[Method.SURFACE]}
+        plan = plan_from(scene.skin.layout, lay(scene.skin.layout, scene.skin.anchor, rig.surface))
+        truth = np.array([rig.places[rig.row_of(int(channel))] for channel in plan.channels])
+        for known, way in ((False, 0.0), (True, rig_moves(pokes, scene.noise))):
+            places = believed(plan, [told[int(channel)] for channel in plan.channels], way)
+            beside[known].append(float(np.linalg.norm(places - truth, axis=1).mean()))
+    assert np.mean(beside[False]) > 0.006
+    assert np.mean(beside[True]) < 0.5 * np.mean(beside[False])
+    assert max(beside[True]) < 0.008, "half a module"
+
+
+def test_on_a_good_rig_next_to_nothing_is_the_rigs_and_one_wrong_poke_or_two_pokes_tell_nothing():
+    for seed in range(1, 7):
+        rig, _, pokes = bad_rig(RigErrors.noise(), seed)
+        assert rig_moves(pokes, rig.scene.noise) < 0.003
+        wrong = [replace(pokes[0], place=pokes[3].place), *pokes[1:]]
+        assert rig_moves(wrong, rig.scene.noise) < 0.004
+    bad = bad_rig(RigErrors.paper(), 1)[2]
+    assert rig_moves(bad, rig.scene.noise) > 0.004
+    assert rig_moves(bad[:2], rig.scene.noise) == 0.0
