@@ -189,7 +189,8 @@ class Desk(QObject):
         if self.frame is not None and self.frame.offers:
             offer = self.frame.offers[0]
             if self._controller.act(offer.action):
-                self.said.emit(Message(f"{used_words(used_of(offer.action))} Backspace takes it back."))
+                back = "Backspace takes it back until the next poke, the Rig tab at any time."
+                self.said.emit(Message(f"{used_words(used_of(offer.action))} {back}"))
 
     def _hear(self, frame: Frame, behind_s: float) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""

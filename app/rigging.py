@@ -38,4 +38,4 @@ class Rigging:
         if offer is None or kind in self._told:
             return ""
         self._told.add(kind)
-        return f"{offer.words} C uses that, Backspace takes it back; more on the Rig tab."
+        return f"{offer.words} C uses that; the Rig tab says more, and takes it back."

@@ -223,7 +223,7 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
             f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)
             for method, found in solved.items()
         }
-    in_use = [f"{one.words}." for one in session.corrections.values()]
+    in_use = [f"{one.words[0].upper()}{one.words[1:]}." for one in session.corrections.values()]
     found = answer.sentences if RIG not in session.corrections else answer.sentences[1:]
     return rig, [*(() if frame is None else (frame.words,)), *in_use, *found]
 

@@ -31,12 +31,16 @@ def print_result(result: Mapping[str, Any], as_json: bool) -> None:
 
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     """Count pokes by what became of them."""
-    records = snapshot.pokes
-    reasons = Counter(r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection))
+    records, named = snapshot.pokes, snapshot.at_landmarks
+    # A poke at a landmark is none of the skin's, be it that no taxel answered: that is no fault.
+    reasons = Counter(
+        r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection) and r.outcome.poke not in named
+    )
     return {
         "pokes": len(records),
         "accepted": sum(isinstance(r.outcome, Contact) and not r.excluded for r in records),
         "excluded": sum(r.excluded for r in records),
+        "at_landmarks": sum(r.outcome.poke in named and not r.excluded for r in records),
         "rejected": dict(sorted(reasons.items())),
     }
 
@@ -77,11 +81,16 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
     return {"links": counts, "frames_without_wrench": unpaired}
 
 
+_BESIDE = {"excluded": "excluded", "at_landmarks": "at landmarks"}
+"""Counts that are told where there are some, and in which words."""
+
+
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
     """Return the text for `poke_counts`."""
     rejected = ", ".join(f"{count} {reason}" for reason, count in counts["rejected"].items())
     line = f"{counts['pokes']} pokes: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
-    return [line + (f" ({rejected})" if rejected else "") + (f", {counts['excluded']} excluded" if counts["excluded"] else "")]
+    line += f" ({rejected})" if rejected else ""
+    return [line + "".join(f", {counts[key]} {words}" for key, words in _BESIDE.items() if counts[key])]
 
 
 def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:

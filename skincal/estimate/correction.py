@@ -69,10 +69,11 @@ class UsedCorrection:
     @property
     def words(self) -> str:
         """What was corrected, with the miss before and after."""
-        after, before = f"{self.after * 1e3:.1f} mm", f"{self.before * 1e3:.1f} mm as the rig tells"
-        if self.of == FRAME:
-            return f"the sensor's frame is corrected from {self.pokes} landmark pokes: they pass at {after}, {before}"
-        return f"the rig is corrected from {self.pokes} landmark pokes: held-out ones pass at {after}, {before}"
+        after, before = f"{self.after * 1e3:.1f} mm", f"{self.before * 1e3:.1f} mm"
+        who = "they" if self.of == FRAME else "held-out ones"
+        what = "the sensor's frame" if self.of == FRAME else "the rig"
+        misses = f"{who} pass their landmarks at {after} with it, at {before} without"
+        return f"{what} is corrected from {self.pokes} landmark pokes: {misses}"
 
 
 def frame_correction(found: FrameCorrection) -> Correction:

@@ -127,8 +127,9 @@ class RigAnswer:
         if self.correction is None:
             needs = f"it needs {FEWEST} pokes at landmarks, {FEWEST_POINTS} different ones"
             return (f"No correction of the rig: {needs}; {len(self.trust)} pokes at {self.points} are there.",)
-        misses = f"held-out landmark pokes pass at {self.after * 1e3:.1f} mm, {self.before * 1e3:.1f} mm as the rig tells"
-        said = [f"The rig can be corrected: {misses}." if self.used else f"The rig is left as it tells itself: {misses}."]
+        before, after = f"{self.before * 1e3:.1f} mm", f"{self.after * 1e3:.1f} mm"
+        misses = f"held-out pokes pass their landmarks at {after} with a correction made without them, at {before} without any"
+        said = [f"The rig can be corrected: {misses}." if self.used else f"The rig is left as it is: {misses}."]
         said += [
             f"Landmark poke {poke} lies {self.distances[poke] * 1e3:.0f} mm off its landmark and counts "
             + ("for nothing: was it another point?" if trust <= 0 else f"{trust:.0%}.")

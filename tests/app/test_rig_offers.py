@@ -166,7 +166,7 @@ def test_an_offer_is_told_once_and_made_once():
     assert rigging.offers(replace(none, generation=9)) is made
     news = rigging.news(none)
     assert news.startswith(made[0].words)
-    assert "C uses that, Backspace takes it back" in news
+    assert "C uses that; the Rig tab says more, and takes it back" in news
     assert rigging.shown(none) is now
     assert rigging.shown(used) is None, "it says nothing of a session that uses another correction"
     assert (rigging.offers(used), rigging.news(used)) == ((), "")

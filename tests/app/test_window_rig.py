@@ -222,7 +222,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert offer.text == "Correct the rig"
     assert len(poked.said) == 1
     assert offer.words in poked.said[0]
-    assert "C uses that, Backspace takes it back" in poked.said[0]
+    assert "C uses that; the Rig tab says more, and takes it back" in poked.said[0]
     assert panel.offer.isVisible()
     assert bench.window.commands.actions["correct"].text().startswith(offer.text)
     before = bench.snapshot.estimates
