@@ -72,4 +72,6 @@ def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> N
     axes.set_ylabel("mean error (mm)")
     axes.set_title(f"{method} method in other cases")
     axes.grid(visible=True, axis="y")
+    # Room above the bars for the legend.
+    axes.set_ylim(0.0, 1.2 * axes.get_ylim()[1])
     axes.legend(fontsize=8.5)
