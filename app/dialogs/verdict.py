@@ -93,7 +93,7 @@ class LeftView(QTableView):
 
 
 class VerdictDialog(QDialog):
-    """Says how it ends; the space bar goes on to the file."""
+    """Says how it ends; the space bar goes on: to the file once it is enough, to the poking before."""
 
     export_wanted = Signal()
     taxel_wanted = Signal(int)
@@ -113,6 +113,9 @@ class VerdictDialog(QDialog):
         self.export = self.buttons.addButton("Export\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
         self._arrange()
+        first = self.export if verdict.enough and can_export else self.go_on
+        first.setDefault(True)
+        first.setFocus()
         self.buttons.accepted.connect(self._export)
         self.buttons.rejected.connect(self.reject)
         self.left.taxel_wanted.connect(self.taxel_wanted)
@@ -139,9 +142,6 @@ class VerdictDialog(QDialog):
         self.sentence.setWordWrap(True)
         plain_buttons(self.buttons)
         self.setMinimumWidth(680)
-        first = self.export if self.export.isEnabled() else self.go_on
-        first.setDefault(True)
-        first.setFocus()
 
     def _export(self) -> None:
         self.accept()

@@ -99,10 +99,21 @@ def test_escape_goes_on_with_the_session(qtbot):
 
 
 def test_where_nothing_can_be_written_the_space_bar_goes_on(qtbot):
-    dialog = shown(qtbot, EARLY, can_export=False)
+    dialog = shown(qtbot, can_export=False)
     assert not dialog.export.isEnabled()
     assert dialog.focusWidget() is dialog.go_on
     tap(qtbot, Key.Key_Space)
+    assert not dialog.isVisible()
+
+
+@pytest.mark.parametrize("key", [Key.Key_Space, Key.Key_Return])
+def test_where_it_is_not_enough_the_space_bar_and_enter_go_on_with_the_session(qtbot, key):
+    dialog = shown(qtbot, EARLY)
+    assert dialog.export.isEnabled()
+    assert dialog.go_on.isDefault()
+    assert dialog.focusWidget() is dialog.go_on
+    with qtbot.assertNotEmitted(dialog.export_wanted):
+        tap(qtbot, key)
     assert not dialog.isVisible()
 
 
