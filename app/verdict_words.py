@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from app.display_units import count, millimetres, minutes
 from app.words import METHOD_NAMES
+from skincal.estimate.result import Method
 from skincal.guide.done import Why
+from skincal.guide.settings import GuideSettings
 from skincal.guide.verdict import Left, Verdict
 
 
 def sentence(verdict: Verdict) -> str:
-    """Return what the session has come to: `"All 84 taxels are known to 3 mm, and the held-out pokes agree."`."""
+    """Return what the session has come to: `"All 84 taxels are done, known to 3 mm, and the held-out pokes agree."`.
+
+    Taxels that are known to so much and not done, because they need something else, are not counted.
+    """
     if not verdict.used:
         return "No taxel is used." if verdict.left else "No taxel has answered yet."
-    wanted = millimetres(verdict.wanted, 0)
-    if verdict.used and verdict.done == verdict.used:
+    if verdict.done == verdict.used:
         used = "used " if any(one.why is Why.DEAD for one in verdict.left) else ""
-        known = f"All {count(verdict.used, used + 'taxel')} are known to {wanted}"
+        done = f"All {count(verdict.used, used + 'taxel')} are done, known to {millimetres(verdict.wanted, 0)}"
     else:
-        known = f"{verdict.done} of {count(verdict.used, 'taxel')} are known to {wanted}"
+        done = f"{verdict.done} of {count(verdict.used, 'taxel')} are done"
     early = "" if verdict.enough else "Not enough yet: "
-    return f"{early}{known}{_agreement(verdict)}."
+    return f"{early}{done}{_agreement(verdict)}."
 
 
 def _agreement(verdict: Verdict) -> str:
@@ -32,9 +36,25 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
     """Return the numbers behind the sentence, each with its name."""
     return (
         ("Done", f"{verdict.done} of {count(verdict.used, 'taxel')}, {METHOD_NAMES[verdict.method]} method"),
+        ("Needs", done_words(verdict.method, verdict.wanted)),
         ("Check", check_words(verdict)),
         ("Work", f"{count(verdict.pokes, 'poke')} in {minutes(verdict.seconds)}"),
     )
+
+
+def done_words(method: Method, wanted: float) -> str:
+    """Return what makes a taxel done: `"a predicted error of 3 mm or less, and 4 pokes on its module"`.
+
+    Parameters
+    ----------
+    wanted : m, the predicted error that is asked for
+    """
+    settings = GuideSettings()
+    error = f"a predicted error of {millimetres(wanted, 0)} or less"
+    if method is Method.MODULES:
+        return f"{error}, and {settings.module_pokes} pokes on its module"
+    sides = "tilted to several sides and " if method is Method.FREE else ""
+    return f"{error}, {settings.own_pokes} pokes of its own {sides}evenly around it, and the last hardly moved it"
 
 
 def check_words(verdict: Verdict) -> str:

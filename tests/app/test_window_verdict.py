@@ -11,7 +11,7 @@ from window_support import NAMES, changed, pixels
 from app.dialogs.export import ExportDialog
 from app.dialogs.verdict import VerdictDialog
 from app.plan import Plan
-from app.verdict_words import check_words, figures, left_words, sentence
+from app.verdict_words import check_words, done_words, figures, left_words, sentence
 from skincal.estimate.result import Method
 from skincal.guide.check import Check
 from skincal.guide.done import Need, Why
@@ -35,13 +35,13 @@ def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        (verdict(), "All 24 taxels are known to 3 mm, and the held-out pokes agree."),
-        (verdict(UNUSED), "All 24 used taxels are known to 3 mm, and the held-out pokes agree."),
-        (verdict(UNUSED, GIVEN_UP), "23 of 24 taxels are known to 3 mm, and the held-out pokes agree."),
-        (verdict(EARLY), "Not enough yet: 23 of 24 taxels are known to 3 mm, and the held-out pokes agree."),
-        (verdict(checked=Check(14, 7)), "All 24 taxels are known to 3 mm, but the held-out pokes speak against it."),
-        (verdict(checked=Check(0, 0)), "All 24 taxels are known to 3 mm."),
-        (verdict(checked=Check(4, 4)), "All 24 taxels are known to 3 mm."),
+        (verdict(), "All 24 taxels are done, known to 3 mm, and the held-out pokes agree."),
+        (verdict(UNUSED), "All 24 used taxels are done, known to 3 mm, and the held-out pokes agree."),
+        (verdict(UNUSED, GIVEN_UP), "23 of 24 taxels are done, and the held-out pokes agree."),
+        (verdict(EARLY), "Not enough yet: 23 of 24 taxels are done, and the held-out pokes agree."),
+        (verdict(checked=Check(14, 7)), "All 24 taxels are done, known to 3 mm, but the held-out pokes speak against it."),
+        (verdict(checked=Check(0, 0)), "All 24 taxels are done, known to 3 mm."),
+        (verdict(checked=Check(4, 4)), "All 24 taxels are done, known to 3 mm."),
         (verdict(UNUSED, used=0), "No taxel is used."),
         (verdict(used=0), "No taxel has answered yet."),
     ],
@@ -53,11 +53,20 @@ def test_one_sentence_says_what_the_session_has_come_to(what, said):
 def test_the_figures_are_those_of_the_verdict():
     assert figures(verdict(GIVEN_UP)) == (
         ("Done", "23 of 24 taxels, surface method"),
+        (
+            "Needs",
+            "a predicted error of 3 mm or less, 3 pokes of its own evenly around it, and the last hardly moved it",
+        ),
         ("Check", "13 of 14 held-out pokes fell where the others foretold"),
         ("Work", "252 pokes in 9 min"),
     )
     assert "the errors are larger than predicted" in check_words(verdict(checked=Check(14, 7)))
     assert check_words(verdict(checked=Check(0, 0))) == "no poke could be held out yet"
+
+
+def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
+    assert "tilted to several sides" in done_words(Method.FREE, 0.003)
+    assert done_words(Method.MODULES, 0.002) == "a predicted error of 2 mm or less, and 4 pokes on its module"
 
 
 @pytest.mark.parametrize("why", list(Why))
@@ -155,8 +164,8 @@ def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
     bench.key(Key.Key_F)
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
-    assert dialog.sentence.text().startswith("Not enough yet: 0 of 84 taxels")
-    assert dialog.figures[2][1].text() == "3 pokes in 1 min"
+    assert dialog.sentence.text().startswith("Not enough yet: 0 of 84 taxels are done")
+    assert dialog.figures[3][1].text() == "3 pokes in 1 min"
     assert dialog.left.model().rowCount() == 84
     on_map = pixels(desk.workspace.map)
     dialog.left.setFocus()
