@@ -6,25 +6,20 @@ Each kind of mark is drawn once, as a stamp, and put wherever it is needed: four
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QBrush, QColor, QPainter, QPen, QPixmap, QPolygonF
 
 from app.policies import Mark
 
-SMALL = 3.5
-"""Pixels. Below this radius a fill cannot be told; strength tells the state instead."""
+SMALL = 3.0
+"""Pixels. Below this radius a quarter cannot be told from a half; strength tells the state, beside the shape."""
 _FILLED: dict[Mark, int] = {Mark.BLIND: 90, Mark.ROUGH: 180}
 """Degrees of the circle that are filled."""
-_STRENGTH: dict[Mark, float] = {
-    Mark.UNSEEN: 0.25,
-    Mark.BLIND: 0.5,
-    Mark.ROUGH: 0.75,
-    Mark.GOOD: 1.0,
-    Mark.DONE: 1.0,
-    Mark.DEAD: 0.08,
-}
+_STRENGTH: dict[Mark, float] = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75, Mark.GOOD: 1.0}
+"""Of a small mark: where even a ring has no room all four are dots, and still differ."""
+_HOLLOW = (Mark.UNSEEN, Mark.BLIND)
+"""Small marks of taxels that have no estimate."""
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
@@ -74,25 +69,26 @@ def draw_wedge(painter: QPainter, centre: QPointF, reach: float, colour: QColor,
     painter.drawPolygon(QPolygonF([QPointF(centre.x() + reach * x, centre.y() + reach * y) for x, y in corners]))
 
 
-def draw_dots(
-    painter: QPainter, places: Sequence[Sequence[float]], radius: float, marks: Sequence[int], hues: Sequence[str]
-) -> None:
-    """Draw thousands of taxels too small for shapes, all of one look at once.
-
-    Parameters
-    ----------
-    places : x and y in pixels, one a taxel
-    radius : pixels
-    marks, hues : value of `Mark` and hue, one a taxel
-    """
-    groups: dict[tuple[int, str], list[QPointF]] = {}
-    for mark, hue, (x, y) in zip(marks, hues, places, strict=True):
-        groups.setdefault((mark, hue), []).append(QPointF(x, y))
-    for (mark, hue), points in groups.items():
-        colour = QColor(hue)
-        colour.setAlphaF(_STRENGTH[Mark(mark)])
-        painter.setPen(QPen(colour, 2 * radius, Qt.PenStyle.SolidLine, Qt.PenCapStyle.SquareCap))
-        painter.drawPoints(QPolygonF(points))
+def draw_small(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
+    """Draw one taxel too small for quarters and halves: a ring, a dot, a square once done, a cross; parameters as above."""
+    # On whole pixels, or the square's corners are as soft as a dot's.
+    reach = float(max(1, round(radius)))
+    circle = QRectF(centre.x() - reach, centre.y() - reach, 2 * reach, 2 * reach)
+    if mark is Mark.DEAD:
+        _draw_cross(painter, centre, 0.8 * reach, crossed)
+        return
+    if mark is Mark.DONE:
+        painter.fillRect(circle, hue)
+        return
+    colour = QColor(hue)
+    colour.setAlphaF(_STRENGTH[mark])
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.setBrush(QBrush(colour))
+    painter.drawEllipse(circle)
+    if mark in _HOLLOW:
+        painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_Clear)
+        painter.drawEllipse(circle.adjusted(1.0, 1.0, -1.0, -1.0))
+        painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceOver)
 
 
 class Stamps:
@@ -126,6 +122,7 @@ class Stamps:
         stamp.fill(Qt.GlobalColor.transparent)
         painter = QPainter(stamp)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        draw_mark(painter, QPointF(self.reach, self.reach), self._radius, mark, hue, self._crossed)
+        draw = draw_small if self._radius < SMALL else draw_mark
+        draw(painter, QPointF(self.reach, self.reach), self._radius, mark, hue, self._crossed)
         painter.end()
         return stamp

@@ -30,7 +30,7 @@ from app.display_units import ChannelNames, number
 from app.frame import Frame
 from app.guide_words import done_channels, needs_words
 from app.panels.map_layout import Fit, MapPlan, fit, plan_map
-from app.panels.marks import SMALL, Stamps, draw_dots, draw_mark, draw_wedge
+from app.panels.marks import Stamps, draw_mark, draw_wedge
 from app.policies import MARK_WORDS, Mark, answer_levels, marks
 from app.theme import HUES, LIGHT, Colours, mix
 from skincal.guide.guidance import Guidance
@@ -292,12 +292,9 @@ class TaxelMap(QWidget):
     def _draw_states(self, painter: QPainter) -> None:
         values = self._marks[self._plan.channels].tolist()
         hues = [hue or self._colours.muted for hue in self._hues]
-        if self._radius() < SMALL:
-            draw_dots(painter, self._places.tolist(), self._radius(), values, hues)
-        else:
-            stamps = Stamps(self._radius(), self.devicePixelRatioF(), QColor(self._colours.muted))
-            for value, hue, (x, y) in zip(values, hues, (self._places - stamps.reach).tolist(), strict=True):
-                painter.drawPixmap(QPointF(x, y), stamps.get(value, hue))
+        stamps = Stamps(self._radius(), self.devicePixelRatioF(), QColor(self._colours.muted))
+        for value, hue, (x, y) in zip(values, hues, (self._places - stamps.reach).tolist(), strict=True):
+            painter.drawPixmap(QPointF(x, y), stamps.get(value, hue))
         self._draw_rivals(painter)
         self._draw_legend(painter)
 

@@ -19,7 +19,7 @@ from app.panels.curves import CurvesPanel
 from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.inspect import InspectPanel
 from app.panels.map_layout import fit, plan_map
-from app.panels.marks import draw_mark
+from app.panels.marks import SMALL, Stamps, draw_mark
 from app.panels.message_bar import Message, MessageBar
 from app.panels.now import NowPanel
 from app.panels.pokes import PokesPanel
@@ -215,6 +215,30 @@ def test_states_differ_in_shape_not_only_in_colour():
     for i, one in enumerate(drawn):
         for other in drawn[i + 1 :]:
             assert (one != other).sum() > 60
+
+
+@pytest.mark.usefixtures("qapp")
+@pytest.mark.parametrize("radius", [1.6, 2.0, 2.7, SMALL - 0.01])
+def test_small_marks_are_round_and_only_done_is_a_square(radius):
+    stamps, reach = Stamps(radius, 1.0, QColor("white")), max(1, round(radius))
+    drawn = {}
+    for mark in Mark:
+        image = stamps.get(mark.value, "#ffffff").toImage().convertToFormat(QImage.Format.Format_RGBA8888)
+        opaque = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.width(), 4)[..., 3]
+        middle = round(stamps.reach)
+        drawn[mark] = opaque[middle - reach : middle + reach, middle - reach : middle + reach].astype(int)
+        assert opaque.sum() == drawn[mark].sum() or mark is Mark.DEAD, "nothing is cut off, nothing lies outside"
+    assert (drawn[Mark.DONE] == 255).all()
+    for mark in (Mark.UNSEEN, Mark.BLIND, Mark.ROUGH, Mark.GOOD):
+        assert drawn[mark][0, 0] < 0.7 * drawn[mark][0, reach], "no corner"
+    for mark in (Mark.ROUGH, Mark.GOOD):
+        assert drawn[mark][reach, reach] == drawn[mark].max()
+    for mark in (Mark.UNSEEN, Mark.BLIND):
+        assert drawn[mark][reach, reach] < 0.4 * drawn[mark].max(), "hollow"
+    looks = list(drawn.values())
+    for i, one in enumerate(looks):
+        for other in looks[i + 1 :]:
+            assert np.abs(one - other).sum() > 4 * 255 * 0.15
 
 
 def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
