@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.calibrate import Json
+from skincal.cli.fresh import KeptError, new_folder
 from skincal.errors import InputError
 from skincal.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.scene import Scene, load_scene, scene_file
@@ -86,12 +87,20 @@ def record(
     as_json: Json = False,
 ) -> None:
     """Record devices into a session, until Ctrl-C, and estimate as pokes come in."""
-    from skincal.streams.reader import Reader
-
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
     links = links_of({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
-    road = new_road(loaded, out, links)
+    with new_folder(out):
+        road = _recorded(loaded, out, links, pose, seconds, pokes)
+        finish(road, out, as_json)
+
+
+def _recorded(
+    scene: Scene, out: Path, links: Sequence[LinkSpec], pose: str | None, seconds: float | None, pokes: int | None
+) -> Road:
+    from skincal.streams.reader import Reader
+
+    road = new_road(scene, out, links)
     items: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
     readers = {link.name: Reader(link, items) for link in links}
     try:
@@ -107,7 +116,7 @@ def record(
         while not items.empty():
             road.feed(items.get())
         road.close()
-    finish(road, out, as_json)
+    return road
 
 
 def links_of(addresses: Mapping[Stream, str | None]) -> list[LinkSpec]:
@@ -232,12 +241,20 @@ def finish(
     as_json: bool,
     findings: Iterable[str] = (),
     reference: Mapping[int, FloatArray] | None = None,
+    *,
+    imported: bool = False,
 ) -> None:
     """Print what a recording came to; with `reference` also the error against it.
+
+    Parameters
+    ----------
+    imported : the readings are kept elsewhere, so that a session of no use need not be
 
     Raises
     ------
     InputError
+        A link gave nothing, so that there is nothing of use in the session.
+    KeptError
         Not everything could be recorded, or a link gave nothing that could be used.
     """
     from skincal.cli import report
@@ -250,12 +267,23 @@ def finish(
     methods = {method.value: report.method_summary(items, reference, layout) for method, items in snapshot.estimates.items()}
     found = [*findings, *report.link_notes(live.links)]
     text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
-    text += [*report.loss_lines(losses), f"session {out}"]
-    result: dict[str, Any] = {"session": str(out), **counts, "methods": methods, **losses, "findings": found, "text": text}
+    silent = report.silent_links(live.links)
+    # Without a byte of one of its devices no poke can ever be found in a recording.
+    useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
+    kept = bool(road.journal_failure) or not useless
+    text += [*report.loss_lines(losses), *([f"session {out}"] if kept else [])]
+    result: dict[str, Any] = {
+        "session": str(out) if kept else None,
+        **counts,
+        "methods": methods,
+        **losses,
+        "findings": found,
+        "text": text,
+    }
     report.print_result(result, as_json)
-    trouble = road.journal_failure or report.silent_links(live.links)
+    trouble = road.journal_failure or silent
     if trouble:
-        raise InputError(trouble)
+        raise KeptError(trouble) if kept else InputError(f"{trouble} No session was made.")
 
 
 def import_yarp(
@@ -300,14 +328,15 @@ def _import(
     recording: tuple[Sequence[LinkSpec], Iterable[Chunk], Sequence[str]],
 ) -> None:
     links, chunks, findings = recording
-    road = new_road(scene, out, links)
-    try:
-        _choose_pose(road, pose)
-        for chunk in chunks:
-            road.feed(chunk)
-            road.tick(chunk.host_ns)
-            if road.journal_failure:
-                break
-    finally:
-        road.close()
-    finish(road, out, as_json, findings)
+    with new_folder(out):
+        road = new_road(scene, out, links)
+        try:
+            _choose_pose(road, pose)
+            for chunk in chunks:
+                road.feed(chunk)
+                road.tick(chunk.host_ns)
+                if road.journal_failure:
+                    break
+        finally:
+            road.close()
+        finish(road, out, as_json, findings, imported=True)

@@ -122,6 +122,40 @@ def test_a_skin_log_of_the_wrong_width_says_what_was_seen_and_expected(run, tmp_
     assert f"skin readings of 24 values arrive where {CHANNELS} are expected" in err
 
 
+def test_a_failed_import_leaves_nothing_in_the_way_of_the_corrected_one(run, tmp_path):
+    wrong, right = (write_logs(tmp_path / name, width=width) for name, width in (("wrong", 24), ("right", CHANNELS)))
+    there = tmp_path / "there"
+    there.mkdir()
+    (there / "notes.txt").write_text("mine")
+    for out in (there, tmp_path / "a" / "new"):
+        code, _, err = run("import", "yarp", *wrong, *SCENE, "--out", out)
+        assert code == 2
+        assert err.rstrip().endswith("No session was made.")
+    assert not (tmp_path / "a").exists()
+    assert [path.name for path in there.iterdir()] == ["notes.txt"]
+    assert run("import", "yarp", *right, *SCENE, "--out", there)[0] == 0
+    before = sorted(there.rglob("*"))
+    code, _, err = run("import", "yarp", *wrong, *SCENE, "--out", there)
+    assert code == 2
+    assert "holds a session already" in err
+    assert sorted(there.rglob("*")) == before, "an older session is never taken away"
+
+
+def test_a_recording_without_a_byte_of_the_wrench_leaves_nothing_and_one_with_bytes_stays(run, tmp_path):
+    skin = tmp_path / "skin.txt"
+    skin.write_text("".join(f"S {k} " + " ".join(["5"] * CHANNELS) + "\n" for k in range(40)))
+    options = ["record", "--skin", f"file:{skin}", *SCENE, "--out", tmp_path / "s", "--seconds", "0.5", "--wrench"]
+    code, out, err = run(*options, "/dev/ttyNone1", "--json")
+    assert (code, json.loads(out)["session"]) == (2, None)
+    assert "wrench gave no reading that can be used" in err
+    assert not (tmp_path / "s").exists()
+    noise = tmp_path / "noise.bin"
+    noise.write_bytes(bytes(range(256)) * 20)
+    code, _, _ = run(*options, f"file:{noise}")
+    assert code == 2
+    assert (tmp_path / "s" / "segment-0001.mcap").exists(), "another may still be able to read these bytes"
+
+
 def test_some_frames_of_the_wrong_width_are_said_and_the_rest_is_used(run, tmp_path):
     logs = write_logs(tmp_path)
     path = tmp_path / "skin" / "data.log"
