@@ -74,7 +74,7 @@ class _Table:
 
     @property
     def link(self) -> LinkSpec:
-        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), "yarp")
+        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), "csv")
 
     def lines(self, skipped: _Skipped | None = None) -> Iterator[Line]:
         """Give each row with its time; count the rows that have none."""

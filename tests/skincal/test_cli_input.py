@@ -156,6 +156,18 @@ def test_a_recording_without_a_byte_of_the_wrench_leaves_nothing_and_one_with_by
     assert (tmp_path / "s" / "segment-0001.mcap").exists(), "another may still be able to read these bytes"
 
 
+def test_readings_of_csv_files_are_called_so_and_solved_again(run, tmp_path):
+    rng = np.random.default_rng(2)
+    for name, rate, width in (("wrench", 100, 6), ("skin", 50, CHANNELS)):
+        rows = np.column_stack([np.arange(100) / rate, rng.normal(size=(100, width))])
+        np.savetxt(tmp_path / f"{name}.csv", rows, fmt="%.4f", delimiter=",")
+    files = ["--wrench", tmp_path / "wrench.csv", "--skin", tmp_path / "skin.csv"]
+    code, out, err = run("import", "csv", *files, *SCENE, "--out", tmp_path / "s")
+    assert code == 0, err
+    assert "wrench: 100 readings of CSV" in out
+    assert "skin: 100 readings of CSV" in run("solve", tmp_path / "s")[1]
+
+
 def test_some_frames_of_the_wrong_width_are_said_and_the_rest_is_used(run, tmp_path):
     logs = write_logs(tmp_path)
     path = tmp_path / "skin" / "data.log"

@@ -243,3 +243,9 @@ class YarpTxRx(Yarp):
 
     name = "YARP log, two stamps"
     stamps = 2
+
+
+class Csv(Yarp):
+    """Decode rows of a CSV file, of which an import has made lines of a log with one stamp (`skincal.files.csv_log`)."""
+
+    name = "CSV"
