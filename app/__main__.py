@@ -36,6 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     """Open the window; where there is no display and no device was named, run the simulated session without it."""
+    _check_session(options)
     named = options.wrench or options.skin or options.joints or options.session
     no_window = "" if named else no_display()
     if options.headless or no_window:
@@ -48,6 +49,16 @@ def _run(options: argparse.Namespace) -> int:
         sys.stderr.write(reason + "\n")
         return 2
     return _open_window(options)
+
+
+def _check_session(options: argparse.Namespace) -> None:
+    """Refuse what a recorded session would silently ignore."""
+    seen = [f"--{name}" for name in ("scene", "new", "headless") if getattr(options, name)]
+    if options.session is not None and seen:
+        raise InputError(
+            f"--session {options.session} was given together with {' and '.join(seen)}; expected --session without, "
+            "since a recorded session has its own scene and folder, and opens in the window."
+        )
 
 
 def _parser() -> argparse.ArgumentParser:

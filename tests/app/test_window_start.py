@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from app.__main__ import main
 from app.preflight import LIBRARIES, X_LIBRARIES, objection
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,6 +64,13 @@ def test_wrong_options_end_in_a_sentence_and_code_2(arguments, said):
     assert done.returncode == 2, done.stderr
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("other", [["--scene", "no-such"], ["--scene", "icub-forearm"], ["--new", "x"], ["--headless"]])
+def test_what_a_recorded_session_would_ignore_is_refused(other, tmp_path, capsys):
+    assert main(["--session", str(tmp_path), *other]) == 2
+    said = capsys.readouterr().err
+    assert f"--session {tmp_path} was given together with {other[0]}; expected --session without" in said
 
 
 def test_a_missing_library_is_named_with_the_line_that_installs_it():
