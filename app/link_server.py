@@ -17,6 +17,10 @@ STOP_MS = 700
 """The process gets this long to end by itself after its input closed, before it is terminated."""
 TAIL = 400
 """Characters of its error output that are shown where it ends too early."""
+INPUT_AT_FAULT = 2
+"""Exit code of a command that was told something wrong, and says in one sentence what."""
+SPEAKER = "skincal: "
+"""What such a sentence begins with."""
 
 
 class LinkServer(QObject):
@@ -92,12 +96,28 @@ class LinkServer(QObject):
 
     def _finished(self) -> None:
         if not self._stopping:
-            said = bytes(self._process.readAllStandardError().data()).decode(errors="replace").strip()[-TAIL:]
-            self.failed.emit(f"The device process ended (code {self._process.exitCode()}). {said}".strip())
+            said = bytes(self._process.readAllStandardError().data()).decode(errors="replace").strip()
+            killed = self._process.exitStatus() is QProcess.ExitStatus.CrashExit
+            self.failed.emit(end_words(None if killed else self._process.exitCode(), said))
 
     def _error(self, error: QProcess.ProcessError) -> None:
         if error is QProcess.ProcessError.FailedToStart and not self._stopping:
             self.failed.emit(f"The device process cannot be started: {self._process.errorString()}.")
+
+
+def end_words(code: int | None, said: str) -> str:
+    """Return what is told of a process that ended by itself.
+
+    Parameters
+    ----------
+    code : it ended with; None where it was killed
+    said : its error output
+    """
+    last = said.rpartition("\n")[2]
+    if code == INPUT_AT_FAULT and last.startswith(SPEAKER):
+        return last.removeprefix(SPEAKER)
+    how = "was killed" if code is None else f"ended (code {code})"
+    return f"The device process {how}. {said[-TAIL:]}".strip()
 
 
 def parse_links(line: bytes) -> tuple[object, ...]:

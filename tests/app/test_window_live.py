@@ -141,11 +141,23 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
     pokes = len(bench.snapshot.pokes)
     os.kill(bench.controller._server._process.processId(), signal.SIGKILL)
     bench.until(lambda: bench.window.desk.workspace.now.headline.text().startswith("lost"), 5000)
-    bench.until(lambda: any("device process ended" in m.text for m in bench.messages), 5000)
+    bench.until(lambda: any("device process was killed" in m.text for m in bench.messages), 5000)
     assert bench.window.messages.isVisible()
     assert len(bench.snapshot.pokes) >= pokes
     bench.key(Qt.Key.Key_Escape)
     assert not bench.window.messages.isVisible()
+
+
+def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(bench, tmp_path):
+    bad = tmp_path / "bad.toml"
+    bad.write_text("name = 3")
+    bench.window.open(Plan(scene=bad, server=server_command(bad)))
+    server = bench.controller._server
+    bench.until(lambda: not server.running and len(bench.messages) == 2)
+    assert bench.messages[0] == bench.messages[1], "from the window's own reading of the scene, and from the process"
+    assert bench.messages[0].text.startswith(str(bad))
+    bench.key(Qt.Key.Key_Escape)
+    assert not bench.window.messages.isVisible(), "it was shown once"
 
 
 def test_an_idle_window_draws_nothing_and_costs_next_to_nothing(bench, qtbot, recorded, least_time):
