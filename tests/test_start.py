@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tools import apt, places, python_env, python_version, system_libs, words
+from tools import apt, launch, places, python_env, python_version, system_libs, words
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 posix_only = pytest.mark.skipif(os.name == "nt", reason="paths of a POSIX environment")
@@ -42,7 +42,7 @@ def test_an_environment_is_made_once_and_again_when_it_is_stale(checkout: Path) 
     assert not python_env.ensure(checkout)
 
     python_env.UNFINISHED.touch()  # as pip leaves it when it is killed while it unpacks
-    assert not python_env._is_ready(checkout)
+    assert not python_env.is_ready(checkout)
     assert not python_env._venv_is_right()
 
 
@@ -54,7 +54,16 @@ def test_an_environment_of_another_python_is_not_taken(checkout: Path) -> None:
     for key, version, right in (("version", this, True), ("version_info", this, True), ("version", "3.9.2", False)):
         configuration.write_text(f"home = /usr/bin\n{key} = {version}\n", encoding="utf-8")
         python_env.STAMP.write_text(python_env._stamp_line(checkout), encoding="utf-8")
-        assert python_env._is_ready(checkout) is right
+        assert python_env.is_ready(checkout) is right
+
+
+@pytest.mark.usefixtures("checkout")
+@pytest.mark.parametrize("word", ["-h", "--help"])
+def test_help_is_told_before_anything_is_installed(word: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert launch.start([word]) == 0
+    said = capfd.readouterr().out
+    assert all(words in said for words in ("start.py --session DIR", "start.py COMMAND --help", "README.md"))
+    assert not places.VENV.exists()
 
 
 @pytest.mark.parametrize(

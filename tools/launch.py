@@ -27,6 +27,26 @@ HALVES = (("tests", "--ignore=tests/app"), ("tests/app",))
 """The tests, in two parts that take about as long."""
 
 
+HELP = """\
+usage: python3 start.py [OPTIONS | COMMAND ...]
+
+Opens the skincal window on a simulated forearm that is being poked. What is missing is installed first: some hundred
+megabytes, into .venv of this folder, and on Debian and Ubuntu missing system libraries. Where there is no display, it
+runs the same session without a window, to a calibration file and a picture of it.
+
+It takes the same words as `skincal` and `python -m app`:
+
+  start.py --scene NAME | FILE.toml       open the window on another part
+  start.py --session DIR                  go on with a recorded session
+  start.py --headless                     run the simulated session without a window
+  start.py COMMAND ...                    a command: solve, export, record, simulate, import or study
+  start.py --help                         this text; once it is installed, every option and command
+  start.py COMMAND --help                 installs what is missing, and tells the options of a command
+
+The whole of it stands in README.md.
+"""
+
+
 def start(arguments: Sequence[str]) -> int:
     """Install what is missing and become skincal; returns only where that fails."""
     return _telling(lambda: _start(arguments))
@@ -49,6 +69,9 @@ def _telling(command: Callable[[], int]) -> int:
 
 
 def _start(arguments: Sequence[str]) -> int:
+    if arguments and arguments[0] in ("-h", "--help") and not python_env.is_ready(places.RUN_LOCK):
+        sys.stdout.write(HELP)
+        return 0
     fresh = python_env.ensure(places.RUN_LOCK)
     if _draws(arguments):
         _provide_drawing(fresh, shown=system_libs.has_display() and "--headless" not in arguments)

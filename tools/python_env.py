@@ -46,19 +46,20 @@ def ensure(lock: Path) -> bool:
     StopError
         It could not be made; the sentence says why and what to do.
     """
-    if _is_ready(lock):
+    if is_ready(lock):
         return False
     _require_glibc()
     try:
         with _alone():
-            if not _is_ready(lock):
+            if not is_ready(lock):
                 _install(lock)
     except OSError as error:
         raise StopError(f"{places.VENV} could not be written: {error.strerror or error}.") from error
     return True
 
 
-def _is_ready(lock: Path) -> bool:
+def is_ready(lock: Path) -> bool:
+    """Whether everything that a lock names is installed."""
     return _venv_is_right() and STAMP.exists() and _stamp_line(lock) in STAMP.read_text(encoding="utf-8").splitlines()
 
 
