@@ -22,7 +22,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
         from skincal.cli import main as run_command
 
-        return run_command(arguments)
+        code = run_command(arguments)
+        if arguments[0] in HELP[:2]:
+            sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
+        return code
     try:
         options = _parser().parse_args(arguments)
     except SystemExit as end:
@@ -62,14 +65,16 @@ def _check_session(options: argparse.Namespace) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("skincal", description="Open the window.", add_help=False)
+    parser = argparse.ArgumentParser(
+        "skincal", description="Open the window: on a simulated forearm, if no option says otherwise."
+    )
     parser.add_argument("--scene", type=Path, help="scene file (*.toml), or the name of one that ships")
     parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")
     parser.add_argument("--wrench", default="", help="device of the force/torque sensor")
     parser.add_argument("--skin", default="", help="device of the skin")
     parser.add_argument("--joints", default="", help="device that streams the arm's joints")
     parser.add_argument("--new", type=Path, help="folder of the new session")
-    parser.add_argument("--headless", action="store_true", help="run the simulated session without a window, to files")
+    parser.add_argument("--headless", action="store_true", help="run the simulated session without a window, to files in --new")
     return parser
 
 

@@ -40,6 +40,17 @@ def test_a_command_imports_no_qt(arguments):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["--scene", "flat-patch", "--help"]])
+def test_help_lists_the_options_of_the_window(arguments, capsys):
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    options = ("--scene", "--session", "--wrench", "--skin", "--joints", "--new", "--headless")
+    assert all(f"\n  {option}" in said for option in options)
+    assert ("Write the calibration" in said) is (len(arguments) == 1), (
+        "commands are listed where help of everything is asked for"
+    )
+
+
 def test_devices_without_a_display_end_in_a_sentence_and_code_2():
     done = python("import sys; from app.__main__ import main; sys.exit(main(['--wrench', 'a', '--skin', 'b']))")
     assert done.returncode == 2
