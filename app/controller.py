@@ -207,7 +207,7 @@ class Controller(QObject):
         self._part = part
         self.part_loaded.emit(part)
         for finding in part.findings:
-            self.said.emit(Message(finding))
+            self.said.emit(Message(finding, found=True))
         if make_road:
             self._make_road()
 

@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
 from app.theme import GAP, LIGHT, Colours
 
 INFO_MS = 8000
-"""A message that reports success goes away by itself after this many milliseconds."""
+"""A message that reports a success or a finding goes away by itself after this many milliseconds."""
 KEPT = 20
 """Messages that wait to be read; older ones are in the log."""
 
@@ -26,6 +26,8 @@ class Message:
     """It stays until it is dismissed."""
     asks: bool = False
     """It asks for something, and stays until that is done."""
+    found: bool = False
+    """It says what was found, neither a success nor a fault."""
 
 
 class MessageBar(QFrame):
@@ -113,4 +115,6 @@ def _stays(message: Message) -> bool:
 def _sign(message: Message) -> str:
     if message.error:
         return "\N{BALLOT X}"
+    if message.found:
+        return "\N{BULLET}"
     return "\N{RIGHTWARDS ARROW}" if message.asks else "\N{CHECK MARK}"

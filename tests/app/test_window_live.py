@@ -148,6 +148,15 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
     assert not bench.window.messages.isVisible()
 
 
+def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):
+    segment = recorded / "segment-0001.mcap"
+    segment.write_bytes(segment.read_bytes()[:-3000])
+    bench.open(Plan(session=recorded))
+    found = [message for message in bench.messages if segment.name in message.text]
+    assert found
+    assert all(message.found and not message.error for message in found)
+
+
 def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(bench, tmp_path):
     bad = tmp_path / "bad.toml"
     bad.write_text("name = 3")

@@ -402,6 +402,17 @@ def test_errors_stay_until_they_are_read_and_news_goes_by_itself(qtbot):
     bar.stop()
 
 
+def test_a_message_begins_with_the_sign_of_its_kind(qtbot):
+    bar = shown(qtbot, MessageBar(), (500, 40))
+    kinds = ({"error": True}, {"asks": True}, {"found": True}, {})
+    signs = []
+    for kind in kinds:
+        bar.tell(Message("It is so.", **kind))
+        signs.append(bar.text.text().split()[0])
+    assert signs == ["\N{BALLOT X}", "\N{RIGHTWARDS ARROW}", "\N{BULLET}", "\N{CHECK MARK}"]
+    bar.stop()
+
+
 def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot, tmp_path):
     dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
     assert dialog.path.text() == str(tmp_path / "part-free.txt")
