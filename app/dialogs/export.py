@@ -93,6 +93,8 @@ class ExportDialog(QDialog):
     def _connect(self) -> None:
         self.format.currentIndexChanged.connect(self._format_chosen)
         self.method.currentIndexChanged.connect(self._name)
+        self.path.textChanged.connect(self._forget)
+        self.method.currentIndexChanged.connect(self._forget)
         self.path.textEdited.connect(self._edited)
         self.browse.clicked.connect(self._browse)
         self.write.clicked.connect(self._write)
@@ -117,6 +119,11 @@ class ExportDialog(QDialog):
         """Close, but not before it is said what became of the file."""
         if self.write.isEnabled():
             super().reject()
+
+    def _forget(self) -> None:
+        """Take away what was said of another file."""
+        put(self.outcome, "")
+        self.findings.hide()
 
     def _row(self) -> tuple[str, str, str, str]:
         return FORMATS[self.format.currentIndex()]

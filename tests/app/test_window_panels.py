@@ -429,6 +429,21 @@ def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot,
     assert dialog.outcome.text().startswith("\N{BALLOT X}")
 
 
+@pytest.mark.parametrize("change", ["format", "method", "path"])
+def test_what_was_written_is_not_said_of_what_would_be_written_next(qtbot, tmp_path, change):
+    dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
+    QTest.mouseClick(dialog.write, Qt.MouseButton.LeftButton)
+    dialog.show_findings(("3 taxels have no position",))
+    assert "Written to" in dialog.outcome.text()
+    if change == "path":
+        QTest.keyClicks(dialog.path, "x")
+    else:
+        box = getattr(dialog, change)
+        box.setCurrentIndex(1 - box.currentIndex())
+    assert dialog.outcome.text() == ""
+    assert not dialog.findings.isVisible()
+
+
 def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
     dialog = shown(qtbot, NewSessionDialog(None, tmp_path / "new"))
     assert len(shipped_scenes()) >= 3
