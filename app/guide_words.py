@@ -223,7 +223,7 @@ def sky_words(sky: Sky, method: Method) -> str:
     beside = float(np.sqrt(sky.beside @ sky.beside))
     if method is Method.MODULES:
         return f"their middle lies {millimetres(beside)} beside it"
-    return f"their middle lies {millimetres(beside)} beside it, at most {millimetres(settings.balance)}"
+    return f"their middle lies {millimetres(beside)} beside it, wanted {millimetres(settings.balance)} or less"
 
 
 def contacts_words(sky: Sky) -> str:

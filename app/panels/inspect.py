@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.display_units import DASH, ChannelNames, direction, millimetres, number, point_mm
+from app.display_units import DASH, ChannelNames, count, direction, millimetres, number, point_mm
 from app.evidence_words import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
 from app.frame import Frame
 from app.guide_words import needs_words
@@ -201,7 +201,7 @@ class InspectPanel(QScrollArea):
     def _worst_words(self, estimate: Estimate) -> str:
         name = self._names.short(estimate.channel)
         if estimate.state is State.ESTIMATED:
-            return f"{name}   {millimetres(estimate.rms)} predicted error, {estimate.contacts} contacts"
+            return f"{name}   {millimetres(estimate.rms)} predicted error, {count(estimate.contacts, 'contact')}"
         return f"{name}   {MARK_WORDS[mark_of(estimate)]}"
 
     def _worst_chosen(self, item: QListWidgetItem) -> None:

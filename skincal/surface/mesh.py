@@ -215,7 +215,7 @@ def _shape_findings(surface: Surface) -> list[Finding]:
     edges = find_edges(surface.triangles)
     findings: list[Finding] = []
     if len(edges.open):
-        sentence = f"The surface is open, as covers are; edges of one triangle only: {len(edges.open)}. Nothing is filled."
+        sentence = f"The mesh has open rims, as covers have ({len(edges.open)} edges); it is used as it is."
         findings.append(Finding(FindingKind.OPEN_EDGES, len(edges.open), sentence))
     if edges.non_manifold:
         sentence = f"Edges shared by three or more triangles, across which no pad is laid: {edges.non_manifold}."

@@ -147,7 +147,7 @@ def test_words_say_what_the_method_needs_and_which_the_guide_follows(panel):
     assert "free method" in panel.follows.text()
     assert "tilt" in panel.follows.text()
     panel.show_frame(framed(sky([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
-    assert panel.spread.text() == "Their middle lies 1.3 mm beside it, at most 1.0 mm"
+    assert panel.spread.text() == "Their middle lies 1.3 mm beside it, wanted 1.0 mm or less"
     assert "surface method" in panel.follows.text()
     assert "evenness" in panel.follows.text()
     panel.show_frame(framed(sky(), method=Method.SURFACE))

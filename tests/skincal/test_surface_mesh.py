@@ -59,6 +59,7 @@ def test_a_clean_shell_is_kept_as_it_is(tmp_path):
     assert surface.sha256 == hashlib.sha256(data).hexdigest()
     assert set(found) == {FindingKind.SIZE, FindingKind.OPEN_EDGES}
     assert found[FindingKind.OPEN_EDGES].count == 2 * (24 + 12)
+    assert found[FindingKind.OPEN_EDGES].sentence == "The mesh has open rims, as covers have (72 edges); it is used as it is."
     radial = surface.centres.T * [1, 1, 0]
     assert (np.einsum("ij,ij->i", surface.normals, radial) > 0).all()
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1)
