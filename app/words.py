@@ -45,13 +45,20 @@ METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surf
 
 REASON_LETTERS = 36
 """Letters of a reason that large type has room for beside "rejected", in a window of 1280 pixels."""
+_SHORT: Mapping[Reason, str] = {
+    Reason.TWO_CONTACTS: "two contacts?",
+    Reason.NOT_CONNECTED: "far apart",
+    Reason.NO_TARE: "old tare",
+}
+"""Reasons for a column of the list of pokes, where the words of the others have room with their number."""
 _BARE = (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED)
 """Reasons that say all without a number."""
 
 
 def reason_short(rejection: Rejection) -> str:
-    """Return why a poke does not count, with its number alone: `"slid 2.1 mm"`."""
-    return reason_words(rejection).partition(",")[0].replace(":", "")
+    """Return why a poke does not count, in few words with its number alone: `"slid 2.1 mm"`."""
+    words = reason_words(rejection).partition(",")[0].replace(":", "")
+    return words.replace(rejection.reason.value, _SHORT.get(rejection.reason, rejection.reason.value))
 
 
 def reason_words(rejection: Rejection) -> str:

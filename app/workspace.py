@@ -24,7 +24,7 @@ from app.panels.pokes import PokesPanel
 from app.panels.readings import ReadingsPanel
 from app.panels.rig import RigPanel
 from app.panels.taxel_map import TaxelMap
-from app.panels.texts import ElidedLabel
+from app.panels.texts import FittedLabel
 from app.policies import Now, Tone
 from app.scene3d.view import View3D
 from app.theme import GAP, Colours
@@ -66,8 +66,8 @@ class Workspace(QWidget):
         self.methods = tuple(method for method in SHOWN if method in there)
         self.view = make_view()
         self.now = NowPanel()
-        self.progress = ElidedLabel()
-        self.errors = ElidedLabel()
+        self.progress = FittedLabel()
+        self.errors = FittedLabel()
         self.method_box = QComboBox()
         self.map = TaxelMap(scene, part.channels, names)
         self.readings = ReadingsPanel()

@@ -148,6 +148,13 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
     assert not bench.window.messages.isVisible()
 
 
+def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
+    bench.open(Plan(session=recorded))
+    head = bench.window.desk.workspace.progress
+    head.setText("84 of 84 taxels estimated, 312 pokes, 21 at landmarks, 14 rejected, 12 excluded")
+    assert not head.is_elided()
+
+
 def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):
     segment = recorded / "segment-0001.mcap"
     segment.write_bytes(segment.read_bytes()[:-3000])

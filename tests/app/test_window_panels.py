@@ -26,7 +26,8 @@ from app.panels.pokes import PokesPanel
 from app.panels.taxel_map import TaxelMap
 from app.policies import Mark, link_lines
 from app.theme import DARK, HUES, LIGHT, Choice, Colours, Theme, qpalette
-from skincal.contacts.outcome import Phase
+from app.workspace import RIGHT_PX
+from skincal.contacts.outcome import Phase, Reason
 from skincal.estimate.result import Method
 from skincal.readings import LinkState, Stream
 
@@ -298,6 +299,17 @@ def test_what_follows_the_estimates_is_told_anew_for_every_poke(qtbot, count, ex
     panel.show_frame(frame(session(2, {3: estimate(3, (0, 0, 0))}, pokes[:count], excluded)))
     assert told >= {(row, column) for row in range(count) for column in (1, 4)}
     assert {row for row, column in told if column == 0} == wholly
+
+
+@pytest.mark.parametrize("reason", list(Reason))
+def test_every_reason_can_be_read_in_the_list_as_wide_as_the_window_makes_it(qtbot, reason):
+    panel = shown(qtbot, PokesPanel(NAMES), (RIGHT_PX, 250))
+    panel.show_frame(frame(session(2, pokes=[*(touch(n) for n in range(1, 40)), slip(40, reason, 0.0345, 0.001, "m")])))
+    index = panel.model.index(0, 1)
+    words = index.data()
+    assert words.startswith("\N{BALLOT X} ")
+    assert panel.table.sizeHintForIndex(index).width() <= panel.table.columnWidth(1), words
+    assert reason.value in index.data(Qt.ItemDataRole.ToolTipRole), "in full where the pointer is"
 
 
 def test_another_session_replaces_the_list(qtbot):
