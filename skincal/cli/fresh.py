@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 from skincal.errors import InputError
@@ -15,7 +15,7 @@ class KeptError(InputError):
 
 
 @contextlib.contextmanager
-def new_folder(folder: Path) -> Iterator[None]:
+def new_folder(folder: Path) -> Generator[None]:
     """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
 
     The same command with its input put right then finds its folder free. What was there before stays.
