@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum
 
 import numpy as np
 
 from app.display_units import count, in_millimetres, number
-from app.words import METHOD_NAMES
 from skincal.estimate.result import Method
 from skincal.files.reference import Origin, Reference
 from skincal.readings import FloatArray
@@ -17,6 +16,12 @@ from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 
 PAPER = {Method.FREE: 7.2e-3, Method.SURFACE: 6.6e-3}
 """m. Mean error of Del Prete et al. 2011 on their forearm, seven arm poses averaged (section V)."""
+SYMBOLS: Mapping[Method, str] = {
+    Method.FREE: "\N{BLACK CIRCLE}",
+    Method.SURFACE: "\N{BLACK DIAMOND}",
+    Method.MODULES: "\N{BLACK UP-POINTING TRIANGLE}",
+}
+"""What tells a method's line, in words as in the plot."""
 STATISTICS = {
     MEAN: "\N{EM DASH} mean",
     P95: "\N{EN DASH} \N{EN DASH} p95",
@@ -54,8 +59,8 @@ def quantity_words(source: Reference | None) -> str:
 
 
 def paper_words(method: Method) -> str:
-    """Return the label of the paper's figure."""
-    return f"paper, {METHOD_NAMES[method]} {number(in_millimetres(PAPER[method]), 1)}"
+    """Return the label of the paper's figure, short enough for the rim of the plot."""
+    return f"{SYMBOLS[method]} paper {number(in_millimetres(PAPER[method]), 1)}"
 
 
 def newest_words(series: ErrorSeries, method: Method, row: int) -> str:

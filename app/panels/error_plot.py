@@ -30,6 +30,10 @@ SHIFT = {Method.FREE: -0.22, Method.SURFACE: 0.0, Method.MODULES: 0.22}
 """Methods stand side by side at a module; 1 is from module to module."""
 TICK = 0.1
 """Half the width of the mark of p95 at a module."""
+TEXT_MARGIN = 0.12
+"""Height of the empty margin above and below a label's letters, in heights of the label."""
+RIM_MOST = 0.4
+"""Share of the plot's width that is kept free for labels at most."""
 NUMBERS_SHOWN = 12
 """Modules whose numbers fit under the plot."""
 
@@ -42,6 +46,8 @@ class ErrorPlot(QWidget):
         self._modules = modules
         self.view = pg.PlotWidget(enableMenu=False)
         self._item: Any = self.view.getPlotItem()
+        self._across = (0.0, 1.0)
+        """What is drawn reaches from here to there."""
         self.curves: dict[tuple[Method, int], Any] = {(m, at): self.view.plot() for m in methods for at in STATISTICS}
         self.symbols = {method: pg.ScatterPlotItem(symbol=SYMBOLS[method], size=8) for method in methods}
         self.papers = {method: self._paper(method) for method in methods if method in PAPER}
@@ -54,10 +60,10 @@ class ErrorPlot(QWidget):
         self.set_colours(LIGHT)
 
     def _paper(self, method: Method) -> pg.InfiniteLine:
-        # The two lie close together: one has its label above, the other below.
-        side = 1 if method is Method.FREE else 0
-        # At the left, where the newest values are not.
-        options = {"position": 0.01, "anchors": [(0, side), (0, side)], "movable": False}
+        # The two lie close together: one has its label above, the other below. Both touch their line, which goes on
+        # to the right rim, where no curve is.
+        anchor = (1.0, 1.0 - TEXT_MARGIN if method is Method.FREE else TEXT_MARGIN)
+        options = {"position": 1.0, "anchors": [anchor, anchor], "movable": False}
         place = math.log10(in_millimetres(PAPER[method]))
         return pg.InfiniteLine(place, angle=0, label=paper_words(method), labelOpts=options)
 
@@ -66,6 +72,7 @@ class ErrorPlot(QWidget):
         item.hideButtons()
         item.setMouseEnabled(False, False)
         item.disableAutoRange()
+        item.getViewBox().sigResized.connect(self._keep_rim)
         item.getAxis("left").setWidth(46)
         item.getAxis("bottom").setHeight(34)
         self.view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -150,11 +157,21 @@ class ErrorPlot(QWidget):
         if axis is Axis.MODULES:
             step = math.ceil(len(self._modules) / NUMBERS_SHOWN)
             bottom.setTicks([[(at, name) for at, name in enumerate(self._modules) if at % step == 0]])
-            self._item.setXRange(-0.6, max(1, len(self._modules)) - 0.4, padding=0.0)
+            self._across = (-0.6, max(1, len(self._modules)) - 0.4)
+            self._keep_rim()
             return
         bottom.setTicks(None)
         last = float(series.counts[-1] if axis is Axis.POKES else in_minutes(series.times)[-1]) if len(series.counts) else 0.0
-        self._item.setXRange(0.0, max(last, 10.0 if axis is Axis.POKES else 1.0), padding=0.01)
+        longest = max(last, 10.0 if axis is Axis.POKES else 1.0)
+        self._across = (-0.01 * longest, 1.01 * longest)
+        self._keep_rim()
+
+    def _keep_rim(self) -> None:
+        """Show what is drawn, and keep room for the labels at the right of it."""
+        low, high = self._across
+        labels = [line.label.textItem.boundingRect().width() for line in self.papers.values() if line.isVisible()]
+        share = min(RIM_MOST, max(labels, default=0.0) / max(1.0, self._item.getViewBox().width()))
+        self._item.setXRange(low, low + (high - low) / (1.0 - share), padding=0.0)
 
 
 def _joined(series: ErrorSeries) -> IntArray:

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.error_words import Axis, newest_words, quantity_words, source_words
+from app.error_words import SYMBOLS, Axis, newest_words, quantity_words, source_words
 from app.frame import Frame
 from app.panels.plot_panel import PlotPanel
 from app.panels.texts import put, quiet
@@ -31,11 +31,6 @@ if TYPE_CHECKING:
 
 DRAW_S = 0.2
 """s between two drawings while the past is being worked out."""
-SYMBOLS = {
-    Method.FREE: "\N{BLACK CIRCLE}",
-    Method.SURFACE: "\N{BLACK DIAMOND}",
-    Method.MODULES: "\N{BLACK UP-POINTING TRIANGLE}",
-}
 
 
 class ErrorsPanel(PlotPanel):

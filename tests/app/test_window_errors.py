@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QSettings, Qt
+from PySide6.QtCore import QPointF, QSettings, Qt
 from PySide6.QtGui import QColor
 from scene3d_support import estimate
 from whole_window import OPEN_MS, Bench, Paints
@@ -31,6 +31,7 @@ from app.error_words import (
 )
 from app.link_server import LinkServer
 from app.opening import Part, load_part
+from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
 from app.panels.errors import ErrorsPanel
 from app.plan import Plan
 from app.theme import DARK, LIGHT
@@ -61,7 +62,7 @@ def test_a_plan_is_never_called_a_truth():
 
 def test_the_papers_figures_are_labelled():
     assert {method: value * 1e3 for method, value in PAPER.items()} == pytest.approx({Method.FREE: 7.2, Method.SURFACE: 6.6})
-    assert [paper_words(method) for method in BOTH] == ["paper, free 7.2", "paper, surface 6.6"]
+    assert [paper_words(method) for method in BOTH] == ["\N{BLACK CIRCLE} paper 7.2", "\N{BLACK DIAMOND} paper 6.6"]
 
 
 @pytest.mark.parametrize(
@@ -233,6 +234,32 @@ def test_the_papers_lines_are_drawn_where_an_error_is(panel):
     with_line = pixels(panel.plot)
     line.hide()
     assert changed(with_line, pixels(panel.plot)) > 50
+
+
+@pytest.mark.parametrize("width", [360, 900])
+def test_the_labels_of_the_papers_lines_lie_at_the_rim_on_no_curve_and_apart(qtbot, width):
+    plot = ErrorPlot(BOTH, ())
+    plot.resize(900 + 360 - width, 220)
+    qtbot.addWidget(plot)
+    with qtbot.waitExposed(plot):
+        plot.show()
+    series = error_series(SCENE, None, poked(12).snapshot(), reference(Origin.PLAN).places)
+    plot.draw(series, Axis.POKES, 0, "error, mm", paper=True)
+    plot.resize(width, 220)
+    qtbot.wait(50)
+    item = plot.view.getPlotItem()
+    newest = item.vb.mapViewToScene(QPointF(float(series.counts[-1]), 0.0)).x()
+    edges = []
+    for line in plot.papers.values():
+        label = line.label.textItem
+        box = label.mapRectToScene(label.boundingRect())
+        assert box.left() > newest, "no curve goes so far"
+        assert box.right() <= item.vb.sceneBoundingRect().right() + 1
+        edges.append((box.top() + TEXT_MARGIN * box.height(), box.bottom() - TEXT_MARGIN * box.height()))
+        on_line = item.vb.mapViewToScene(QPointF(0.0, line.value())).y()
+        assert min(abs(on_line - edge) for edge in edges[-1]) < 2.0, "it touches its line"
+    free, surface = edges
+    assert free[1] < surface[0] + 1.0
 
 
 def test_the_theme_reaches_the_plot(panel, qtbot):
