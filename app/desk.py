@@ -181,7 +181,7 @@ class Desk(QObject):
         self.show_again()
         news = "" if self._picture is None else self._rigging.news(self._picture.snapshot)
         if news:
-            self.said.emit(Message(news))
+            self.said.emit(Message(news, found=True))
         self.refresh_allowed()
 
     def correct(self) -> None:

@@ -87,8 +87,9 @@ _BESIDE = {"excluded": "excluded", "at_landmarks": "at landmarks"}
 
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
     """Return the text for `poke_counts`."""
-    rejected = ", ".join(f"{count} {reason}" for reason, count in counts["rejected"].items())
-    line = f"{counts['pokes']} pokes: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
+    rejected = ", ".join(f"{reason}: {count}" for reason, count in counts["rejected"].items())
+    pokes = "1 poke" if counts["pokes"] == 1 else f"{counts['pokes']} pokes"
+    line = f"{pokes}: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
     line += f" ({rejected})" if rejected else ""
     return [line + "".join(f", {counts[key]} {words}" for key, words in _BESIDE.items() if counts[key])]
 
