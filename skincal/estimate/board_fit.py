@@ -1,13 +1,14 @@
 """The poses of rigid boards: each module's least squares over all its pokes.
 
-A poke's middle c (`touches.py`) has two rows, r = E (a - c), with the covariance
+The sum of squares of the whitened rows A, b (`board_rows.py`) is minimised over the board's unknowns, the noise taken as it is
+at the pose. Gauss and Newton's step comes from QR of the rows (their condition is never squared), with the singular values of
+the small factor telling which directions the pokes determine. Alone it converges by a constant share each time, and not at
+all where the pokes tell little of a board's tilt. So how the rows themselves turn with the board, B, is heeded as well:
 
-    D = E N E' + s^2 (I - o o'),   o = E n,
+    step = R^-1 (I - R'^-1 B R^-1)^-1 Q'b,   A = Q R,
 
-N the sensor's noise at the lever of c (`uncertainty.h`), s how far a contact lies beside the middle, in the skin with the
-normal n. In units of L^-1, D = L L', the sum of squares is minimised over the board's unknowns by Gauss and Newton's steps,
-each by QR of the rows (their condition is never squared), with the singular values of the small factor telling which
-directions the pokes determine.
+where that holds the board better than not, else R^-1 Q'b. Both are nought at the same pose, where A'b is: B has no say in
+the answer, only in how soon it is found.
 
 Trust is that of `trust.h`, for the whole board: a poke far off what the others say counts less, measured against the board's
 own spread. The others are those of the same arm pose, where they are enough: a pose that is told wrong shifts all its pokes,
@@ -16,14 +17,16 @@ and none of them is to blame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.estimate.boards import Boards, Pads, Poses
+from skincal.estimate.board_rows import Rows, bends_of, whitened
+from skincal.estimate.qr import triangle
 from skincal.estimate.touches import Touches
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
@@ -50,29 +53,15 @@ USUAL_MISS, USUAL_PITCH = 1.3863, 0.4549
 STEP_MAX = 0.015
 """m, of one step: half a module. Farther off the rows say little of where the minimum is."""
 SETTLED = 1e-7
-"""m: a step below it is none, a thousandth of how well the best module is known."""
+"""m: steps below it that no longer shrink to half are rounding."""
+DONE = 2e-17
+"""m: where the next step would be below this, it is none: the last digit of a place two decimetres away."""
+HOLDS = 0.25
+"""The least curvature, over that of the rows alone, at which it shapes the step: below, a saddle is near."""
 STEPS_MAX = 20
 """A pose that moves after so many steps goes to and fro over an edge of the surface, by less than matters."""
 NO_RANK = 1e-9
 """Singular values below this share of the largest: what they belong to, the pokes do not determine."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The whitened rows of m pokes."""
-
-    slopes: FloatArray
-    """(m, 2, d) float, 1/m: change of the middle across the push with the board's unknowns, in standard deviations."""
-    misses: FloatArray
-    """(m, 2) float: how far the axis passes the middle, in standard deviations."""
-    pitches: FloatArray
-    """(m,) float: squared pitch, in standard deviations."""
-    whiten: FloatArray
-    """(m, 2, 2) float, 1/m: L^-1."""
-    distances: FloatArray
-    """(m,) float, metres: how far the axis passes the middle."""
-    levers: FloatArray
-    """(m, 3) float, metres: from the sensor to the middle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,73 +91,98 @@ def fit_boards(touches: Touches, boards: Boards, start: Poses, noise: NoiseSetti
     start : of each board; within half a module and 60 degrees
     doubting : whether pokes far off the others count less
     """
-    ends = np.searchsorted(touches.of, np.arange(len(touches.boards) + 1)).tolist()
-    spans = [slice(a, b) for a, b in pairwise(ends)]
-    modules: list[int] = touches.boards.tolist()
-    own = [boards.pads[module] for module in modules]
-    of, flat = np.repeat(np.arange(len(own)), [len(pads) for pads in own]), np.concatenate(own)
-    trust = np.ones(len(touches.of))
-    poses, going = start, np.ones(len(spans), dtype=bool)
-    for turn in range(STEPS_MAX):
-        rows = whitened(touches, boards.ground.laid(poses.take(of), flat), noise)
-        if doubting and turn == 0:
-            trust = np.concatenate([_trust_of(rows, span, touches) for span in spans])
-        steps = np.stack([_step(rows.slopes[span], rows.misses[span], trust[span]) for span in spans])
-        # Who has settled stays to the last bit, however many steps the others take.
-        going &= np.abs(steps).max(axis=1) > SETTLED
-        if not going.any():
+    search = _Search(touches, boards, start, noise)
+    if doubting:
+        search.trust = np.concatenate([_trust_of(search.rows, span, touches) for span in search.spans])
+    for _ in range(STEPS_MAX):
+        search.step()
+        if not search.going.any():
             break
-        poses = _either(going, boards.ground.moved(poses, steps), poses)
-    return _fitted(touches, boards, poses, (of, flat), trust, spans, noise)
-
-
-def _either(first: BoolArray, one: Poses, other: Poses) -> Poses:
-    rows = first[:, None]
-    return Poses(
-        np.where(rows, one.points, other.points),
-        np.where(rows, one.x, other.x),
-        np.where(rows, one.normals, other.normals),
-        np.where(first, one.triangles, other.triangles),
+    held = search.found()
+    return Fitted(
+        search.poses,
+        search.pads,
+        search.of,
+        np.stack([_covariance(touches, one, search.trust, noise) for one in held]),
+        tuple(one.blind for one in held),
+        np.array([_miss(one, search.trust) for one in held]),
+        search.trust,
     )
 
 
-def whitened(touches: Touches, pads: Pads, noise: NoiseSettings) -> Rows:
-    """Return the rows of pokes whose boards have their pads at `pads`."""
-    evidence, at = touches.evidence, touches.rows
-    places, gradients, normals = touches.middles(pads)
-    pairs, forces = evidence.pairs[at], evidence.forces[at]
-    lever = places - evidence.sensors[at]
-    relative = noise.force / forces
-    even = (noise.moment / forces) ** 2 + relative**2 * np.sum(lever * lever, axis=1) + touches.offsets
-    along = np.sum(pairs * lever[:, None], axis=2)
-    less = relative[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
-    out = np.sqrt(touches.offsets)[:, None] * np.sum(pairs * normals[:, None], axis=2)
-    whiten = _inverse_root(
-        even - less[:, 0] ** 2 - out[:, 0] ** 2,
-        -less[:, 0] * less[:, 1] - out[:, 0] * out[:, 1],
-        even - less[:, 1] ** 2 - out[:, 1] ** 2,
-    )
-    off = np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
-    slopes = np.sum(pairs[:, :, :, None] * gradients[:, None], axis=2)
-    pitch_square = (noise.moment / forces) ** 2 + np.sum(less * less, axis=1)
-    return Rows(
-        slopes=np.sum(whiten[:, :, :, None] * slopes[:, None], axis=2),
-        misses=np.sum(whiten * off[:, None], axis=2),
-        pitches=evidence.pitches[at] ** 2 / pitch_square,
-        whiten=whiten,
-        distances=np.sqrt(np.sum(off * off, axis=1)),
-        levers=lever,
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """How the rows hold one board where it stands."""
+
+    step: FloatArray
+    """(d,) float, metres: to where they hold it best, as far as that can be told from here."""
+    inverse: FloatArray
+    """(d, k) float, metres: its square is the covariance of the unknowns, in the k directions that are determined."""
+    blind: FloatArray
+    """(d - k, d) float, unit: the others."""
+    rows: Rows
+    """Of all boards."""
+    span: slice
+    """Its own among them."""
 
 
-def _inverse_root(xx: FloatArray, xy: FloatArray, yy: FloatArray) -> FloatArray:
-    """Return (m, 2, 2) L^-1 of D = L L' with the entries given, L lower triangular."""
-    l11 = np.sqrt(xx)
-    l21 = xy / l11
-    l22 = np.sqrt(yy - l21 * l21)
-    inverse = np.zeros((len(xx), 2, 2))
-    inverse[:, 0, 0], inverse[:, 1, 0], inverse[:, 1, 1] = 1.0 / l11, -l21 / (l11 * l22), 1.0 / l22
-    return inverse
+class _Search:
+    """Boards on their way to where the rows hold them best; who is there stays, however many steps the others take."""
+
+    def __init__(self, touches: Touches, boards: Boards, start: Poses, noise: NoiseSettings) -> None:
+        ends = np.searchsorted(touches.of, np.arange(len(touches.boards) + 1)).tolist()
+        self.spans = [slice(a, b) for a, b in pairwise(ends)]
+        own = [boards.pads[module] for module in touches.boards.tolist()]
+        self.of, self._flat = np.repeat(np.arange(len(own)), [len(pads) for pads in own]), np.concatenate(own)
+        self._touches, self._ground, self._noise = touches, boards.ground, noise
+        self.trust = np.ones(len(touches.of))
+        self.poses, self.pads = start, self._laid(start)
+        self.rows = whitened(touches, self.pads, noise)
+        self.going = np.ones(len(own), dtype=bool)
+        self._last = np.full(len(own), STEP_MAX)
+        self._held: list[_Held | None] = [None] * len(own)
+
+    def _laid(self, poses: Poses) -> Pads:
+        return self._ground.laid(poses.take(self.of), self._flat)
+
+    def step(self) -> None:
+        """Move the boards that are still going, each by one step; the last one is too short to be walked."""
+        held = self.found()
+        steps = np.stack([one.step for one in held])
+        sizes = np.abs(steps).max(axis=1)
+        settled = (sizes <= SETTLED) & ((sizes * sizes <= DONE * self._last) | (2.0 * sizes >= self._last))
+        ended = self.going & settled
+        self.poses = _either(self.going, self._ground.moved(self.poses, steps), self.poses)
+        self.pads = _either(ended[self.of], _shifted(self.pads, steps[self.of]), self.pads)
+        self._held = [one if end else None for one, end in zip(held, settled, strict=True)]
+        self.going, self._last = self.going & ~settled, sizes
+        if self.going.any():
+            self.pads = _either(self.going[self.of], self._laid(self.poses), self.pads)
+            self.rows = whitened(self._touches, self.pads, self._noise)
+
+    def found(self) -> list[_Held]:
+        """Return how each board is held; of those that are there, at their last step."""
+        bends = bends_of(self._touches, self.rows, self._ground) if self.going.any() else np.empty(0)
+        return [
+            _held(self.rows, bends, span, self.trust) if one is None else one
+            for one, span in zip(self._held, self.spans, strict=True)
+        ]
+
+
+_Some = TypeVar("_Some", Poses, Pads)
+
+
+def _either(first: BoolArray, one: _Some, other: _Some) -> _Some:
+    """Return `one` where `first` (n,), else `other`."""
+    if first.all() or not first.any():
+        return one if first.all() else other
+    parts = [(getattr(one, part.name), getattr(other, part.name)) for part in fields(one)]
+    return type(one)(*(np.where(first.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in parts))
+
+
+def _shifted(pads: Pads, steps: FloatArray) -> Pads:
+    """Return the pads (n,) after steps (n, d) of their boards that are too short for more than the gradient."""
+    return replace(pads, points=pads.points + np.sum(pads.gradients * steps[:, None], axis=2))
 
 
 def _trust_of(rows: Rows, span: slice, touches: Touches) -> FloatArray:
@@ -204,10 +218,27 @@ def _found_trust(slopes: FloatArray, misses: FloatArray, pitches: FloatArray) ->
 
 
 def _step(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> FloatArray:
-    """Return (d,) the step to the minimum, of the smallest norm where the rows do not determine one, and not too long."""
+    """Return (d,) Gauss and Newton's step, of the smallest norm where the rows do not determine one, and not too long."""
     singular, axes, right = _decomposed(slopes, misses, trust)
     good = singular > NO_RANK * singular[0]
-    step = axes[good].T @ (right[good] / singular[good])
+    return _short(axes[good].T @ (right[good] / singular[good]))
+
+
+def _held(rows: Rows, bends: FloatArray, span: slice, trust: FloatArray) -> _Held:
+    """Return how one board is held; its step heeds how its rows turn, `bends` (m, d, d), where that holds it."""
+    slopes, misses, bends, trust = rows.slopes[span], rows.misses[span], bends[span], trust[span]
+    # By size, so that what is added up does not tell how the pokes are numbered.
+    order = np.argsort(-np.sum(slopes * slopes, axis=(1, 2)), kind="stable")
+    singular, axes, right = _decomposed(slopes[order], misses[order], trust[order])
+    good = singular > NO_RANK * singular[0]
+    inverse, right = axes[good].T / singular[good], right[good]
+    curvature = np.eye(len(right)) - inverse.T @ np.sum(trust[order][:, None, None] * bends[order], axis=0) @ inverse
+    if len(right) and np.linalg.eigvalsh(curvature + curvature.T)[0] > 2.0 * HOLDS:
+        right = np.linalg.solve(curvature, right)
+    return _Held(_short(inverse @ right), inverse, axes[~good], rows, span)
+
+
+def _short(step: FloatArray) -> FloatArray:
     longest = np.abs(step).max(initial=0.0)
     return step if longest <= STEP_MAX else step * (STEP_MAX / longest)
 
@@ -216,46 +247,24 @@ def _decomposed(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> tu
     """Return singular values (d,), their directions (d, d) as rows and right sides (d,) of the weighted rows."""
     unknowns = slopes.shape[-1]
     root = np.sqrt(trust)[:, None]
-    rows = np.concatenate([(root[:, :, None] * slopes).reshape(-1, unknowns), (root * misses).reshape(-1, 1)], axis=1)
-    # Rows of nought make the factor whole where there are fewer rows than unknowns.
-    rows = np.concatenate([rows, np.zeros((max(unknowns - len(rows), 0), unknowns + 1))])
-    factor: Any = np.linalg.qr(rows, mode="r")
-    left, singular, axes = np.linalg.svd(factor[:unknowns, :unknowns])
-    return singular, axes, left.T @ factor[:unknowns, unknowns]
+    factor = triangle((root[:, :, None] * slopes).reshape(-1, unknowns), (root * misses).ravel())
+    left, singular, axes = np.linalg.svd(factor[:, :unknowns])
+    return singular, axes, left.T @ factor[:, unknowns]
 
 
-def _fitted(
-    touches: Touches, boards: Boards, poses: Poses, laying: tuple[IntArray, FloatArray], trust: FloatArray,
-    spans: list[slice], noise: NoiseSettings,
-) -> Fitted:  # fmt: skip
-    of, flat = laying
-    pads = boards.ground.laid(poses.take(of), flat)
-    rows = whitened(touches, pads, noise)
-    covariances: list[FloatArray] = []
-    blind: list[FloatArray] = []
-    misses: list[float] = []
-    for span in spans:
-        covariance, dark = _spread(touches, rows, span, trust[span], noise)
-        covariances.append(covariance)
-        blind.append(dark)
-        weights = trust[span]
-        misses.append(float(np.sqrt(np.sum(weights * rows.distances[span] ** 2) / max(weights.sum(), 1e-300))))
-    return Fitted(poses, pads, of, np.stack(covariances), tuple(blind), np.array(misses), trust)
-
-
-def _spread(
-    touches: Touches, rows: Rows, span: slice, trust: FloatArray, noise: NoiseSettings
-) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (d, d) of a board's unknowns and the directions (k, d) that are not determined."""
-    slopes = rows.slopes[span]
-    singular, axes, _ = _decomposed(slopes, rows.misses[span], trust)
-    good = singular > NO_RANK * singular[0]
-    inverse = axes[good].T / singular[good]
-    covariance = inverse @ inverse.T
+def _covariance(touches: Touches, held: _Held, trust: FloatArray, noise: NoiseSettings) -> FloatArray:
+    """Return the covariance (d, d) of a board's unknowns."""
+    covariance = held.inverse @ held.inverse.T
     if noise.pose_turn > 0 or noise.pose_shift > 0:
+        slopes, trust = held.rows.slopes[held.span], trust[held.span]
         gain = covariance @ (trust[:, None, None] * slopes).reshape(-1, slopes.shape[-1]).T
-        covariance = covariance + _of_poses(touches, rows, span, gain, noise)
-    return covariance, axes[~good]
+        covariance = covariance + _of_poses(touches, held.rows, held.span, gain, noise)
+    return covariance
+
+
+def _miss(held: _Held, trust: FloatArray) -> float:
+    weights, distances = trust[held.span], held.rows.distances[held.span]
+    return float(np.sqrt(np.sum(weights * distances**2) / max(weights.sum(), 1e-300)))
 
 
 def _of_poses(touches: Touches, rows: Rows, span: slice, gain: FloatArray, noise: NoiseSettings) -> FloatArray:

