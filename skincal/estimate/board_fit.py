@@ -2,13 +2,14 @@
 
 The sum of squares of the whitened rows A, b (`board_rows.py`) is minimised over the board's unknowns, the noise taken as it is
 at the pose. Gauss and Newton's step comes from QR of the rows (their condition is never squared), with the singular values of
-the small factor telling which directions the pokes determine. Alone it converges by a constant share each time, and not at
-all where the pokes tell little of a board's tilt. So how the rows themselves turn with the board, B, is heeded as well:
+the small factor telling which directions the pokes determine. Alone it converges by a constant share each time, and goes to
+and fro by millimetres where the pokes tell little of a board's tilt. So how the rows turn with the board is heeded as well,
+B (`bends_of`), of the misses that the step would leave:
 
     step = R^-1 (I - R'^-1 B R^-1)^-1 Q'b,   A = Q R,
 
-where that holds the board better than not, else R^-1 Q'b. Both are nought at the same pose, where A'b is: B has no say in
-the answer, only in how soon it is found.
+where that matrix is positive, else R^-1 Q'b. Both are nought at the same pose, where A'b is: B has no say in the answer, only
+in how soon it is found.
 
 Trust is that of `trust.h`, for the whole board: a poke far off what the others say counts less, measured against the board's
 own spread. The others are those of the same arm pose, where they are enough: a pose that is told wrong shifts all its pokes,
@@ -17,15 +18,15 @@ and none of them is to blame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.estimate.boards import Boards, Pads, Poses
 from skincal.estimate.board_rows import Rows, bends_of, whitened
+from skincal.estimate.boards import Boards, Pads, Poses
 from skincal.estimate.qr import triangle
 from skincal.estimate.touches import Touches
 from skincal.readings import FloatArray, IntArray
@@ -51,15 +52,18 @@ SMALL = 6.0
 USUAL_MISS, USUAL_PITCH = 1.3863, 0.4549
 """Medians of chi-square with two degrees of freedom and with one."""
 STEP_MAX = 0.015
-"""m, of one step: half a module. Farther off the rows say little of where the minimum is."""
+"""m, of one step in each direction: half a module. Farther off the rows say little of where the minimum is."""
 SETTLED = 1e-7
 """m: steps below it that no longer shrink to half are rounding."""
 DONE = 2e-17
 """m: where the next step would be below this, it is none: the last digit of a place two decimetres away."""
 HOLDS = 0.25
 """The least curvature, over that of the rows alone, at which it shapes the step: below, a saddle is near."""
+BACK = 0.25
+"""A step that takes back this share of the one before is halved: both go too far."""
 STEPS_MAX = 20
-"""A pose that moves after so many steps goes to and fro over an edge of the surface, by less than matters."""
+"""A pose that moves after so many steps goes to and fro over an edge of the surface, by micrometres; or, without a surface,
+runs off where few pokes hardly tell how the board is tilted."""
 NO_RANK = 1e-9
 """Singular values below this share of the largest: what they belong to, the pokes do not determine."""
 
@@ -112,18 +116,29 @@ def fit_boards(touches: Touches, boards: Boards, start: Poses, noise: NoiseSetti
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Held:
-    """How the rows hold one board where it stands."""
+    """How the rows hold one board where it stands, in the k directions of its unknowns that they determine."""
 
-    step: FloatArray
-    """(d,) float, metres: to where they hold it best, as far as that can be told from here."""
-    inverse: FloatArray
-    """(d, k) float, metres: its square is the covariance of the unknowns, in the k directions that are determined."""
+    singular: FloatArray
+    """(k,) float, 1/m: how firmly."""
+    axes: FloatArray
+    """(k, d) float, unit: these directions."""
+    right: FloatArray
+    """(k,) float: how far off along them, in standard deviations."""
     blind: FloatArray
     """(d - k, d) float, unit: the others."""
     rows: Rows
     """Of all boards."""
     span: slice
     """Its own among them."""
+
+    @property
+    def inverse(self) -> FloatArray:
+        """(d, k) float, metres: its square is the covariance of the unknowns."""
+        return self.axes.T / self.singular
+
+    def left(self) -> FloatArray:
+        """Return (m, 2) what would be left of the board's misses if its rows did not turn, however far it had to go."""
+        return self.rows.misses[self.span] - np.sum(self.rows.slopes[self.span] * (self.inverse @ self.right), axis=2)
 
 
 class _Search:
@@ -132,14 +147,15 @@ class _Search:
     def __init__(self, touches: Touches, boards: Boards, start: Poses, noise: NoiseSettings) -> None:
         ends = np.searchsorted(touches.of, np.arange(len(touches.boards) + 1)).tolist()
         self.spans = [slice(a, b) for a, b in pairwise(ends)]
-        own = [boards.pads[module] for module in touches.boards.tolist()]
+        modules: list[int] = touches.boards.tolist()
+        own = [boards.pads[module] for module in modules]
         self.of, self._flat = np.repeat(np.arange(len(own)), [len(pads) for pads in own]), np.concatenate(own)
         self._touches, self._ground, self._noise = touches, boards.ground, noise
         self.trust = np.ones(len(touches.of))
         self.poses, self.pads = start, self._laid(start)
         self.rows = whitened(touches, self.pads, noise)
         self.going = np.ones(len(own), dtype=bool)
-        self._last = np.full(len(own), STEP_MAX)
+        self._before, self._last = np.zeros((len(own), boards.ground.unknowns)), np.full(len(own), STEP_MAX)
         self._held: list[_Held | None] = [None] * len(own)
 
     def _laid(self, poses: Poses) -> Pads:
@@ -148,36 +164,53 @@ class _Search:
     def step(self) -> None:
         """Move the boards that are still going, each by one step; the last one is too short to be walked."""
         held = self.found()
-        steps = np.stack([one.step for one in held])
+        left = np.concatenate([one.left() for one in held])
+        bends = bends_of(self._touches, replace(self.rows, misses=left), self._ground)
+        steps = np.stack([_newton(one, bends[one.span], self.trust[one.span]) for one in held])
+        back = np.sum(steps * self._before, axis=1) < -BACK * np.sum(self._before * self._before, axis=1)
+        steps = np.where(back[:, None], 0.5, 1.0) * steps
         sizes = np.abs(steps).max(axis=1)
         settled = (sizes <= SETTLED) & ((sizes * sizes <= DONE * self._last) | (2.0 * sizes >= self._last))
         ended = self.going & settled
         self.poses = _either(self.going, self._ground.moved(self.poses, steps), self.poses)
-        self.pads = _either(ended[self.of], _shifted(self.pads, steps[self.of]), self.pads)
+        self.pads = _either_pads(ended[self.of], _shifted(self.pads, steps[self.of]), self.pads)
         self._held = [one if end else None for one, end in zip(held, settled, strict=True)]
-        self.going, self._last = self.going & ~settled, sizes
+        self.going, self._before, self._last = self.going & ~settled, steps, sizes
         if self.going.any():
-            self.pads = _either(self.going[self.of], self._laid(self.poses), self.pads)
+            self.pads = _either_pads(self.going[self.of], self._laid(self.poses), self.pads)
             self.rows = whitened(self._touches, self.pads, self._noise)
 
     def found(self) -> list[_Held]:
         """Return how each board is held; of those that are there, at their last step."""
-        bends = bends_of(self._touches, self.rows, self._ground) if self.going.any() else np.empty(0)
         return [
-            _held(self.rows, bends, span, self.trust) if one is None else one
+            _holding(self.rows, span, self.trust[span]) if one is None else one
             for one, span in zip(self._held, self.spans, strict=True)
         ]
 
 
-_Some = TypeVar("_Some", Poses, Pads)
-
-
-def _either(first: BoolArray, one: _Some, other: _Some) -> _Some:
+def _either(first: BoolArray, one: Poses, other: Poses) -> Poses:
     """Return `one` where `first` (n,), else `other`."""
+    if first.all():
+        return one
+    rows = first[:, None]
+    return Poses(
+        np.where(rows, one.points, other.points),
+        np.where(rows, one.x, other.x),
+        np.where(rows, one.normals, other.normals),
+        np.where(first, one.triangles, other.triangles),
+    )
+
+
+def _either_pads(first: BoolArray, one: Pads, other: Pads) -> Pads:
     if first.all() or not first.any():
         return one if first.all() else other
-    parts = [(getattr(one, part.name), getattr(other, part.name)) for part in fields(one)]
-    return type(one)(*(np.where(first.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in parts))
+    rows = first[:, None]
+    return Pads(
+        np.where(rows, one.points, other.points),
+        np.where(rows[:, None], one.gradients, other.gradients),
+        np.where(rows, one.normals, other.normals),
+        np.where(first, one.triangles, other.triangles),
+    )
 
 
 def _shifted(pads: Pads, steps: FloatArray) -> Pads:
@@ -221,26 +254,35 @@ def _step(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> FloatArr
     """Return (d,) Gauss and Newton's step, of the smallest norm where the rows do not determine one, and not too long."""
     singular, axes, right = _decomposed(slopes, misses, trust)
     good = singular > NO_RANK * singular[0]
-    return _short(axes[good].T @ (right[good] / singular[good]))
+    return axes[good].T @ _short(right[good] / singular[good])
 
 
-def _held(rows: Rows, bends: FloatArray, span: slice, trust: FloatArray) -> _Held:
-    """Return how one board is held; its step heeds how its rows turn, `bends` (m, d, d), where that holds it."""
-    slopes, misses, bends, trust = rows.slopes[span], rows.misses[span], bends[span], trust[span]
-    # By size, so that what is added up does not tell how the pokes are numbered.
-    order = np.argsort(-np.sum(slopes * slopes, axis=(1, 2)), kind="stable")
+def _by_size(slopes: FloatArray) -> IntArray:
+    """Return an order of pokes in which what is added up does not tell how they are numbered."""
+    return np.argsort(-np.sum(slopes * slopes, axis=(1, 2)), kind="stable")
+
+
+def _holding(rows: Rows, span: slice, trust: FloatArray) -> _Held:
+    slopes, misses = rows.slopes[span], rows.misses[span]
+    order = _by_size(slopes)
     singular, axes, right = _decomposed(slopes[order], misses[order], trust[order])
     good = singular > NO_RANK * singular[0]
-    inverse, right = axes[good].T / singular[good], right[good]
-    curvature = np.eye(len(right)) - inverse.T @ np.sum(trust[order][:, None, None] * bends[order], axis=0) @ inverse
+    return _Held(singular[good], axes[good], right[good], axes[~good], rows, span)
+
+
+def _newton(held: _Held, bends: FloatArray, trust: FloatArray) -> FloatArray:
+    """Return (d,) the step of one board, which heeds how its rows turn, `bends` (m, d, d), where that holds it."""
+    inverse, right, order = held.inverse, held.right, _by_size(held.rows.slopes[held.span])
+    bend = np.sum(trust[order][:, None, None] * bends[order], axis=0)
+    curvature = np.eye(len(right)) - inverse.T @ bend @ inverse
     if len(right) and np.linalg.eigvalsh(curvature + curvature.T)[0] > 2.0 * HOLDS:
-        right = np.linalg.solve(curvature, right)
-    return _Held(_short(inverse @ right), inverse, axes[~good], rows, span)
+        right = np.asarray(np.linalg.solve(curvature, right), dtype=np.float64)
+    return held.axes.T @ _short(right / held.singular)
 
 
-def _short(step: FloatArray) -> FloatArray:
-    longest = np.abs(step).max(initial=0.0)
-    return step if longest <= STEP_MAX else step * (STEP_MAX / longest)
+def _short(ways: FloatArray) -> FloatArray:
+    """Return ways along the directions of singular values, none too long: one hardly told does not hold up the others."""
+    return np.clip(ways, -STEP_MAX, STEP_MAX)
 
 
 def _decomposed(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -115,17 +115,22 @@ def bends_of(touches: Touches, rows: Rows, ground: Ground) -> FloatArray:
     slopes, w = back @ rows.slopes, back @ rows.misses[:, :, None]
     axes = ground.axes(rows.normals) / LEVER
     turns = axes.shape[1]
-    turned, bent = np.zeros_like(rows.gradients), np.zeros((len(at), slopes.shape[2], slopes.shape[2]))
-    turned[:, :, -turns:] = crossed(axes, rows.normals[:, None]).transpose(0, 2, 1)
-    pull = w.transpose(0, 2, 1) @ pairs
-    # pull . (axis x dc) = (pull x axis) . dc
-    bent[:, -turns:, -turns:] = crossed(pull, axes) @ rows.gradients[:, :, -turns:]
-    swing, skin = spread.share[:, None, None] * rows.gradients, np.sqrt(touches.offsets)[:, None, None] * turned
-    out = pairs @ skin
-    pushed = spread.push[:, 0, None, None] * swing + spread.push[:, 1, None, None] * skin
-    bent -= 2.0 * (slopes.transpose(0, 2, 1) @ w) @ (pushes[:, None] @ pushed)
-    for part, change in ((spread.swing, pairs @ swing), (spread.skin, np.stack([-out[:, 1], out[:, 0]], axis=1))):
+    swing = spread.share[:, None, None] * rows.gradients
+    pushed, parts = spread.push[:, 0, None, None] * swing, [(spread.swing, pairs @ swing)]
+    if turns > 1:
+        # Without a surface the board's normal turns, too.
+        skin = np.zeros_like(rows.gradients)
+        tilted = crossed(axes, rows.normals[:, None]).transpose(0, 2, 1)
+        skin[:, :, -turns:] = np.sqrt(touches.offsets)[:, None, None] * tilted
+        out = pairs @ skin
+        pushed = pushed + spread.push[:, 1, None, None] * skin
+        parts.append((spread.skin, np.stack([-out[:, 1], out[:, 0]], axis=1)))
+    bent = -2.0 * (slopes.transpose(0, 2, 1) @ w) @ (pushes[:, None] @ pushed)
+    for part, change in parts:
         row = part[:, None]
         bent -= slopes.transpose(0, 2, 1) @ change * (row @ w)
         bent -= (row @ slopes).transpose(0, 2, 1) @ (w.transpose(0, 2, 1) @ change)
+    # w'E . (axis x dc) = (w'E x axis) . dc
+    pull = crossed(w.transpose(0, 2, 1) @ pairs, axes)
+    bent[:, -turns:, -turns:] += pull @ rows.gradients[:, :, -turns:]
     return bent

@@ -140,6 +140,11 @@ def along(p: Vector, share: Decimal, q: Vector) -> Vector:
     return p[0] + share * q[0], p[1] + share * q[1], p[2] + share * q[2]
 
 
+def times(share: Decimal, p: Vector) -> Vector:
+    """Return share p."""
+    return share * p[0], share * p[1], share * p[2]
+
+
 def distance(p: Vector, q: Vector = _NOWHERE) -> float:
     """Return |p - q|; without `q` the length of p."""
     with localcontext(CONTEXT):

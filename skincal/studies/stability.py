@@ -4,8 +4,10 @@ The bar of a case is ten times the largest change of the exact answer over many 
 by one unit in its last place, up or down, plus 1e-15 of the answer's norm. The error is the largest over the orders in
 which the contacts come; the shipped solvers must give the same bits in all of them.
 
-Exact is 80 digits (`exact`). With a million readings the draws take the exact answer's derivative instead of 200 exact
-answers: the error of that is of the second order, 1e-16 of the change.
+The modules method, which places boards and not points, is judged by the same bar in `board_stability`.
+
+Exact is 80 digits (`exact`, `board_exact`). With a million readings, and for boards, the draws take the exact answer's
+derivative instead of 200 exact answers: the error of that is of the second order, 1e-16 of the change.
 """
 
 from __future__ import annotations
@@ -25,6 +27,10 @@ from skincal.estimate.solution import solve
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 from skincal.studies import exact
+from skincal.studies.bar import FACTOR, OF_SIZE, bar, over_bar
+from skincal.studies.board_cases import all_board_cases
+from skincal.studies.board_exact import find_board_truth
+from skincal.studies.board_stability import BOARD_ALTERNATIVES, compare_board, judge_board, shipped_board
 from skincal.studies.cases import FULL, QUICK, Case, Mesh, Readings, all_cases
 from skincal.studies.exact import NO_NUMBER, Truth, Vector
 from skincal.surface.clean import heights
@@ -37,10 +43,8 @@ if TYPE_CHECKING:
 
 DRAWS = 200
 DRAWS_QUICK = 40
-FACTOR = 10.0
-"""The error may be that many times what the inputs' last digit does."""
-OF_SIZE = 1e-15
-"""And that share of the answer's norm: nine roundings of it. Nothing is added where the answer is nought."""
+"""Of a taxel; a quarter of them of a module, which has as many answers as pads."""
+SOLVERS = ("free", "surface", "modules")
 _SEED = 20261121
 _FLOOR = 1e-4
 """Shares of the bar below this are drawn at this."""
@@ -77,15 +81,20 @@ def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
     -------
     JSON: `cases` of the shipped solvers, `alternatives` of other ways to solve the same rows
     """
-    draws = DRAWS_QUICK if quick else DRAWS
+    draws, sizes = (DRAWS_QUICK, QUICK) if quick else (DRAWS, FULL)
     cases: list[dict[str, Any]] = []
     alternatives: list[dict[str, Any]] = []
     progress(f"the bar: {FACTOR:g} times what the inputs' last digit does to the exact answer, plus {OF_SIZE:g} of its size")
-    for number, case in enumerate(all_cases(QUICK if quick else FULL)):
+    for number, case in enumerate(all_cases(sizes)):
         truth = exact.find_truth(case, draws, np.random.default_rng([_SEED, number]))
         cases += judge(case, truth, shipped)
         alternatives += compare(case, truth)
         progress(f"{case.name}: {cases[-1]['error_over_bound']:.2g} of the bar")
+    for number, board in enumerate(all_board_cases(sizes)):
+        placed = find_board_truth(board, draws // 4, np.random.default_rng([_SEED, 1, number]))
+        cases.append(judge_board(board, placed, shipped_board))
+        alternatives += compare_board(board, placed)
+        progress(f"{board.name}: {cases[-1]['error_over_bound']:.2g} of the bar")
     held = sum(one["holds"] for one in cases)
     return {
         "study": "stability", "quick": quick, "digits": exact.DIGITS, "draws": draws, "factor": FACTOR, "of_size": OF_SIZE,
@@ -108,11 +117,6 @@ def judge(case: Case, truth: Truth, solver: Solver) -> list[dict[str, Any]]:
     return records
 
 
-def bar(change: float, size: float) -> float:
-    """Return the largest error that holds, for an answer of norm `size` that the inputs' last digit moves by `change`."""
-    return FACTOR * change + OF_SIZE * size
-
-
 def _blindness(found: Found, blind: Vector) -> float:
     """Return the angle between the direction reported and the right one, rad; `NO_NUMBER` where none is reported."""
     if found.rank != 2 or found.blind is None:
@@ -123,17 +127,13 @@ def _blindness(found: Found, blind: Vector) -> float:
 def _record(case: Case, name: str, error: float, size: float, bound: float, same: bool) -> dict[str, Any]:
     return {
         "name": name, "solver": _method(case), "error": error, "bound": bound,
-        "error_over_bound": _share(error, bound), "holds": bool(error <= bound and same), "same_bits": same, "size": size,
+        "error_over_bound": over_bar(error, bound), "holds": bool(error <= bound and same), "same_bits": same, "size": size,
         "readings": len(case.readings.forces) * case.copies, "draws_by": "derivative" if case.many else "digits",
     }  # fmt: skip
 
 
 def _method(case: Case) -> str:
     return "free" if case.mesh is None else "surface"
-
-
-def _share(error: float, bound: float) -> float:
-    return NO_NUMBER if error >= NO_NUMBER else error / bound
 
 
 def _surface(mesh: Mesh) -> Surface:
@@ -189,7 +189,7 @@ def compare(case: Case, truth: Truth) -> list[dict[str, Any]]:
     for name, (rows, way) in ALTERNATIVES.items():
         found = [_other(rows, way, case.readings.ordered(order), surface, push) for order in orders]
         error = max(exact.distance_to(point, truth.answer) for point in found)
-        share = _share(error, bar(truth.change, exact.distance(truth.answer)))
+        share = over_bar(error, bar(truth.change, exact.distance(truth.answer)))
         records.append({"name": case.name, "solver": _method(case), "method": name, "error": error, "error_over_bound": share})
     return records
 
@@ -279,7 +279,7 @@ def summary(result: dict[str, Any]) -> list[str]:
         f"{result['held']} of {len(cases)} cases hold: error at most {FACTOR:g} times what the inputs' last digit does "
         f"({result['draws']} draws, {result['digits']} digits) plus {OF_SIZE:g} of the answer; the same bits in every order."
     ]
-    for solver in ("free", "surface"):
+    for solver in SOLVERS:
         own = [one for one in cases if one["solver"] == solver]
         worst = max(own, key=lambda one: one["error_over_bound"])
         lines.append(f"{solver}: at worst {worst['error_over_bound']:.2g} of the bar ({worst['name']}), {len(own)} cases")
@@ -289,24 +289,28 @@ def summary(result: dict[str, Any]) -> list[str]:
         for one in cases
         if not one["holds"]
     ]
-    for method in ALTERNATIVES:
-        own = [one for one in result["alternatives"] if one["method"] == method]
-        misses = [one for one in own if one["error_over_bound"] > 1]
-        worst = max(own, key=lambda one: one["error_over_bound"])
-        far = "no number" if worst["error"] >= NO_NUMBER else f"{worst['error_over_bound']:.1g} times the bar"
-        lines.append(f"{method}: misses {len(misses)} of {len(own)}, at worst {far} ({worst['name']})")
+    for whose, ways in (("", ALTERNATIVES), ("modules, ", BOARD_ALTERNATIVES)):
+        of = [one for one in result["alternatives"] if (one["solver"] == "modules") == bool(whose)]
+        lines += [whose + _of_alternative(method, [one for one in of if one["method"] == method]) for method in ways]
     return lines
+
+
+def _of_alternative(method: str, own: list[dict[str, Any]]) -> str:
+    misses = [one for one in own if one["error_over_bound"] > 1]
+    worst = max(own, key=lambda one: one["error_over_bound"])
+    far = "no number" if worst["error"] >= NO_NUMBER else f"{worst['error_over_bound']:.1g} times the bar"
+    return f"{method}: misses {len(misses)} of {len(own)}, at worst {far} ({worst['name']})"
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw each case's share of the bar, shipped and other ways, one panel a solver."""
-    solvers = [solver for solver in ("free", "surface") if any(one["solver"] == solver for one in result["cases"])]
-    rows = max(sum(one["solver"] == solver for one in result["cases"]) for solver in solvers)
-    figure.set_size_inches(15.0, 2.0 + 0.19 * rows)
-    for panel, solver in zip(figure.subplots(1, len(solvers), squeeze=False)[0], solvers, strict=True):
+    rows = max(sum(one["solver"] == solver for one in result["cases"]) for solver in SOLVERS)
+    figure.set_size_inches(22.0, 2.0 + 0.19 * rows)
+    for panel, solver in zip(figure.subplots(1, len(SOLVERS), squeeze=False)[0], SOLVERS, strict=True):
         _draw_solver(result, solver, panel)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    found = [panel.get_legend_handles_labels() for panel in figure.axes]
+    marks = {label: handle for handles, labels in found for handle, label in zip(handles, labels, strict=True)}
+    figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=4)
     figure.suptitle(
         f"Error over the bar. Bar: {FACTOR:g} times what the inputs' last digit does ({result['draws']} draws, "
         f"{result['digits']} digits) + {OF_SIZE:g} of the answer. Right of the line digits are lost that the readings have."
@@ -327,7 +331,10 @@ def _draw_solver(result: dict[str, Any], solver: str, panel: Axes) -> None:
         shares = [min(max(one["error_over_bound"], _FLOOR), right) for one in records]
         panel.scatter(shares, [place[one["name"]] for one in records], **look)
 
-    for method, mark, colour in zip(ALTERNATIVES, "xv^sD", (VERMILION, ORANGE, PINK, SKY, GREEN), strict=True):
+    looks = dict(zip(ALTERNATIVES, zip("xv^sD", (VERMILION, ORANGE, PINK, SKY, GREEN), strict=True), strict=True))
+    looks |= dict(zip(BOARD_ALTERNATIVES, (("x", VERMILION), ("v", BLACK)), strict=True))
+    for method in BOARD_ALTERNATIVES if solver == "modules" else ALTERNATIVES:
+        mark, colour = looks[method]
         look = {"color": colour} if mark == "x" else {"facecolors": "none", "edgecolors": colour}
         put([one for one in others if one["method"] == method], s=22, marker=mark, label=method, linewidths=1.0, **look)
     put(cases, s=26, color=BLUE, label="shipped", zorder=3)
