@@ -223,7 +223,9 @@ def _few(rng: np.random.Generator, sizes: Sizes) -> Iterator[BoardCase]:
 def _stiff(rng: np.random.Generator, sizes: Sizes) -> Iterator[BoardCase]:
     n, poses = sizes.contacts, arm_poses(rng, 3, 0.3)
     for name, board in (("module", in_space(rng)), ("module on a sheet", on_sheet(rng, sizes))):
-        mixed = press_board(rng, board, n, forces=rng.permutation(np.geomspace(1e-6, 1e4, n)), poses=poses)
+        # With fewer the light ones leave the module to three.
+        count = max(n, 10)
+        mixed = press_board(rng, board, count, forces=rng.permutation(np.geomspace(1e-6, 1e4, count)), poses=poses)
         yield _case(rng, f"{name}, forces 1e-6 to 1e4 N", board, mixed)
         usual = press_board(rng, board, n, poses=poses)
         yield _case(rng, f"{name}, force noise of 1e-6 N, moment 1 N m", board, usual, NoiseSettings(force=1e-6, moment=1.0))

@@ -345,4 +345,4 @@ def _draw_solver(result: dict[str, Any], solver: str, panel: Axes) -> None:
     panel.set_ylim(-len(cases), 1)
     panel.grid(visible=True)
     panel.set_title(f"{solver}: {len(cases)} cases")
-    panel.set_xlabel(f"error over the bar (least {_FLOOR:g}; no number at the right end)")
+    panel.set_xlabel(f"error over the bar\n(least {_FLOOR:g}; no number at the right end)")

@@ -143,6 +143,7 @@ class Unfolded:
     def _gone(self, walk: _Walk, at: int) -> tuple[tuple[float, float, float, float], int, bool]:
         """Return where a walk ends in its last triangle, and which way it looks; that triangle; whether it is past the rim."""
         x, y, ahead_x, ahead_y, left = walk
+        pulled = -1
         for _ in range(_CROSSINGS_MAX):
             (middle_x, middle_y), sides = self._known.get(at) or self._learnt(at)
             way, side = inf, sides[0]
@@ -151,10 +152,12 @@ class Unfolded:
                 if rate > 0.0:
                     gap = tried[2] - tried[0] * x - tried[1] * y
                     if gap < way * rate:
-                        way, side = (gap / rate if gap > 0.0 else 0.0), tried
-            if way < left and way < _PULL * (abs(middle_x - x) + abs(middle_y - y)):
-                x, y = x + _PULL * (middle_x - x), y + _PULL * (middle_y - y)
+                        way, side = gap / rate, tried
+            if way < left and pulled != at and abs(way) < _PULL * (abs(middle_x - x) + abs(middle_y - y)):
+                x, y, pulled = x + _PULL * (middle_x - x), y + _PULL * (middle_y - y), at
                 continue
+            # Below nought from past the rim, and by rounding.
+            way = max(way, 0.0)
             over = side[7]
             if way >= left or over < 0:
                 return (x + left * ahead_x, y + left * ahead_y, ahead_x, ahead_y), at, way < left

@@ -13,6 +13,7 @@ from skincal.estimate.result import PER_TAXEL
 from skincal.session.actions import Exclude, Restore, Undo
 from skincal.session.session import Session
 from skincal.studies import exact, stability
+from skincal.studies.board_cases import all_board_cases
 from skincal.studies.cases import Case, Readings, Sizes, all_cases, arm_poses, cone, moved, press, sheet, unit
 from skincal.studies.stability import ALTERNATIVES, Found, judge, shipped
 from skincal.surface.mesh import make_surface
@@ -263,7 +264,7 @@ def result():
         said = []
         result = stability.run(quick=True, progress=said.append)
         assert said[0].startswith("the bar")
-        assert len(said) == 1 + len(CASES)
+        assert len(said) == 1 + len(CASES) + len(list(all_board_cases(TINY)))
         return result
 
 
@@ -271,7 +272,7 @@ def test_the_study_has_at_least_forty_cases_and_all_hold(result):
     cases = result["cases"]
     assert len(cases) >= 40
     assert len({one["name"] for one in cases}) == len(cases)
-    assert {one["solver"] for one in cases} == {"free", "surface"}
+    assert {one["solver"] for one in cases} == {"free", "surface", "modules"}
     assert [one["name"] for one in cases if not one["holds"]] == []
     assert result["held"] == len(cases)
     for one in cases:

@@ -1,0 +1,261 @@
+"""The stability study of modules: exact poses checked another way, that it can fail, and that the shipped method does not."""
+
+from dataclasses import replace
+from decimal import Decimal, localcontext
+
+import mpmath
+import numpy as np
+import pytest
+
+from skincal.estimate import board_fit
+from skincal.estimate.board_rows import bends_of, whitened
+from skincal.estimate.qr import factor, triangle
+from skincal.studies import board_exact, board_stability, exact
+from skincal.studies.board_cases import PADS, all_board_cases, in_space, on_sheet
+from skincal.studies.board_exact import find_board_truth
+from skincal.studies.board_ground import InPlane, OnMesh
+from skincal.studies.board_stability import compare_board, judge_board, shipped_board, surface_of, told
+from skincal.studies.cases import Sizes
+from skincal.surface.mesh import make_surface
+from skincal.surface.unfold import Footing
+
+TINY = Sizes(contacts=7, grid=6, many=300)
+CASES = {case.name: case for case in all_board_cases(TINY)}
+
+
+def truth_of(name, draws=8):
+    return find_board_truth(CASES[name], draws, np.random.default_rng(list(CASES).index(name)))
+
+
+def laid(board):
+    return board.ground.laid(board.at.take(np.zeros(PADS, dtype=np.int64)), board.flat).points
+
+
+def floats(points):
+    return np.array([[float(one) for one in point] for point in points])
+
+
+@pytest.mark.parametrize(
+    "name", ["module, axes within 1e-1 rad", "module on a sheet, pokes of 1e4 N on one pad, of 1e-4 N elsewhere"]
+)
+def test_pokes_at_the_very_middles_give_the_pose_they_were_made_of(name):
+    np.testing.assert_allclose(floats(truth_of(name, 0).pads), laid(CASES[name].board), rtol=0, atol=1e-15)
+
+
+def matrix(rows):
+    return mpmath.matrix([[mpmath.mpf(str(one) if isinstance(one, Decimal) else float(one)) for one in row] for row in rows])
+
+
+def skew(v):
+    return mpmath.matrix([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def misfit(case, poke, place, weights_at):
+    """Squared miss of one poke in standard deviations as they are at `weights_at`, place and normal, by another E."""
+    mp, noise = mpmath.mpf, case.noise
+    pose = matrix(case.readings.poses[case.readings.pose_of[poke]])
+    turn, shift = pose[:3, :3], pose[:3, 3]
+    f = turn * matrix([[one] for one in case.readings.forces[poke]])
+    m = turn * matrix([[one] for one in case.readings.moments[poke]]) + skew(shift) * f
+    size = mpmath.norm(f)
+    u = f / size
+    q = mpmath.qr(mpmath.matrix([[u[0], 1, 2], [u[1], -3, 1], [u[2], 1, 5]]))[0]
+    e = q[:, 1:].T
+    lever = skew(weights_at[0] - shift)
+    torque = (mp(noise.moment) / size) ** 2 * mpmath.eye(3) + (mp(noise.force) / size) ** 2 * lever * lever.T
+    s = mp(1.6) * mp(noise.contact) / int((case.readings.responses[poke] > 0).sum())
+    o = e * weights_at[1]
+    d = e * skew(u) * torque * skew(u).T * e.T + s**2 * (mpmath.eye(2) - o * o.T)
+    off = e * (skew(u) * m / size - place)
+    return (off.T * mpmath.inverse(d) * off)[0]
+
+
+def middle(case, poke, origin, x, y):
+    answers = [mpmath.mpf(float(one)) for one in case.readings.responses[poke]]
+    flat = [[mpmath.mpf(float(one)) for one in pad] for pad in case.board.flat]
+    total = sum(answers)
+    return origin + sum((x * p[0] + y * p[1]) * (k / total) for k, p in zip(answers, flat, strict=True))
+
+
+@pytest.mark.parametrize("name", ["module, mirrored, 7 arm poses", "module, contacts told to 1e-6 m"])
+def test_at_the_exact_pose_no_small_motion_lessens_the_misfit_in_mpmath(name):
+    case = CASES[name]
+    with localcontext(exact.CONTEXT):
+        ground, _ = board_exact.find(
+            board_exact.pokes_of(case.readings, case.noise), InPlane.begin(case.board.at, case.board.flat)
+        )
+    with mpmath.workdps(100):
+        origin, x, normal = (matrix([[one] for one in v]) for v in (ground.origin, ground.x, ground.normal))
+        pokes = range(len(case.readings.forces))
+        still = [(middle(case, poke, origin, x, skew(normal) * x), normal) for poke in pokes]
+
+        def total(shift, turn):
+            moved = mpmath.expm(skew(turn))
+            own = moved * x, moved * skew(normal) * x
+            return sum(misfit(case, poke, middle(case, poke, origin + shift, *own), still[poke]) for poke in pokes)
+
+        here, step, none = total(mpmath.zeros(3, 1), mpmath.zeros(3, 1)), mpmath.mpf("1e-20"), mpmath.zeros(3, 1)
+        for unknown in range(6):
+            way = mpmath.zeros(3, 1)
+            way[unknown % 3] = step
+            one, other = (total(s * way, none) if unknown < 3 else total(none, s * way) for s in (1, -1))
+            # The slope, by central differences, against the curvature times a femtometre.
+            assert abs(one - other) / (2 * step) < (one + other - 2 * here) / step**2 * mpmath.mpf("1e-30")
+
+
+def test_ways_over_a_flat_sheet_are_straight_and_over_a_bent_one_those_that_unfold_it():
+    rng = np.random.default_rng(4)
+    for bend, limit in ((0.0, 1e-15), (8.0, 1e-16)):
+        board = on_sheet(rng, TINY, bend)
+        with localcontext(exact.CONTEXT):
+            pads = floats(OnMesh.begin(board.at, board.flat, board.mesh).pads().points)
+            plane = floats(InPlane.begin(board.at, board.flat).pads().points)
+        crossed = np.unique(board.ground.laid(board.at.take(np.zeros(PADS, dtype=np.int64)), board.flat).triangles)
+        assert len(crossed) > 3
+        np.testing.assert_allclose(pads, laid(board), rtol=0, atol=1e-16)
+        if bend == 0:
+            np.testing.assert_allclose(pads, plane, rtol=0, atol=limit)
+
+
+def test_a_walk_from_past_the_rim_and_one_through_a_vertex_come_to_an_end():
+    board = on_sheet(np.random.default_rng(1), TINY, aside=0.06)
+    ground, walks = board.ground, ground_walks(board)
+    assert 0 < walks.past.sum() < PADS
+    beyond = ground.moved(board.at, np.array([[0.01, 0.003, 0.0]]))
+    np.testing.assert_allclose(np.linalg.norm(beyond.points - board.at.points), np.hypot(0.01, 0.003), rtol=1e-12)
+    corner = ground.surface.vertices[ground.surface.triangles[board.at.triangles[0], 0]]
+    way = corner - board.at.points[0]
+    y = np.cross(board.at.normals[0], board.at.x[0])
+    through = ground.moved(board.at, 1.5 * np.array([[way @ board.at.x[0], way @ y, 0.0]]))
+    np.testing.assert_allclose(through.points[0], board.at.points[0] + 1.5 * way, rtol=0, atol=1e-10)
+
+
+def ground_walks(board):
+    """The walks to a board's pads; none may take long, wherever it begins."""
+    footing = Footing(board.at.triangles, board.at.points, board.at.x).take(np.zeros(PADS, dtype=np.int64))
+    return board.ground.surface.unfolded.walk(footing, board.flat)
+
+
+def test_the_bends_are_how_the_slopes_times_misses_change_beside_the_slopes_themselves():
+    for name in ("module, 7 arm poses", "module on a sheet, 7 arm poses"):
+        one = told(CASES[name], CASES[name].readings, surface_of(CASES[name]))
+        pose = board_fit.fit_boards(one.touches, one.boards, one.start, one.noise, doubting=False).poses
+        ground = one.boards.ground
+
+        def pull(move, one=one, ground=ground, pose=pose):
+            rows = whitened(one.touches, one.laid(ground.moved(pose, move[None])), one.noise)
+            return np.einsum("mid,mi->d", rows.slopes, rows.misses)
+
+        rows = whitened(one.touches, one.laid(pose), one.noise)
+        told_so = np.sum(bends_of(one.touches, rows, ground), axis=0) - np.einsum("mid,mie->de", rows.slopes, rows.slopes)
+        step = 1e-7 * np.eye(ground.unknowns)
+        measured = np.stack([(pull(way) - pull(-way)) / 2e-7 for way in step], axis=1)
+        np.testing.assert_allclose(told_so, measured, rtol=0, atol=1e-6 * np.abs(measured).max())
+        without = -np.einsum("mid,mie->de", rows.slopes, rows.slopes)
+        assert np.abs(without - measured).max() > 1e-4 * np.abs(measured).max(), "the bends matter"
+
+
+def test_the_triangle_keeps_the_digits_of_light_rows_beside_heavy_ones():
+    rng = np.random.default_rng(5)
+    a = rng.normal(size=(12, 3)) * np.where(np.arange(12) % 4, 1e-9, 1.0)[:, None]
+    a[::4, 2] = 0.0
+    b = a @ np.array([1.0, -2.0, 3.0])
+    root = triangle(a, b)
+    found = np.linalg.solve(root[:, :3], root[:, 3])
+    np.testing.assert_allclose(found, [1.0, -2.0, 3.0], rtol=1e-13)
+    np.testing.assert_allclose(found, factor(a, b, np.array([0, 12])).solutions[0], rtol=1e-13)
+    assert not triangle(np.zeros((2, 6)), np.zeros(2)).any()
+
+
+SOME = [
+    "module, axes within 1e-6 rad",
+    "module, two pokes",
+    "module on a sheet, one poke",
+    "module on a sheet, forces 1e-6 to 1e4 N",
+    "module on a sheet, pokes of 1e4 N on one pad, of 1e-4 N elsewhere",
+    "module on a sheet, levers of 100 m across the push",
+    "module on a bent sheet, 7 arm poses",
+    "module over the rim of a sheet, 7 arm poses",
+    "module, begun 50 degrees and 7.5 mm off",
+    "module, every poke there 10 times",
+]
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_the_shipped_method_holds(name):
+    record = judge_board(CASES[name], truth_of(name), shipped_board)
+    assert record["holds"], record
+
+
+def test_what_pokes_do_not_determine_is_told():
+    """One poke on a surface: the pad that answered, no other."""
+    truth = truth_of("module on a sheet, one poke", 1)
+    assert [pad for pad, known in enumerate(truth.determined) if known] == [4]
+    assert sum(truth.blind) == PADS - 1
+    assert not any(truth_of("module, two pokes", 1).determined)
+    assert all(truth_of("module, newton millimetres by mistake", 1).blind)
+
+
+NAME = "module on a sheet, 7 arm poses"
+
+
+@pytest.mark.parametrize(("share", "holds"), [(0.5, True), (2.0, False)])
+def test_an_answer_off_by_more_than_the_bar_is_caught(share, holds):
+    truth = truth_of(NAME)
+
+    def off(one):
+        found = shipped_board(one)
+        at = floats(truth.pads)
+        at[3] += share * (10 * truth.changes[3] + 1e-15 * np.linalg.norm(at[3])) / np.sqrt(3)
+        return replace(found, pads=at)
+
+    assert judge_board(CASES[NAME], truth, off)["holds"] is holds
+
+
+def test_a_pad_that_is_called_known_and_is_not_is_caught():
+    name = "module on a sheet, one poke"
+    sure = judge_board(CASES[name], truth_of(name), lambda one: replace(shipped_board(one), blind=np.zeros(PADS, dtype=bool)))
+    assert not sure["holds"]
+    assert sure["error"] == exact.NO_NUMBER
+
+
+def test_a_method_that_follows_the_numbers_of_the_pokes_is_caught():
+    def by_number(one):
+        found = shipped_board(one)
+        return replace(found, pads=found.pads + 1e-17 * one.touches.evidence.pokes[0])
+
+    record = judge_board(CASES[NAME], truth_of(NAME), by_number)
+    assert record["error"] <= record["bound"]
+    assert not record["same_bits"]
+    assert not record["holds"]
+
+
+def test_a_search_that_ends_at_a_nanometre_is_caught(monkeypatch):
+    monkeypatch.setattr(board_fit, "DONE", 1e-9)
+    name = "module, 7 arm poses"
+    record = judge_board(CASES[name], truth_of(name), shipped_board)
+    assert record["error_over_bound"] > 10
+
+
+def test_a_differenced_jacobian_is_caught():
+    shares = {one["method"]: one["error_over_bound"] for one in compare_board(CASES[NAME], truth_of(NAME))}
+    assert set(shares) == set(board_stability.BOARD_ALTERNATIVES)
+    assert shares["least_squares, differenced"] > 100
+
+
+def test_a_search_from_anywhere_near_ends_at_the_same_place():
+    case = CASES["module, 7 arm poses"]
+    ends = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        start = case.board.ground.moved(case.board.at, 0.002 * rng.normal(size=(1, 6)))
+        ends.append(shipped_board(told(replace(case, start=start), case.readings, None)).pads)
+    for end in ends[1:]:
+        np.testing.assert_allclose(end, ends[0], rtol=0, atol=1e-14)
+
+
+def test_cases_lie_in_general_directions():
+    rng = np.random.default_rng(6)
+    board, flat = in_space(rng), on_sheet(rng, TINY)
+    assert np.abs(board.at.normals).min() > 0.01
+    assert np.abs(make_surface(flat.mesh.vertices, flat.mesh.triangles).normals).min() > 0.01
