@@ -85,6 +85,8 @@ class Fitted:
     """(b,) float, metres: at what distance the axes pass the middles, the root mean square by trust."""
     trust: FloatArray
     """(m,) float, 0 to 1, of each poke."""
+    moving: FloatArray
+    """(b,) float, metres: the last step of a pose that has not settled; 0 of one that has."""
 
 
 def fit_boards(touches: Touches, boards: Boards, start: Poses, noise: NoiseSettings, doubting: bool = True) -> Fitted:
@@ -111,6 +113,7 @@ def fit_boards(touches: Touches, boards: Boards, start: Poses, noise: NoiseSetti
         tuple(one.blind for one in held),
         np.array([_miss(one, search.trust) for one in held]),
         search.trust,
+        search.moving,
     )
 
 
@@ -179,6 +182,11 @@ class _Search:
         if self.going.any():
             self.pads = _either_pads(self.going[self.of], self._laid(self.poses), self.pads)
             self.rows = whitened(self._touches, self.pads, self._noise)
+
+    @property
+    def moving(self) -> FloatArray:
+        """(b,) float, metres: the last step of boards that are still going, 0 of the others."""
+        return np.where(self.going, self._last, 0.0)
 
     def found(self) -> list[_Held]:
         """Return how each board is held; of those that are there, at their last step."""

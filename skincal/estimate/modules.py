@@ -22,6 +22,9 @@ from skincal.estimate.touches import Touches, find_touches
 from skincal.readings import FloatArray
 from skincal.scene import NoiseSettings
 
+MOVING_MAX = 2e-4
+"""m: a pose whose search still takes longer steps after its last is not known. Over an edge of a mesh it goes to and fro by
+micrometres; without a surface, from few pokes, by up to centimetres."""
 UNTOLD = 1e-6
 """Share of a direction that pokes do not determine above which a pad's place moves with it; below it is rounding."""
 
@@ -115,6 +118,11 @@ def _trouble(touches: Touches, fitted: Fitted, board: int) -> str:
         return (
             f"The axes pass its module at {fitted.misses[board] * 1e3:.0f} mm (limit {MISS_MAX * 1e3:.0f} mm): check the "
             "mesh's unit and pose, the arm poses, and which channels the module has."
+        )
+    if fitted.moving[board] > MOVING_MAX:
+        return (
+            f"Where its module lies does not settle (to {fitted.moving[board] * 1e3:.1f} mm): poke taxels farther apart, with "
+            "other tilts."
         )
     own = touches.of == board
     push = np.sum(fitted.trust[own, None] * touches.evidence.directions[touches.rows[own]], axis=0)

@@ -385,3 +385,18 @@ def test_a_poke_between_two_modules_counts_for_the_one_that_answers_more_and_for
     evidence = ledger.evidence(boards.channels_of([0, 1]))
     touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [0, 1])
     assert touches.boards.tolist() == ([0 if other < 1.0 else 1] if counts else [])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_without_a_surface_a_pose_that_does_not_settle_is_blind_and_more_pokes_make_it_settle(seed):
+    rig, rng = make_rig(RigErrors.noise(), seed), np.random.default_rng(seed)
+    boards = boards_of(surface=False)
+    contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
+    few, many = (
+        estimate_taxels(contacts[:count], rig.channels.tolist(), [Method.MODULES], rig.scene.noise, None, boards=boards)
+        for count in (20, 80)
+    )
+    unsettled = [one for one in few[Method.MODULES].values() if "does not settle" in one.reason]
+    assert unsettled
+    assert all(one.state is State.BLIND and one.position is None for one in unsettled)
+    assert not [one for one in many[Method.MODULES].values() if "does not settle" in one.reason]
