@@ -44,6 +44,10 @@ SOLVE_S = 0.012
 """s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
 several ticks, in which the window answers."""
 
+AT_ONCE = 200
+"""Taxels that are solved before the next thing is done: 0.1 s at most. Of more, the window waits in its ticks."""
+STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
@@ -328,14 +332,27 @@ class Controller(QObject):
 
     def act(self, action: Action) -> bool:
         """Do an action on the session; return whether it could be done."""
-        if self._recording is None:
+        if self._recording is None or self._is_solving():
             return False
         try:
             self._recording.road.act(action, time.monotonic_ns())
         except InputError as error:
             self.said.emit(Message(str(error), error=True))
             return False
-        self._publish(self._recording, self._recording.road.snapshot(SOLVE_S), time.monotonic_ns())
+        road = self._recording.road
+        # Where all taxels are to be solved, that begins in the next tick.
+        shown = self._shown if road.session.unsolved > AT_ONCE else None
+        self._publish(self._recording, shown or road.snapshot(SOLVE_S), time.monotonic_ns())
+        return True
+
+    def _is_solving(self) -> bool:
+        """Tell whether what is shown is not what an action would change, and say so; a few taxels are solved first."""
+        if self._recording is None:
+            return False
+        if self._recording.road.session.unsolved <= AT_ONCE:
+            self._recording.road.snapshot()
+            return False
+        self.said.emit(Message(STILL_SOLVING, error=True))
         return True
 
     def act_all(self, actions: Iterable[Action]) -> None:
@@ -379,6 +396,9 @@ class Controller(QObject):
         failed : gets why there is none
         """
         if self._recording is None:
+            return
+        if self._recording.road.session.unsolved > AT_ONCE:
+            failed(STILL_SOLVING)
             return
         calibration = replace(self._recording.road.session.calibration(), landmark_check=check)
 

@@ -139,7 +139,7 @@ class Desk(QObject):
     def take_picture(self, picture: Picture) -> None:
         """Show what a tick found."""
         at_landmark = self.guiding.landmarks.poked(picture.snapshot)
-        if at_landmark is not None and self._controller.act(at_landmark):
+        if [one for one in at_landmark if self._controller.act(one)]:
             return  # that showed a newer picture already
         before = self.frame
         if before is None or not same_results(before.snapshot, picture.snapshot):

@@ -66,16 +66,16 @@ class Landmarks:
         """Ask for nothing, and take no poke for one at a landmark: nobody guides."""
         self._wishes, self._told, self._asked_s = [], (), np.inf
 
-    def poked(self, snapshot: Snapshot) -> AtLandmark | None:
-        """Return which new poke was at the landmark that was asked for; None where none was, or all were told before."""
+    def poked(self, snapshot: Snapshot) -> list[AtLandmark]:
+        """Return which new pokes were at the landmark that was asked for: mostly one, more where the window was busy."""
         seen, self._seen = self._seen, _newest(snapshot)
         wish = self._wish
         if wish is None or self._seen <= seen:
-            return None
+            return []
         new = takewhile(lambda record: record.outcome.poke > seen, reversed(snapshot.pokes))
         begun = self._asked_s + REACTION_S
         there = [one.outcome for one in new if one.outcome.start_s >= begun and self._was_at(one.outcome, wish.landmark)]
-        return AtLandmark(there[-1].poke, wish.landmark.name) if there else None
+        return [AtLandmark(one.poke, wish.landmark.name) for one in reversed(there)]
 
     def _was_at(self, outcome: Outcome, landmark: Landmark) -> bool:
         return poke_at(outcome, landmark) is not None and was_there(outcome, landmark, self._places)

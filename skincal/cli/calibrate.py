@@ -107,13 +107,14 @@ def solve(
         methods |= _per_pose(road, known)
     rig, rig_lines = _corrected(road, known)
     methods |= rig.pop("methods", {})
+    # Before anything is written: its file may be refused.
+    modules, module_lines = layout_result(road.session, layout, layout_out)
     files, written = ([], []) if out is None else _write_all(road, out, part)
     findings = [*road.findings, *written]
     totals = road.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
     text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    modules, module_lines = layout_result(road.session, layout, layout_out)
     text += [*rig_lines, *module_lines]
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]

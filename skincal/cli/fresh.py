@@ -14,22 +14,30 @@ class KeptError(InputError):
     """A recording is at fault, but something was recorded, and stays."""
 
 
+class Fresh:
+    """What became of the folder of a new session."""
+
+    made = False
+    """The session in it is this command's own: nobody else's is ever taken away."""
+
+
 @contextlib.contextmanager
-def new_folder(folder: Path) -> Generator[None]:
+def new_folder(folder: Path) -> Generator[Fresh]:
     """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
 
-    The same command with its input put right then finds its folder free. What was there before stays.
+    The same command with its input put right then finds its folder free. What was there before stays, and what another
+    program makes there meanwhile.
     """
     from skincal.session.scene_copy import SCENE_FOLDER
 
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
-    taken = (folder / SCENE_FOLDER).exists() or any(folder.glob("segment-*.mcap*"))
+    fresh = Fresh()
     try:
-        yield
+        yield fresh
     except KeptError:
         raise
     except InputError:
-        if not taken:
+        if fresh.made:
             shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
             for segment in folder.glob("segment-*.mcap*"):
                 segment.unlink()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.calibrate import Json
-from skincal.cli.fresh import KeptError, new_folder
+from skincal.cli.fresh import Fresh, KeptError, new_folder
 from skincal.errors import InputError
 from skincal.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.scene import Scene, load_scene, scene_file
@@ -60,7 +60,7 @@ def find_scene(path: Path) -> Scene:
     return load_scene(scene_file(path))
 
 
-def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec]) -> Road:
+def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Road:
     """Open a new session's journal and the road into it; the mesh is loaded where the scene has one."""
     from skincal.session.journal import create_session
     from skincal.session.road import Road
@@ -72,7 +72,9 @@ def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec]) -> Road:
         surface, findings = load_surface(scene.surface)
         for finding in findings:
             typer.echo(f"{scene.surface.path.name}: {finding.sentence}", err=True)
-    return Road(scene, links, surface, create_session(out, scene, links))
+    journal = create_session(out, scene, links)
+    fresh.made = True
+    return Road(scene, links, surface, journal)
 
 
 def record(
@@ -90,17 +92,22 @@ def record(
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
     links = links_of({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
-    with new_folder(out):
-        road = _recorded(loaded, out, links, pose, seconds, pokes)
+    with new_folder(out) as fresh:
+        road = _recorded(loaded, (out, fresh), links, pose, seconds, pokes)
         finish(road, out, as_json)
 
 
 def _recorded(
-    scene: Scene, out: Path, links: Sequence[LinkSpec], pose: str | None, seconds: float | None, pokes: int | None
+    scene: Scene,
+    into: tuple[Path, Fresh],
+    links: Sequence[LinkSpec],
+    pose: str | None,
+    seconds: float | None,
+    pokes: int | None,
 ) -> Road:
     from skincal.streams.reader import Reader
 
-    road = new_road(scene, out, links)
+    road = new_road(scene, into[0], links, into[1])
     items: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
     readers = {link.name: Reader(link, items) for link in links}
     try:
@@ -328,8 +335,8 @@ def _import(
     recording: tuple[Sequence[LinkSpec], Iterable[Chunk], Sequence[str]],
 ) -> None:
     links, chunks, findings = recording
-    with new_folder(out):
-        road = new_road(scene, out, links)
+    with new_folder(out) as fresh:
+        road = new_road(scene, out, links, fresh)
         try:
             _choose_pose(road, pose)
             for chunk in chunks:

@@ -174,6 +174,8 @@ class _Search:
         steps = np.where(back[:, None], 0.5, 1.0) * steps
         sizes = np.abs(steps).max(axis=1)
         settled = (sizes <= SETTLED) & ((sizes * sizes <= DONE * self._last) | (2.0 * sizes >= self._last))
+        # Who is there stays as it was found there, whatever another step of its would be.
+        settled |= ~self.going
         ended = self.going & settled
         self.poses = _either(self.going, self._ground.moved(self.poses, steps), self.poses)
         self.pads = _either_pads(ended[self.of], _shifted(self.pads, steps[self.of]), self.pads)

@@ -151,7 +151,7 @@ def _exchanged(layout: Layout, swapped: Sequence[Misfit]) -> tuple[dict[int, int
         ring = _ring(start, goes)
         if not ring:
             left.append(
-                f"Module {start} lies where module {goes[start]} is planned, but that one is not found in another's place: "
+                f"Module {start} lies where module {goes[start]} is planned, but no exchange leads around to it: "
                 f"poke modules {start} and {goes[start]} and those beside them, so that it is seen where each of them lies."
             )
         elif _alike([modules[number] for number in ring]):

@@ -281,8 +281,8 @@ def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
             for name, items in document["estimates"].items()
         },
         corrections=tuple(_read_correction(one) for one in document["corrections"]) if newer else (),
-        landmark_pokes=tuple(_read_landmark_poke(one) for one in document["landmark_pokes"]) if newer else (),
-        landmark_check=_read_check(document["landmark_check"]) if newer else None,
+        landmark_pokes=tuple(_read_landmark_poke(one) for one in document.get("landmark_pokes", ())),
+        landmark_check=_read_check(document.get("landmark_check")),
     )
 
 

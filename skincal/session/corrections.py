@@ -53,7 +53,12 @@ class Corrections:
         InputError
             It is none.
         """
-        return self._set({**self._kept_beside(action.of), action.of: used_of(action)}, f"correction of {KINDS[action.of]}")
+        used = used_of(action)
+        if action.of in self.used and correct_action(
+            action.of, self.used[action.of].correction, used.before, used.after, used.pokes
+        ) == correct_action(action.of, used.correction, used.before, used.after, used.pokes):
+            raise InputError(f"That correction of {KINDS[action.of]} is in use already.")
+        return self._set({**self._kept_beside(action.of), action.of: used}, f"correction of {KINDS[action.of]}")
 
     def drop(self, action: Uncorrect) -> Step:
         """Use a correction no more; return how that is taken back.

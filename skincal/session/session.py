@@ -237,7 +237,7 @@ class Session:
         if self._snapshot is not None:
             return self._snapshot
         channels = self.channels
-        self._solving.solve(channels, self._kept, self.dead, math.inf if self._last is None else within_s)
+        self._solving.solve(channels, self._records.keys(), self._kept, self.dead, math.inf if self._last is None else within_s)
         if self.unsolved and self._last is not None:
             return self._last
         fresh, last = self._solving.take_fresh(), self._history.last(self._is_excluded)
@@ -260,7 +260,7 @@ class Session:
         return self._snapshot
 
     def evidence(self, channels: Collection[int]) -> Evidence:
-        """Return what the contacts say of those of `channels` that answered, as they were solved last; all count fully."""
+        """Return what the contacts of the last snapshot say of those of `channels` that answered; all of them count fully."""
         return self._solving.evidence(channels)
 
     def calibration(self) -> Calibration:

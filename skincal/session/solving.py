@@ -50,7 +50,8 @@ class Solving:
         """The modules; None where their method is not solved."""
         self._noise, self._surface = scene.noise, surface
         self._alone = [method for method in self.methods if method in PER_TAXEL]
-        self._ledger = Ledger()
+        self._ledger = self._shown = Ledger()
+        """What is solved from, and what the last answers were: the same but while some taxels wait."""
         self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
         self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
         """Pokes that the ledger does not know as they are now; taxels to solve; taxels for the next answer of `take_fresh`."""
@@ -72,6 +73,7 @@ class Solving:
     def solve(
         self,
         channels: Collection[int],
+        known: Collection[int],
         kept: Callable[[Iterable[int]], Sequence[Contact]],
         dead: Mapping[int, str],
         within_s: float,
@@ -81,22 +83,30 @@ class Solving:
         Parameters
         ----------
         channels : those that are taxels
+        known : all pokes
         kept : gives those of some pokes that are contacts and count
         dead : channels that are not used, with the reason
         within_s : s. The work ends after so long, or little later; what is left waits
         """
         end = time.perf_counter() + within_s
-        for poke in self._pokes:
-            self._ledger.drop(poke)
-        self._ledger.add(kept(self._pokes))
-        self._pokes.clear()
         self._fresh.update(self._channels)
         self._channels.intersection_update(channels)
-        for part in self._parts(sorted(self._channels), within_s):
+        parts = self._parts(sorted(self._channels), within_s)
+        if len(parts) > 1 and self._ledger is self._shown:
+            # What was known before is asked for until all is solved.
+            self._ledger = Ledger(kept(known))
+        else:
+            for poke in self._pokes:
+                self._ledger.drop(poke)
+            self._ledger.add(kept(self._pokes))
+        self._pokes.clear()
+        for part in parts:
             self._solve(part, dead)
             self._channels.difference_update(part)
             if time.perf_counter() > end:
                 break
+        if not self._channels:
+            self._shown = self._ledger
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
         """Return for each method one estimate a channel; all of them were solved once."""
@@ -109,8 +119,8 @@ class Solving:
         return fresh
 
     def evidence(self, channels: Collection[int]) -> Evidence:
-        """Return what the contacts that were solved last say of those of `channels` that answered; all count fully."""
-        return self._ledger.evidence(channels)
+        """Return what contacts say of those of `channels` that answered, as when all was solved last; all count fully."""
+        return self._shown.evidence(channels)
 
     def _parts(self, channels: Sequence[int], within_s: float) -> Sequence[Sequence[int]]:
         """Return channels in the parts that they are solved in; a module's stay together."""

@@ -92,44 +92,48 @@ LATER = 100.0 + REACTION_S + 0.01
 def test_a_poke_that_begins_after_the_landmark_was_seen_is_at_it_and_is_told_once():
     landmarks = asking()
     there = of_pokes(press(1, LATER))
-    assert landmarks.poked(there) == AtLandmark(1, "corner")
-    assert landmarks.poked(there) is None
-    assert landmarks.poked(of_pokes(replace(press(1, LATER), final=False))) is None, "the same poke again"
-    assert landmarks.poked(of_pokes(press(1, LATER), press(2, LATER + 2))) == AtLandmark(2, "corner")
+    assert landmarks.poked(there) == [AtLandmark(1, "corner")]
+    assert landmarks.poked(there) == []
+    assert landmarks.poked(of_pokes(replace(press(1, LATER), final=False))) == [], "the same poke again"
+    assert landmarks.poked(of_pokes(press(1, LATER), press(2, LATER + 2))) == [AtLandmark(2, "corner")]
 
 
 def test_a_poke_that_was_on_its_way_before_is_not_at_it():
-    assert asking().poked(of_pokes(press(1, 100.0 + 0.9 * REACTION_S))) is None
-    assert asking().poked(of_pokes(press(1, 99.0))) is None
+    assert asking().poked(of_pokes(press(1, 100.0 + 0.9 * REACTION_S))) == []
+    assert asking().poked(of_pokes(press(1, 99.0))) == []
 
 
 def test_a_poke_that_was_looked_at_before_the_landmark_came_is_not_taken_later():
     landmarks = Landmarks(part(), plan_of(part()))
     early = of_pokes(press(1, 500.0))
-    assert landmarks.poked(early) is None, "nothing was asked for yet"
+    assert landmarks.poked(early) == [], "nothing was asked for yet"
     landmarks.before_skin(guidance(target(3)), early, 100.0)
-    assert landmarks.poked(early) is None
+    assert landmarks.poked(early) == []
 
 
 def test_pokes_of_a_session_that_is_opened_are_not_taken():
     landmarks, old = asking(), of_pokes(press(1, 500.0))
     landmarks.begin(old)
-    assert landmarks.poked(old) is None
+    assert landmarks.poked(old) == []
     landmarks.begin(of_pokes())
-    assert landmarks.poked(of_pokes(press(1, 500.0))) is not None
+    assert landmarks.poked(of_pokes(press(1, 500.0))) != []
 
 
 def test_the_clock_begins_anew_with_another_landmark_and_with_no_other_picture():
     landmarks = asking()
     landmarks.before_skin(guidance(target(3)), of_pokes(), 200.0)
-    assert landmarks.poked(of_pokes(press(1, LATER))) == AtLandmark(1, "corner"), "it was asked for since 100"
+    assert landmarks.poked(of_pokes(press(1, LATER))) == [AtLandmark(1, "corner")], "it was asked for since 100"
     landmarks.before_skin(guidance(target(3)), of_pokes(press(1, LATER), at={1: "corner"}), 300.0)
     both = of_pokes(press(1, LATER), press(2, 300.1), at={1: "corner"})
-    assert landmarks.poked(both) is None, "it was on its way to the corner"
+    assert landmarks.poked(both) == [], "it was on its way to the corner"
     third = of_pokes(press(1, LATER), press(2, 300.1), press(3, 301.0), at={1: "corner"})
-    found = landmarks.poked(third)
-    assert found is not None
+    (found,) = landmarks.poked(third)
     assert found.name == "other"
+
+
+def test_two_pokes_that_come_into_sight_together_are_both_at_the_landmark_that_was_asked_for():
+    both = of_pokes(press(1, LATER), press(2, LATER + 2.0))
+    assert asking().poked(both) == [AtLandmark(1, "corner"), AtLandmark(2, "corner")]
 
 
 @pytest.mark.parametrize(
@@ -140,17 +144,17 @@ def test_a_poke_is_not_at_a_landmark_far_from_which_taxels_answered(near, channe
     point = Landmark("screw", laid(PLAN).places[near] + [0.0, 0.005, 0.0], UP)
     landmarks = asking(snapshot=of_pokes(points=[point]))
     poke = replace(touch(1, channels, [50.0] * len(channels)), start_s=LATER)
-    assert (landmarks.poked(of_pokes(poke, points=[point])) == AtLandmark(1, "screw")) is taken
+    assert (landmarks.poked(of_pokes(poke, points=[point])) == [AtLandmark(1, "screw")]) is taken
 
 
 @pytest.mark.parametrize("reason", [one for one in Reason if one is not Reason.NO_TAXEL])
 def test_a_poke_that_was_rejected_for_another_reason_is_not_at_it(reason):
-    assert asking().poked(of_pokes(replace(press(1, LATER), reason=reason))) is None
+    assert asking().poked(of_pokes(replace(press(1, LATER), reason=reason))) == []
 
 
 def test_without_a_still_window_nothing_tells_where_it_was():
-    assert asking().poked(of_pokes(replace(press(1, LATER), force=None))) is None
-    assert asking().poked(of_pokes(slip(1, Reason.NO_TAXEL))) is None
+    assert asking().poked(of_pokes(replace(press(1, LATER), force=None))) == []
+    assert asking().poked(of_pokes(slip(1, Reason.NO_TAXEL))) == []
 
 
 def test_nothing_is_taken_where_nobody_wants_to_be_guided():
@@ -162,10 +166,10 @@ def test_nothing_is_taken_where_nobody_wants_to_be_guided():
 
     assert follow(True, 100.0).landmark is not None
     assert follow(False, 110.0) is None
-    assert guiding.landmarks.poked(of_pokes(press(1, 120.0))) is None
+    assert guiding.landmarks.poked(of_pokes(press(1, 120.0))) == []
     assert follow(True, 200.0).landmark is not None
-    assert guiding.landmarks.poked(of_pokes(press(2, 150.0))) is None, "seen again since 200"
-    assert guiding.landmarks.poked(of_pokes(press(3, 201.0))) == AtLandmark(3, "corner")
+    assert guiding.landmarks.poked(of_pokes(press(2, 150.0))) == [], "seen again since 200"
+    assert guiding.landmarks.poked(of_pokes(press(3, 201.0))) == [AtLandmark(3, "corner")]
 
 
 # What is asked for
@@ -232,7 +236,7 @@ def test_one_is_skipped_or_all_of_the_pose():
     landmarks.skip(all_of_pose=True)
     assert shown(landmarks, of_pokes()).landmark is None
     assert shown(landmarks, of_pokes(pose="high")).landmark is not None
-    assert landmarks.poked(of_pokes(press(1, 500.0), pose="high")) is not None
+    assert landmarks.poked(of_pokes(press(1, 500.0), pose="high")) != []
 
 
 def test_what_is_skipped_is_the_landmark_or_else_the_taxel():

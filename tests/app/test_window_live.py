@@ -104,7 +104,7 @@ def reopened(bench, kept: Path, estimates: dict, path: Path) -> None:
     assert known(bench.snapshot) == estimates
     assert bench.window.desk.workspace.now.headline.text() == "no device connected"
     told: list[tuple[str, ...]] = []
-    bench.controller.export("csv", path, Method.SURFACE, told.append, pytest.fail)
+    bench.controller.export("csv", path, Method.SURFACE, None, told.append, pytest.fail)
     bench.until(lambda: bool(told), OPEN_MS)
     with path.open() as file:
         rows = {(r["method"], int(r["channel"])): r for r in csv.DictReader(file)}

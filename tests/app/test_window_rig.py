@@ -18,9 +18,10 @@ from app.plan import Plan
 from app.running import Running
 from skincal.contacts.outcome import Contact, Phase, Reason, Rejection
 from skincal.estimate.correction import RIG, Correction
+from skincal.estimate.result import Method
 from skincal.guide.landmarks import ASTRAY
 from skincal.session import solving
-from skincal.session.actions import SetPose
+from skincal.session.actions import SetPose, Undo
 from skincal.session.corrections import correct_action
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import Rig, RigErrors
@@ -278,3 +279,22 @@ def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked,
     assert "solving anew" in [words for _, left, words in shown if left]
     bench.until(lambda: poked.now.headline.text() != "solving anew", 5000)
     assert moved(before.estimates, bench.snapshot.estimates) > 1e-5
+
+
+def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(poked, monkeypatch, tmp_path):
+    bench, told = poked.bench, []
+    monkeypatch.setattr(controller, "AT_ONCE", 10)
+    monkeypatch.setattr(controller, "SOLVE_S", 0.0)
+    monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
+    bench.controller._timer.stop()
+    matrix = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
+    assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
+    assert not bench.snapshot.corrections
+    assert not bench.controller.act(SetPose(""))
+    assert bench.messages[-1].text == controller.STILL_SOLVING
+    bench.controller.export("csv", tmp_path / "c.csv", Method.SURFACE, None, pytest.fail, told.append)
+    assert told == [controller.STILL_SOLVING]
+    bench.controller._timer.start()
+    bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
+    assert bench.controller.act(Undo())
+    bench.until(lambda: not bench.snapshot.corrections, 5000)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
+from skincal.cli.fresh import new_folder
+from skincal.errors import InputError
 from skincal.files.icub import read_icub
 
 SCENE = ["--scene", "flat-patch"]
@@ -304,3 +306,18 @@ def test_an_arm_without_a_pose_is_refused_before_anything_is_recorded(tmp_path, 
     assert "--joints" in said
     assert "--pose" in said
     assert not out.exists()
+
+
+def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path):
+    folder = tmp_path / "shared"
+
+    def come_too_late():
+        with new_folder(folder):
+            (folder / "scene").mkdir(parents=True)
+            (folder / "segment-0001.mcap").write_bytes(b"of another program")
+            raise InputError("it is taken")
+
+    with pytest.raises(InputError, match="taken"):
+        come_too_late()
+    assert (folder / "segment-0001.mcap").read_bytes() == b"of another program"
+    assert (folder / "scene").is_dir()

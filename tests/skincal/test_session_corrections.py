@@ -281,6 +281,11 @@ def test_an_older_file_knows_no_landmark_pokes_and_one_without_a_check_says_so(b
         del document[key]
     (tmp_path / "older.json").write_text(json.dumps(document), encoding="utf-8")
     older = read_json(tmp_path / "older.json")
+    # The first files of format 3 hold no landmark pokes.
+    (tmp_path / "first.json").write_text(
+        json.dumps(document | {"format": "skincal-calibration/3", "corrections": []}), encoding="utf-8"
+    )
+    assert read_json(tmp_path / "first.json").landmark_pokes == ()
     assert (older.corrections, older.landmark_pokes, older.landmark_check) == ((), (), None)
 
 

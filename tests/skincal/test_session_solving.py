@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.errors import InputError
 from skincal.estimate.correction import RIG, Correction
 from skincal.estimate.result import Method
+from skincal.session import solving
 from skincal.session.actions import Exclude, MarkDead, Undo
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
@@ -120,3 +122,33 @@ def test_the_first_snapshot_is_whole_and_a_poke_is_solved_in_one_step(rig, conta
     session.add(contacts[-1])
     session.snapshot(0.0)
     assert not session.unsolved
+
+
+def test_what_is_asked_meanwhile_is_of_the_snapshot_that_is_shown(rig, contacts, monkeypatch):
+    monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
+    session = session_of(rig, contacts[:-1])
+    channels = [int(channel) for channel in contacts[-1].channels]
+    before = session.evidence(channels)
+    session.act(ACTION)
+    session.snapshot(0.0)
+    session.add(contacts[-1])
+    session.snapshot(0.0)
+    assert session.unsolved
+    meanwhile = session.evidence(channels)
+    assert contacts[-1].poke not in meanwhile.pokes.tolist()
+    assert np.array_equal(meanwhile.columns, before.columns), "as the rig told it: the estimates that are shown are of that"
+    steps_to_the_end(session)
+    after = session.evidence(channels)
+    assert contacts[-1].poke in after.pokes.tolist()
+    assert after.columns.shape != before.columns.shape
+
+
+def test_the_same_correction_is_not_used_twice(rig, contacts):
+    session = session_of(rig, contacts[:20])
+    session.act(ACTION)
+    with pytest.raises(InputError, match="in use already"):
+        session.act(ACTION)
+    session.act(Undo())
+    assert not session.snapshot().corrections
+    session.act(ACTION)
+    assert session.snapshot().corrections

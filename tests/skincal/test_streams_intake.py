@@ -377,5 +377,5 @@ def test_unknown_links_and_formats_are_named():
         Intake(4, LINKS).feed(Chunk("other", 0, b""))
     with pytest.raises(InputError, match="same name"):
         Intake(4, (LINKS[0], LINKS[0]))
-    with pytest.raises(InputError, match="'csv'"):
-        Intake(4, (LinkSpec("wrench", "a", (Stream.WRENCH,), "csv"),))
+    with pytest.raises(InputError, match="'xml'"):
+        Intake(4, (LinkSpec("wrench", "a", (Stream.WRENCH,), "xml"),))

@@ -202,7 +202,7 @@ class Yarp(PieceFormat):
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         if len(carries) != 1:
-            raise InputError("A YARP log carries one stream; expected one log each for wrench, skin and joints.")
+            raise InputError("An imported file carries one stream; expected one file each for wrench, skin and joints.")
         self._first = False  # A log is read from its first line on: nothing of it is lost.
         self._stream = carries[0]
         self._steps = _Steps()
