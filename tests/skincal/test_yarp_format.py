@@ -133,7 +133,7 @@ def test_joints_are_degrees_in_yarp_and_radians_here():
 
 
 def test_a_log_carries_one_stream():
-    with pytest.raises(InputError, match="one log each"):
+    with pytest.raises(InputError, match="one file each"):
         Yarp(4, (Stream.WRENCH, Stream.SKIN))
 
 
