@@ -180,8 +180,10 @@ def test_pokes_of_a_wrong_layout_are_solved_as_well_as_those_of_the_right_one_on
         return float(np.mean(np.linalg.norm(off, axis=1)))
 
     planned = error(Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface))
-    assert error(wrong) > 2.0 * planned or not all(known), "a module that does not settle is blind"
+    error(wrong)
+    assert known.count(False) == 12, "the search of a module that is planned as its mirror image does not settle: it is blind"
     assert error(right) == pytest.approx(planned, abs=1e-4)
+    assert all(known)
 
 
 # What cannot be put right
