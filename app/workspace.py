@@ -77,8 +77,14 @@ class Workspace(QWidget):
         self.devices = DevicesPanel()
         self.error_course = ErrorsPanel(self.methods, scene.skin.layout)
         self.rig = RigPanel(scene.arm)
-        self.tabs = QTabWidget()
-        self.right, self.across = QSplitter(Qt.Orientation.Vertical), QSplitter(Qt.Orientation.Horizontal)
+        # Each in what it stands in, from the first: Qt applies the style sheet anew to all that is inside of a moved widget.
+        self.across = QSplitter(Qt.Orientation.Horizontal, self)
+        self.across.addWidget(self.view)
+        self.right = QSplitter(Qt.Orientation.Vertical, self.across)
+        self._fill_map_card(_card(self.right))
+        column = _card(self.right)
+        self.tabs = QTabWidget(column.parentWidget())
+        column.addWidget(self.tabs)
         self._frame: Frame | None = None
         self._connect()
 
@@ -91,13 +97,9 @@ class Workspace(QWidget):
         self.tabs.tabBar().setExpanding(True)
         self.tabs.tabBar().setDrawBase(False)
         self.view.setMinimumWidth(420)
-        self.right.addWidget(self._map_card())
-        self.right.addWidget(_card(self.tabs))
         self.right.setStretchFactor(0, 1)
         self.right.setStretchFactor(1, 1)
         self.right.setMinimumWidth(360)
-        self.across.addWidget(self.view)
-        self.across.addWidget(self.right)
         self.across.setStretchFactor(0, 1)
         self.across.setSizes([10_000, RIGHT_PX])
         for splitter in (self.right, self.across):
@@ -122,7 +124,7 @@ class Workspace(QWidget):
         ]
         return titled
 
-    def _map_card(self) -> QFrame:
+    def _fill_map_card(self, column: QVBoxLayout) -> None:
         for method in self.methods:
             self.method_box.addItem(METHOD_NAMES[method].capitalize() + " method", method)
         self.method_box.setVisible(len(self.methods) > 1)
@@ -136,14 +138,9 @@ class Workspace(QWidget):
         head.addWidget(self.progress, 0, 0, 1, 2)
         head.addWidget(self.errors, 1, 0)
         head.addWidget(self.method_box, 1, 1)
-        card = QFrame()
-        card.setObjectName("card")
-        column = QVBoxLayout(card)
-        column.setContentsMargins(1, 1, 1, 1)
         column.setSpacing(0)
         column.addLayout(head)
         column.addWidget(self.map, 1)
-        return card
 
     def _connect(self) -> None:
         self.view.taxel_picked.connect(self.taxel_selected)
@@ -210,10 +207,10 @@ class Workspace(QWidget):
         self.view.close_view()
 
 
-def _card(inner: QWidget) -> QFrame:
-    card = QFrame()
+def _card(splitter: QSplitter) -> QVBoxLayout:
+    """Add a card to a splitter, and return its column."""
+    card = QFrame(splitter)
     card.setObjectName("card")
     column = QVBoxLayout(card)
     column.setContentsMargins(1, 1, 1, 1)
-    column.addWidget(inner)
-    return card
+    return column

@@ -59,6 +59,9 @@ def load(canvas: Canvas, ground: Ground, look: Look, size: tuple[int, int], fram
         There is nothing to draw with here.
     """
     _ = ground.shaded
+    if ground.surface is not None:
+        # The ring on the skin asks for these first: worked out when they are asked for, they would hold the window.
+        _ = ground.surface.centres, ground.surface.radii
     if canvas is Canvas.OPENGL:
         # pyvista imports the widgets only as it makes an interactor, in the window's thread: here they stop nothing.
         import vtkmodules.vtkInteractionWidgets  # noqa: F401

@@ -313,9 +313,12 @@ def test_a_word_is_said_after_the_sound_where_that_is_wanted(make, tmp_path):
     time.sleep(0.05)
     assert not path.exists()
     player.speaks = True
-    begin = time.perf_counter()
-    player.play(Sound.REJECTED, "too soft")
-    assert time.perf_counter() - begin < 0.02
+    taken = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        player.play(Sound.REJECTED, "too soft")
+        taken.append(time.perf_counter() - begin)
+    assert min(taken) < 0.02, "a busy machine may pause any of them"
     until(lambda: path.exists() and path.read_text() == "too soft")
     player.play(Sound.REJECTED, "too hard")
     until(lambda: path.read_text() == "too hard")

@@ -159,6 +159,24 @@ def test_neighbours_are_the_nearest_within_reach():
     assert found.weights[12, 1] == pytest.approx(np.exp(-((0.005 / (2 * NOISE.reach)) ** 2)))
 
 
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("reach", [1e-3, 0.02, 0.1, 50.0])
+def test_pairs_are_those_of_looking_at_all(rng, reach, flat):
+    """Scattered wide and narrow, two at one place, one nowhere, and a grid whose steps are the reach itself."""
+    scattered = rng.normal(size=(200, 3)) * [1.0, 0.02, 0.0 if flat else 0.1]
+    scattered[3], scattered[5] = scattered[4], np.nan
+    steps = np.stack(np.meshgrid(np.arange(12), np.arange(9), 3), axis=-1).reshape(-1, 3) * reach + 0.7
+    for places in (scattered, steps, scattered[:1], scattered[:0]):
+        one, other, apart = choose._pairs(places, reach)
+        found = dict(zip(map(frozenset, zip(one.tolist(), other.tolist(), strict=True)), apart.tolist(), strict=True))
+        assert len(found) == len(one)
+        far = np.sqrt(np.sum((places[:, None] - places) ** 2, axis=2))
+        wanted = {
+            frozenset(pair): far[pair] for pair in zip(*np.triu_indices(len(places), 1), strict=True) if far[pair] <= reach
+        }
+        assert found == wanted
+
+
 def state(information, in_plane=False, wanted=0.0):
     plan = grid()
     return choose.State(
