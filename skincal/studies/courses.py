@@ -23,8 +23,8 @@ FOLLOWED = ("diversity", "optimal", "guided")
 LOOKED_AT = 1.03
 """A course is looked at after so many times as many pokes as before, and after every second one up to `DENSE`."""
 DENSE = 260
-SOLVED = (Method.FREE, Method.SURFACE)
-"""Methods that are solved: the guide takes places from the surface method, whichever it follows."""
+ALONE = (Method.FREE, Method.SURFACE)
+"""Methods that are solved whichever is followed: the guide takes places from the surface method."""
 FALSE = 5.0 / 3.0
 """A taxel is falsely done where its true error exceeds the wanted one this many times."""
 
@@ -111,10 +111,9 @@ def _unheard(
     part: Part, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as planned before the first poke."""
-    del method
     wish = WAYS[way](part, conditions, limit, rng)
     contacts, pokes = poked(part, rig, wish, conditions, rng, 1)
-    session, told = Session(part.scene, part.surface, SOLVED), 0
+    session, told = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
     for count in looks(limit).tolist():
         while told < len(contacts) and contacts[told].poke <= count:
@@ -127,7 +126,7 @@ def _followed(
     part: Part, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as a guide says, one after another."""
-    session, seconds, hand = Session(part.scene, part.surface, SOLVED), 0.0, None
+    session, seconds, hand = _session(part, method), 0.0, None
     guide = _guide(part, method, forever=way == "optimal")
     contacts: dict[int, Contact] = {}
     guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
@@ -144,6 +143,10 @@ def _followed(
             contacts[contact.poke] = contact
         guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
         yield count, seconds, session, guidance
+
+
+def _session(part: Part, method: Method) -> Session:
+    return Session(part.scene, part.surface, {*ALONE, method})
 
 
 def _guide(part: Part, method: Method, forever: bool = False) -> Guide:

@@ -69,6 +69,9 @@ class Sizes:
     free_limit: int = 252
     """Pokes of the others that follow, and of the other cases, free method; unguided ones go on to `long`."""
     surface_limit: int = 1008
+    modules_limit: int = 252
+    """A module is known long before; each poke takes twenty times as long to solve."""
+    modules_seeds: int = 20
     long: int = 4032
     cases: Mapping[str, Conditions] = field(default_factory=dict[str, Conditions])
 
@@ -84,7 +87,8 @@ def _cases() -> dict[str, Conditions]:
 
 FULL = Sizes(cases=_cases())
 QUICK = Sizes(
-    seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252, long=1008,
+    seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252,
+    modules_limit=60, modules_seeds=2, long=1008,
     cases={"drift 0.25 N": replace(Conditions(), drift=0.25)},
 )  # fmt: skip
 
@@ -132,6 +136,9 @@ def _tasks(sizes: Sizes) -> Iterator[Task]:
         # Two are compared to a tenth: that takes more seeds than the others.
         seeds = range(1, (sizes.seeds if way in ("guided", "round_robin") else sizes.other_seeds) + 1)
         yield from (Task(way, Method.SURFACE, STANDARD, standard, seed, sizes.surface_limit) for seed in seeds)
+    for way in ("guided", "round_robin", "random", "clumped"):
+        seeds = range(1, sizes.modules_seeds + 1)
+        yield from (Task(way, Method.MODULES, STANDARD, standard, seed, sizes.modules_limit) for seed in seeds)
     for case, conditions in sizes.cases.items():
         for way, method in COMPARED:
             seeds = range(1, sizes.case_seeds + 1)
@@ -253,7 +260,7 @@ def summary(result: dict[str, Any]) -> list[str]:
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw error against pokes of every way, both methods."""
+    """Draw error against pokes of every way, all methods."""
     from skincal.studies.guidance_figure import draw_guidance
 
     draw_guidance(result, figure)

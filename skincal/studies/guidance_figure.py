@@ -19,15 +19,16 @@ LOOKS: dict[str, tuple[str, str, str]] = {
 }
 """Colour, line and words of each way; dashed and dotted ones follow no measurement."""
 TICKS = (20, 50, 84, 168, 252, 504, 1008, 2016, 4032)
+ERRORS = (0.5, 1, 2, 3, 5, 10, 20, 50)
 STANDARD = "standard"
 
 
 def draw_guidance(result: dict[str, Any], figure: Figure) -> None:
-    """Draw the standard case of both methods side by side, and the other cases below."""
-    figure.set_size_inches(13.0, 10.0)
+    """Draw the standard case of all methods side by side, and the other cases below."""
+    figure.set_size_inches(17.0, 10.0)
     figure.suptitle("Mean error of 84 taxels against pokes: the lower left is reached by few pokes")
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.5, 1.0])
-    for method, axes in zip(("free", "surface"), top.subplots(1, 2), strict=True):
+    for method, axes in zip(("free", "surface", "modules"), top.subplots(1, 3), strict=True):
         rows = [row for row in result["table"] if (row["case"], row["method"]) == (STANDARD, method)]
         _draw_courses(axes, rows, f"{method} method, standard case")
     for method, axes in zip(("free", "surface"), bottom.subplots(1, 2), strict=True):
@@ -48,7 +49,7 @@ def _draw_courses(axes: Axes, rows: Sequence[Mapping[str, Any]], title: str) -> 
     ticks = [at for at in TICKS if at <= last]
     axes.set_xticks(ticks, [f"{at:,}" for at in ticks])
     axes.set_xticks([], minor=True)
-    axes.set_yticks([1, 2, 3, 5, 10, 20, 50], ["1", "2", "3", "5", "10", "20", "50"])
+    axes.set_yticks(ERRORS, [f"{at:g}" for at in ERRORS])
     axes.set_yticks([], minor=True)
     axes.set_xlabel("pokes")
     axes.set_ylabel("mean error (mm); a taxel without estimate counts 60")

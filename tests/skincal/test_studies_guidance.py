@@ -12,7 +12,10 @@ from skincal.studies.figure import write_figure
 from skincal.studies.guidance import QUICK, Conditions
 from skincal.studies.poking import WAYS
 
-TINY = replace(QUICK, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, long=40)
+TINY = replace(
+    QUICK, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
+    modules_seeds=1, long=40,
+)  # fmt: skip
 
 
 @cache
@@ -30,6 +33,7 @@ def test_it_says_what_each_way_takes():
         assert len(row["pokes"]) == len(row["mean_mm"]) == len(row["p95_mm"])
         assert row["pokes"][-1] == row["limit"]
         assert row["mean_mm"][-1] <= row["mean_mm"][0]
+    assert {row["method"] for row in found["table"] if row["case"] == guidance.STANDARD} == {"free", "surface", "modules"}
     # Nobody gets to 5 mm within 40 pokes: null, and no number that was not measured.
     assert found["pokes_to_5mm"]["random"] is None
     assert not found["bars"]["guided_pokes_to_5mm"]["holds"]
