@@ -255,9 +255,11 @@ class Controller(QObject):
 
     def tick(self) -> None:
         """Take what arrived, and tell the window if something changed."""
+        before = self._recording
         delivered = self._background.deliver()
         recording = self._recording
-        if recording is None:
+        if recording is None or recording is not before:
+            # What was just opened is shown already: one picture a tick.
             return
         drained = self._take_in(recording)
         snapshot = recording.road.snapshot(SOLVE_S)

@@ -155,7 +155,7 @@ def plan_of(part: Part) -> Plan:
     """Return where the part's layout puts the taxels; nowhere where there is no layout or it is not laid."""
     layout, laid = part.scene.skin.layout, part.laid
     plan = None if layout is None or laid is None else plan_from(layout, laid)
-    return unplaced(part.channels) if plan is None else plan
+    return plan or unplaced(part.channels, None if layout is None else layout.module_of[part.channels])
 
 
 def _contacts(snapshot: Snapshot) -> dict[int, Contact]:

@@ -23,6 +23,7 @@ from skincal.guide.places import Plan, believed
 from skincal.guide.pokes import Pokes, axis_of
 from skincal.guide.settings import GuideSettings
 from skincal.guide.sky import Sky
+from skincal.guide.turns import Turns
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import NoiseSettings
 
@@ -321,7 +322,8 @@ class Guide:
             return None
         seconds = self.settings.poke_s + self._away(state.places[rows]) / self.settings.hand_speed
         if self._in_plane:
-            row = self._over_modules(rows, seconds) if self.method is Method.MODULES else self._evenly(rows, seconds)
+            turns = Turns(self._places, self.plan.modules, self._pokes.asked, self._knowledge.own)
+            row = (turns.module_taxel if self.method is Method.MODULES else turns.taxel)(rows, seconds)
             push = int(self._left_out(row).argmin())
         else:
             near = self._near(rows, seconds)
@@ -354,32 +356,6 @@ class Guide:
         nearest, neediest = seconds.argsort(kind="stable"), np.lexsort((seconds, known))
         both: IntArray = np.union1d(nearest[: 2 * NEAR // 3], neediest[: NEAR // 3])
         return both
-
-    def _evenly(self, rows: IntArray, seconds: FloatArray) -> int:
-        """Return the taxel whose turn it is, round by round; of several the one that is reached soonest.
-
-        A poke of its own is a turn, asked for or not. One that was asked for and missed is asked for once more in a round, and
-        no more often: who cannot be reached must not keep the others waiting.
-        """
-        turn = _turns(self._pokes.asked[rows], self._knowledge.own[rows])
-        first = np.flatnonzero(turn == turn.min())
-        return int(rows[first[seconds[first].argmin()]])
-
-    def _over_modules(self, rows: IntArray, seconds: FloatArray) -> int:
-        """Return the taxel to poke in the module whose turn it is: the one farthest from those that were.
-
-        Pokes side by side do not tell how a module is turned. One that was asked for twice in vain counts as poked.
-        """
-        modules, asked, own = self.plan.modules, self._pokes.asked, self._knowledge.own
-        turn = _turns(np.bincount(modules, asked), np.bincount(modules, own))[modules[rows]]
-        first = np.flatnonzero(turn == turn.min())
-        module = modules[rows[first[seconds[first].argmin()]]]
-        here = first[modules[rows[first]] == module]
-        poked = self._places[(modules == module) & ((own > 0) | (asked > 1))]
-        if not len(poked):
-            return int(rows[here[seconds[here].argmin()]])
-        apart = np.sqrt(np.sum((self._places[rows[here], None] - poked) ** 2, axis=2)).min(axis=1)
-        return int(rows[here[np.nan_to_num(apart).argmax()]])
 
     def _fresh_gains(self, state: choose.State, rows: IntArray, phase: Phase) -> FloatArray:
         """Return (m, d) the gains at `rows`, worked out anew only where something around them changed."""
@@ -458,8 +434,3 @@ class Guide:
             tried=self._pushes[row],
             worth=np.where(self._left_out(row), 0.0, worth),
         )
-
-
-def _turns(asked: FloatArray | IntArray, own: FloatArray | IntArray) -> FloatArray:
-    """Return in which round each is by how often it was asked for and how often poked: one ask in vain costs no turn."""
-    return np.maximum(own, np.maximum(np.minimum(asked, own + 1), asked - 1)).astype(np.float64)

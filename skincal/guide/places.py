@@ -55,10 +55,15 @@ def plan_from(layout: Layout, laid: LaidSkin) -> Plan | None:
     return Plan(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
 
 
-def unplaced(channels: IntArray) -> Plan:
-    """Return a plan that puts none of `channels` (n,) anywhere: there is no layout."""
+def unplaced(channels: IntArray, modules: IntArray | None = None) -> Plan:
+    """Return a plan that puts none of `channels` (n,) anywhere: there is no layout, or it lies nowhere.
+
+    Parameters
+    ----------
+    modules : (n,) index of each channel's module; None without a layout
+    """
     nowhere = np.full((len(channels), 3), np.nan)
-    return Plan(channels, nowhere, nowhere.copy(), np.zeros(len(channels), dtype=np.int64))
+    return Plan(channels, nowhere, nowhere.copy(), np.zeros(len(channels), dtype=np.int64) if modules is None else modules)
 
 
 def believed(plan: Plan, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:

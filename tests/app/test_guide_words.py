@@ -200,6 +200,20 @@ def test_without_a_layout_on_the_part_taxels_are_guided_on_once_they_answered():
         assert says.target.channel in (5, 6)
 
 
+def test_a_layout_that_lies_nowhere_still_tells_of_modules():
+    """Or all of them would count as one, known from four pokes."""
+    nowhere = Part(SCENE, None, None, layout().channels, ())
+    assert plan_of(nowhere).modules.tolist() == 12 * [0] + 12 * [1]
+    guiding, of = Guiding(nowhere), Session(SCENE, None)
+    for poke, (x, y) in enumerate([(0.0, 0.0), (3.0, 0.0), (0.0, 3.0), (2.0, 2.0), (-3.0, 0.0)], 1):
+        of.add(touch(poke, (poke, poke + 1), (50.0, 20.0), force=(x, y, -10.0)))
+    of.add(touch(6, (15, 16), (50.0, 20.0)))
+    says = guiding.follow(of.snapshot(), 1, Method.MODULES, of.evidence, 0.0)
+    needs = dict(zip(says.channels.tolist(), says.needs, strict=True))
+    assert Need.POKES in needs[15]
+    assert Need.POKES not in needs[3]
+
+
 def test_a_poke_that_is_taken_back_is_not_said_to_count():
     poke = touch(1, (3,))
     before = NowMemory.of(session())
