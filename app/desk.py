@@ -32,6 +32,7 @@ from app.policies import Allowed, allowed, link_lines
 from app.rig_offers import used_words
 from app.rigging import Rigging
 from app.scene3d.view import View3D
+from app.short_way import ShortWay
 from app.theme import Colours
 from app.wishes import wish_of
 from app.workspace import Workspace
@@ -94,6 +95,7 @@ class Desk(QObject):
         self.chips = LinkChips()
         self.tracker = ErrorTracker(part, controller.compute)
         self.guiding = Guiding(part)
+        self._short_way = ShortWay(self.guiding.plan)
         self.marking = Marking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self.workspace.error_course.begin(self.tracker)
         self.workspace.compare.begin(BoardWatch(part, controller.compute))
@@ -168,6 +170,7 @@ class Desk(QObject):
             eye=self.workspace.view.eye(),
         )
         self._hear(self.frame, picture.behind_s)
+        self._tell_once(self._short_way.news(self.frame))
         self._controller.ask(wish_of(self.frame.guidance, self.frame.running))
         self.workspace.show_frame(self.frame)
         self.chips.show_frame(self.frame)
@@ -179,10 +182,12 @@ class Desk(QObject):
         """Show what landmark pokes tell of the rig, and say once what could be put right; None where nobody tells any more."""
         self._rigging.review = review
         self.show_again()
-        news = "" if self._picture is None else self._rigging.news(self._picture.snapshot)
+        self._tell_once("" if self._picture is None else self._rigging.news(self._picture.snapshot))
+        self.refresh_allowed()
+
+    def _tell_once(self, news: str) -> None:
         if news:
             self.said.emit(Message(news, found=True))
-        self.refresh_allowed()
 
     def correct(self) -> None:
         """Use the correction that is offered."""

@@ -33,8 +33,9 @@ class Guiding:
     def __init__(self, part: Part) -> None:
         self._scene, self._surface = part.scene, part.surface
         self._cover = part.cover
-        self._plan = plan_of(part)
-        self.landmarks = Landmarks(part, self._plan)
+        self.plan = plan_of(part)
+        """Where the layout puts the taxels."""
+        self.landmarks = Landmarks(part, self.plan)
         layout = part.scene.skin.layout
         self._boards = None if layout is None else Boards(layout, part.scene.skin.anchor, part.surface)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
@@ -132,7 +133,7 @@ class Guiding:
         if method not in self._guides:
             layout = self._scene.skin.layout
             spacing = SPACING if layout is None else layout.spacing
-            self._guides[method] = Guide(self._plan, self._scene.noise, method, spacing, cover=self._cover)
+            self._guides[method] = Guide(self.plan, self._scene.noise, method, spacing, cover=self._cover)
         return self._guides[method]
 
     def _estimates(self, snapshot: Snapshot) -> Mapping[Method, Sequence[Estimate]]:
@@ -140,7 +141,7 @@ class Guiding:
         return {method: self._planned(method, every) for method, every in snapshot.estimates.items()}
 
     def _planned(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
-        channels = self._plan.channels.tolist()
+        channels = self.plan.channels.tolist()
         if [one.channel for one in estimates] == channels:
             return estimates
         told = {one.channel: one for one in estimates}
