@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -25,8 +26,10 @@ CHECKS = {
 """Name of each check, and what Python is told to run it; the tests come last."""
 PLAYED = "tests/skincal/test_cli_layout.py"
 """Plays a session's bytes again and again, which takes a minute."""
-HALVES = (("tests", "--ignore=tests/app", f"--ignore={PLAYED}"), ("tests/app", PLAYED))
+HALVES = (("-m", "not quiet", "tests", "--ignore=tests/app", f"--ignore={PLAYED}"), ("-m", "not quiet", "tests/app", PLAYED))
 """The tests, in two parts that take about as long."""
+QUIET = ("-m", "quiet", "tests/app")
+"""Those that nothing may run beside."""
 
 
 HELP = """\
@@ -126,7 +129,7 @@ def _run(name: str, told: Sequence[str], environment: Mapping[str, str]) -> int:
 
 def _run_tests(environment: Mapping[str, str]) -> int:
     """Run all tests, those of the window beside the others: each uses one core, and half of the time is enough for both."""
-    alone, beside = (("-m", "pytest", "-p", "no:cacheprovider", *half) for half in HALVES)
+    alone, beside, quiet = (("-m", "pytest", "-p", "no:cacheprovider", *part) for part in (*HALVES, QUIET))
     with tempfile.TemporaryFile() as told:
         window = subprocess.Popen(
             [places.interpreter(), *beside],
@@ -137,14 +140,15 @@ def _run_tests(environment: Mapping[str, str]) -> int:
             stderr=subprocess.STDOUT,
         )
         try:
-            failed = _run(f"pytest {' '.join(HALVES[0])}", alone, environment)
-            say(f"\n$ pytest {' '.join(HALVES[1])}")
+            failed = _run(shlex.join(("pytest", *HALVES[0])), alone, environment)
+            say(f"\n$ {shlex.join(('pytest', *HALVES[1]))}")
             failed_beside = window.wait()
         finally:
             window.kill()
         told.seek(0)
         say(told.read().decode(errors="replace").rstrip())
-    return failed or failed_beside
+    failed_quiet = _run(shlex.join(("pytest", *QUIET)), quiet, environment)
+    return failed or failed_beside or failed_quiet
 
 
 def _become(command: list[str], environment: Mapping[str, str]) -> int:
