@@ -77,7 +77,8 @@ class Workspace(QWidget):
         self.devices = DevicesPanel()
         self.error_course = ErrorsPanel(self.methods, scene.skin.layout)
         self.rig = RigPanel(scene.arm)
-        # Each in what it stands in, from the first: Qt applies the style sheet anew to all that is inside of a moved widget.
+        # Splitters, cards and tabs in what they stand in, from the first: Qt applies the style sheet anew to all that a moved
+        # widget holds.
         self.across = QSplitter(Qt.Orientation.Horizontal, self)
         self.across.addWidget(self.view)
         self.right = QSplitter(Qt.Orientation.Vertical, self.across)

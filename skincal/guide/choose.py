@@ -86,7 +86,7 @@ def _pairs(places: FloatArray, reach: float) -> tuple[IntArray, IntArray, FloatA
         return known, known, np.empty(0)
     low, high = places[known].min(axis=0), places[known].max(axis=0)
     # A little wider than the reach, so that rounding puts no pair two cubes apart.
-    side = max(reach * (1.0 + 1e-9), float((high - low).max()) / MOST_CUBES)
+    side = max(reach * (1.0 + 1e-9), float((high - low).max()) / MOST_CUBES, np.finfo(float).tiny)
     cubes = ((places[known] - low) / side).astype(np.int64)
     # Numbered so that the last coordinate runs fastest, and none has a neighbour round the corner.
     wide, deep = int(cubes[:, 1].max()) + 3, int(cubes[:, 2].max()) + 3

@@ -234,7 +234,7 @@ class Guide:
         own, modules = self._knowledge.own, self.plan.modules
         if self.method is not Method.MODULES:
             return own
-        return np.where(modules >= 0, np.bincount(np.maximum(modules, 0), own).astype(np.int64)[modules], own)
+        return np.bincount(modules, own).astype(np.int64)[modules]
 
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
         know, left = self._knowledge, self._given_up()
@@ -322,8 +322,7 @@ class Guide:
             return None
         seconds = self.settings.poke_s + self._away(state.places[rows]) / self.settings.hand_speed
         if self._in_plane:
-            turns = Turns(self._places, self.plan.modules, self._pokes.asked, self._knowledge.own)
-            row = (turns.module_taxel if self.method is Method.MODULES else turns.taxel)(rows, seconds)
+            row = self._in_turn(rows, seconds)
             push = int(self._left_out(row).argmin())
         else:
             near = self._near(rows, seconds)
@@ -356,6 +355,14 @@ class Guide:
         nearest, neediest = seconds.argsort(kind="stable"), np.lexsort((seconds, known))
         both: IntArray = np.union1d(nearest[: 2 * NEAR // 3], neediest[: NEAR // 3])
         return both
+
+    def _in_turn(self, rows: IntArray, seconds: FloatArray) -> int:
+        """Return the taxel whose turn it is; a module that never answers has its turns, too."""
+        asked, own = self._pokes.asked, self._knowledge.own
+        if self.method is not Method.MODULES:
+            return Turns(self._places, self.plan.modules, asked, own).taxel(rows, seconds)
+        tried = np.maximum(asked, self._pokes.unanswered)
+        return Turns(self._places, self.plan.modules, tried, own).module_taxel(rows, seconds)
 
     def _fresh_gains(self, state: choose.State, rows: IntArray, phase: Phase) -> FloatArray:
         """Return (m, d) the gains at `rows`, worked out anew only where something around them changed."""

@@ -1,4 +1,4 @@
-"""Whose turn it is where pokes need no tilt but evenness: round by round, of several the one that is reached soonest.
+"""Whose turn it is where pokes need no tilt but evenness: round by round, and the way of the hand short.
 
 A poke of its own is a turn, asked for or not. One that was asked for and missed is asked for once more in a round, and no more
 often: who cannot be reached must not keep the others waiting.
@@ -15,10 +15,10 @@ from skincal.readings import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """Of n taxels."""
+    """Says which of n taxels is poked next, by how often each was."""
 
     places: FloatArray
-    """(n, 3) float, metres, believed."""
+    """(n, 3) float, metres, believed; NaN where nothing is known."""
     modules: IntArray
     """(n,) index of the module, from 0; looked at by `module_taxel` alone."""
     asked: IntArray
@@ -27,7 +27,7 @@ class Turns:
     """(n,) pokes that each answered most."""
 
     def taxel(self, rows: IntArray, seconds: FloatArray) -> int:
-        """Return which of the taxels `rows` (m,) is next, each counted by itself.
+        """Return which of the taxels `rows` (m,) is next, each counted by itself: of several the one reached soonest.
 
         Parameters
         ----------
@@ -37,9 +37,10 @@ class Turns:
         return int(rows[first[seconds[first].argmin()]])
 
     def module_taxel(self, rows: IntArray, seconds: FloatArray) -> int:
-        """Return which of `rows` (m,) is next where modules take turns: of its module, the one farthest from those poked.
+        """Return which of `rows` (m,) is next where modules take turns: of several modules the one reached soonest.
 
-        Pokes side by side do not tell how a module is turned. A taxel that was asked for twice in vain counts as poked.
+        Pokes side by side do not tell how a module is turned: of its taxels that were poked least, it is the one farthest from
+        the others. One that was asked for twice in vain counts as poked.
 
         Parameters
         ----------
@@ -48,14 +49,16 @@ class Turns:
         first = _first(_rounds(np.bincount(self.modules, self.asked), np.bincount(self.modules, self.own))[self.modules[rows]])
         module = self.modules[rows[first[seconds[first].argmin()]]]
         here = first[self.modules[rows[first]] == module]
-        poked = self.places[(self.modules == module) & ((self.own > 0) | (self.asked > 1))]
-        if not len(poked):
+        each = np.maximum(self.own, self.asked - 1)
+        here = here[_first(each[rows[here]])]
+        more = (self.modules == module) & (each > each[rows[here[0]]]) & np.isfinite(self.places).all(axis=1)
+        if not more.any():
             return int(rows[here[seconds[here].argmin()]])
-        apart = np.sqrt(np.sum((self.places[rows[here], None] - poked) ** 2, axis=2)).min(axis=1)
-        return int(rows[here[np.nan_to_num(apart).argmax()]])
+        off = self.places[rows[here], None] - self.places[more]
+        return int(rows[here[np.sum(off * off, axis=2).min(axis=1).argmax()]])
 
 
-def _first(rounds: FloatArray) -> IntArray:
+def _first(rounds: FloatArray | IntArray) -> IntArray:
     return np.flatnonzero(rounds == rounds.min())
 
 

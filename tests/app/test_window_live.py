@@ -298,6 +298,15 @@ def test_an_exception_that_nobody_caught_reaches_the_operator(bench):
     assert "a broken slot" in bench.window.messages.text.text()
 
 
+def test_what_was_just_opened_is_shown_once_in_a_tick(bench):
+    pictures, seen = [], []
+    bench.controller.ticked.connect(pictures.append)
+    bench.controller.session_opened.connect(lambda _: QTimer.singleShot(0, lambda: seen.append(len(pictures))))
+    bench.open_served()
+    assert seen == [1]
+    bench.until(lambda: len(pictures) > 3)
+
+
 @pytest.fixture
 def own_garbage():
     """Let the collector look as rarely as in the program, and only at what this test makes, not at a thousand other tests."""

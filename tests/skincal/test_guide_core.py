@@ -160,13 +160,15 @@ def test_neighbours_are_the_nearest_within_reach():
 
 
 @pytest.mark.parametrize("flat", [False, True])
-@pytest.mark.parametrize("reach", [1e-3, 0.02, 0.1, 50.0])
+@pytest.mark.parametrize("reach", [0.0, 1e-3, 0.02, 0.1, 50.0])
 def test_pairs_are_those_of_looking_at_all(rng, reach, flat):
-    """Scattered wide and narrow, two at one place, one nowhere, and a grid whose steps are the reach itself."""
+    """Scattered wide and narrow, two at one place, one nowhere, one far away, and grids whose steps are the reach itself."""
     scattered = rng.normal(size=(200, 3)) * [1.0, 0.02, 0.0 if flat else 0.1]
     scattered[3], scattered[5] = scattered[4], np.nan
     steps = np.stack(np.meshgrid(np.arange(12), np.arange(9), 3), axis=-1).reshape(-1, 3) * reach + 0.7
-    for places in (scattered, steps, scattered[:1], scattered[:0]):
+    line = np.arange(1100)[:, None] * [reach, 0.0, 0.0] - 0.3
+    far_off = np.concatenate([scattered[:50], [[-1e12, 1e12, 1e12]]])
+    for places in (scattered, steps, line, far_off, scattered[:1], scattered[:0], np.ones((3, 3))):
         one, other, apart = choose._pairs(places, reach)
         found = dict(zip(map(frozenset, zip(one.tolist(), other.tolist(), strict=True)), apart.tolist(), strict=True))
         assert len(found) == len(one)
