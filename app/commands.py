@@ -74,7 +74,7 @@ COMMANDS: tuple[Command, ...] = (
     Command(
         "pedals", "Poke", "Pedals\N{HORIZONTAL ELLIPSIS}", ("F3",), "Learn the keys of foot pedals for Space, Backspace and N"
     ),
-    Command("method", "View", "Next method", ("V",), "Show the estimates of the other method"),
+    Command("method", "View", "Next method", ("V",), "Show the next method's estimates; the guide follows it"),
     Command("difference", "View", "Lines to the other method", ("X",), "Join the estimates of both methods", checkable=True),
     Command("guide", "View", "Guide", ("G",), "Say and show what to poke next", checkable=True),
     Command("sounds", "View", SOUNDS, ("M",), "Hear contact, enough, verdict, taxel done, device lost", checkable=True),

@@ -34,6 +34,7 @@ from app.rigging import Rigging
 from app.scene3d.view import View3D
 from app.short_way import ShortWay
 from app.theme import Colours
+from app.verdict_words import rig_state
 from app.wishes import wish_of
 from app.workspace import Workspace
 from skincal.errors import InputError
@@ -66,6 +67,8 @@ class Desk(QObject):
 
     said = Signal(object)
     """`Message`."""
+    unsaid = Signal(object)
+    """`Message`: it holds no more."""
     heard = Signal(object)
     """`Heard`: a sound that is due."""
 
@@ -96,6 +99,7 @@ class Desk(QObject):
         self.tracker = ErrorTracker(part, controller.compute)
         self.guiding = Guiding(part)
         self._short_way = ShortWay(self.guiding.plan)
+        self._short_said: Message | None = None
         self.marking = Marking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self.workspace.error_course.begin(self.tracker)
         self.workspace.compare.begin(BoardWatch(part, controller.compute))
@@ -170,7 +174,7 @@ class Desk(QObject):
             eye=self.workspace.view.eye(),
         )
         self._hear(self.frame, picture.behind_s)
-        self._tell_once(self._short_way.news(self.frame))
+        self._tell_short_way(self.frame)
         self._controller.ask(wish_of(self.frame.guidance, self.frame.running))
         self.workspace.show_frame(self.frame)
         self.chips.show_frame(self.frame)
@@ -182,12 +186,20 @@ class Desk(QObject):
         """Show what landmark pokes tell of the rig, and say once what could be put right; None where nobody tells any more."""
         self._rigging.review = review
         self.show_again()
-        self._tell_once("" if self._picture is None else self._rigging.news(self._picture.snapshot))
-        self.refresh_allowed()
-
-    def _tell_once(self, news: str) -> None:
+        news = "" if self._picture is None else self._rigging.news(self._picture.snapshot)
         if news:
             self.said.emit(Message(news, found=True))
+        self.refresh_allowed()
+
+    def _tell_short_way(self, frame: Frame) -> None:
+        """Say that the modules method needs no more, until it is shown: who pokes does not look at messages that pass."""
+        news = self._short_way.news(frame)
+        if news:
+            self._short_said = Message(news, asks=True)
+            self.said.emit(self._short_said)
+        elif self._short_said is not None and frame.method is Method.MODULES:
+            self.unsaid.emit(self._short_said)
+            self._short_said = None
 
     def correct(self) -> None:
         """Use the correction that is offered."""
@@ -322,7 +334,10 @@ class Desk(QObject):
             return
         verdict = self.guiding.verdict(self.frame.guidance, self.frame.snapshot, self._picture.evidence)
         can_export = self._allowed is not None and self._allowed.export
-        dialog = VerdictDialog(verdict, self.workspace.names, parent, can_export=can_export)
+        offers, snapshot = self.frame.offers, self.frame.snapshot
+        rig = rig_state(offers, snapshot.corrections.values(), len(snapshot.at_landmarks))
+        names = self.workspace.names
+        dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=can_export, settled=not offers)
         dialog.taxel_wanted.connect(self.select_taxel)
         dialog.export_wanted.connect(lambda: self.ask_export(parent))
         dialog.open()

@@ -234,7 +234,8 @@ def _guided(at: Frame) -> Now | None:
     if guidance is None:
         return None
     if guidance.phase is GuidePhase.ENOUGH:
-        return Now(Tone.GOOD, enough_words(guidance, GOOD_RMS, dead), end_words(guidance, dead))
+        first = "C uses the correction that is offered. " if at.offers else ""
+        return Now(Tone.GOOD, enough_words(guidance, GOOD_RMS, dead), first + end_words(guidance, dead))
     if at.target is None:
         return None
     return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))

@@ -30,6 +30,8 @@ class ShortWay:
     def news(self, frame: Frame) -> str:
         """Return what the operator is told; empty where there is nothing to tell, or it was told."""
         asked = frame.guidance is not None and frame.guidance.phase is not Phase.ENOUGH
+        # Who has seen that method need no more knows it.
+        self._told |= frame.method is Method.MODULES and not asked and frame.guidance is not None
         if self._told or not asked or frame.method is Method.MODULES or frame.running is not Running.STREAMING:
             return ""
         if frame.revision == self._seen:
@@ -37,8 +39,8 @@ class ShortWay:
         self._seen = frame.revision
         self._told = self._enough(frame.snapshot)
         pokes, wanted = self._settings.module_pokes, 1e3 * self._settings.wanted
-        words = f"The modules method needs no more: {pokes} pokes on every module, predicted errors of at most {wanted:g} mm."
-        return f"{words} The box above the map, or V, goes on to it; what is poked counts for all." if self._told else ""
+        words = f"By the modules method it is enough: {pokes} pokes on every module, predicted errors of at most {wanted:g} mm."
+        return f"{words} The box above the map, or V, shows that method; then F leads to the file." if self._told else ""
 
     def _enough(self, snapshot: Snapshot) -> bool:
         """Return whether each taxel in use meets what `done.needs` asks for by the modules method."""

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from app.display_units import count, millimetres, minutes
+from app.rig_offers import Offer, used_words
 from app.words import METHOD_NAMES
+from skincal.estimate.correction import UsedCorrection
 from skincal.estimate.result import Method
 from skincal.guide.done import Why
 from skincal.guide.settings import GuideSettings
@@ -11,15 +15,15 @@ from skincal.guide.verdict import Left, Verdict
 
 
 def sentence(verdict: Verdict) -> str:
-    """Return what the session has come to: `"All 84 taxels are done, known to 3 mm, and the held-out pokes agree."`.
+    """Return what the session has come to: `"All 84 taxels are done, predicted to 3 mm, and the held-out pokes agree."`.
 
-    Taxels that are known to so much and not done, because they need something else, are not counted.
+    Taxels that are predicted to so much and not done, because they need something else, are not counted.
     """
     if not verdict.used:
         return "No taxel is used." if verdict.left else "No taxel has answered yet."
     if verdict.done == verdict.used:
         used = "used " if any(one.why is Why.DEAD for one in verdict.left) else ""
-        done = f"All {count(verdict.used, used + 'taxel')} are done, known to {millimetres(verdict.wanted, 0)}"
+        done = f"All {count(verdict.used, used + 'taxel')} are done, predicted to {millimetres(verdict.wanted, 0)}"
     else:
         done = f"{verdict.done} of {count(verdict.used, 'taxel')} are done"
     early = "" if verdict.enough else "Not enough yet: "
@@ -29,7 +33,9 @@ def sentence(verdict: Verdict) -> str:
 def _agreement(verdict: Verdict) -> str:
     if not verdict.check.believed:
         return ", but the held-out pokes speak against it"
-    return ", and the held-out pokes agree" if verdict.check.tells else ""
+    if not verdict.check.tells:
+        return "; too few pokes are held out to check it" if verdict.done else ""
+    return ", and the held-out pokes agree" if verdict.check.agrees else ", but the held-out pokes hardly agree"
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
@@ -64,10 +70,29 @@ def check_words(verdict: Verdict) -> str:
         return "no poke could be held out yet"
     words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others foretold"
     if check.believed:
-        return words if check.tells else f"{words}: too few to say anything"
+        return words if check.tells else f"{words}: too few to say anything (expected: 19 of 20)"
     return (
         f"{words}: the errors are larger than predicted. Look whether the part or the sensor moved, and at the scene's frames."
     )
+
+
+def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], poked: int) -> str:
+    """Return what is known of the rig's own errors, which no held-out poke of the skin needs to tell.
+
+    Parameters
+    ----------
+    offers : what could put the rig right
+    used : corrections in use
+    poked : pokes at landmarks
+    """
+    if offers:
+        return f"{offers[0].words} C uses that, the Rig tab says more."
+    in_use = " ".join(used_words(one) for one in used)
+    if in_use:
+        return in_use
+    if poked:
+        return f"nothing to correct by {count(poked, 'poke')} at landmarks"
+    return "not checked, since no landmark was poked: an error of the sensor's matrix or of the arm moves all taxels alike"
 
 
 def left_words(left: Left) -> str:

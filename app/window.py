@@ -166,6 +166,7 @@ class Window(QMainWindow):
         self.desk = desk
         desk.said.connect(self.tell)
         desk.heard.connect(self._play)
+        desk.unsaid.connect(self.messages.withdraw)
         desk.marking.unsaid.connect(self.messages.withdraw)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
         # Making the panels, laying them out and showing them each take half of what a window may stand still.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, Qt, Signal
-from PySide6.QtGui import QKeyEvent
+from PySide6.QtGui import QKeyEvent, QShowEvent
 from PySide6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
@@ -93,19 +93,33 @@ class LeftView(QTableView):
 
 
 class VerdictDialog(QDialog):
-    """Says how it ends; the space bar goes on: to the file once it is enough, to the poking before."""
+    """Says how it ends; the space bar goes on: to the file if it is enough and nothing speaks against it, else to the session.
+
+    Parameters
+    ----------
+    rig : what is known of the rig's own errors; empty for nothing
+    settled : whether nothing is offered that would change the estimates
+    """
 
     export_wanted = Signal()
     taxel_wanted = Signal(int)
 
     def __init__(
-        self, verdict: Verdict, names: ChannelNames, parent: QWidget | None = None, *, can_export: bool = True
+        self,
+        verdict: Verdict,
+        names: ChannelNames,
+        parent: QWidget | None = None,
+        *,
+        rig: str = "",
+        can_export: bool = True,
+        settled: bool = True,
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Verdict")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.sentence = QLabel(sentence(verdict))
-        self.figures = [(name, QLabel(value)) for name, value in figures(verdict)]
+        told = (*figures(verdict), *((("Rig", rig),) if rig else ()))
+        self.figures = [(name, QLabel(value)) for name, value in told]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
         self.left = LeftView(verdict.left, names)
         self.buttons = QDialogButtonBox()
@@ -113,7 +127,7 @@ class VerdictDialog(QDialog):
         self.export = self.buttons.addButton("Export\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
         self._arrange()
-        first = self.export if verdict.enough and can_export else self.go_on
+        first = self.export if verdict.enough and verdict.check.believed and settled and can_export else self.go_on
         first.setDefault(True)
         first.setFocus()
         self.buttons.accepted.connect(self._export)
@@ -142,6 +156,13 @@ class VerdictDialog(QDialog):
         self.sentence.setWordWrap(True)
         plain_buttons(self.buttons)
         self.setMinimumWidth(680)
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Take the height that the wrapped words need in this width, now that their fonts are known."""
+        super().showEvent(event)
+        layout = self.layout()
+        if layout is not None:
+            self.resize(self.width(), max(self.height(), layout.totalHeightForWidth(self.width())))
 
     def _export(self) -> None:
         self.accept()

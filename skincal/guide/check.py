@@ -44,6 +44,8 @@ INSIDE = 5.991
 OUTSIDE_SHARE = 0.05
 BELIEVED = 0.01
 """Chance below which so many outside are no accident."""
+AGREED = 0.1
+"""Chance below which they are not said to agree: one true session in ten at most is denied it."""
 TELLING = 10
 """Held-out pokes below which agreement says nothing: of five, none falls outside by chance in three sessions of four."""
 OTHERS = 2
@@ -68,6 +70,11 @@ class Check:
     def tells(self) -> bool:
         """Whether there are enough of them to say anything."""
         return self.checked >= TELLING
+
+    @property
+    def agrees(self) -> bool:
+        """Whether so many fall outside by chance often enough to say that they agree."""
+        return self.chance >= AGREED
 
     @property
     def believed(self) -> bool:

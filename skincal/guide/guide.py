@@ -357,11 +357,13 @@ class Guide:
         return both
 
     def _in_turn(self, rows: IntArray, seconds: FloatArray) -> int:
-        """Return the taxel whose turn it is; a module that never answers has its turns, too."""
+        """Return the taxel whose turn it is; a module that never answers, or is skipped, has had its turn, too."""
         asked, own = self._pokes.asked, self._knowledge.own
         if self.method is not Method.MODULES:
             return Turns(self._places, self.plan.modules, asked, own).taxel(rows, seconds)
         tried = np.maximum(asked, self._pokes.unanswered)
+        for row, sides in self._skips.items():
+            tried[row] += len(sides)
         return Turns(self._places, self.plan.modules, tried, own).module_taxel(rows, seconds)
 
     def _fresh_gains(self, state: choose.State, rows: IntArray, phase: Phase) -> FloatArray:

@@ -63,6 +63,12 @@ def test_it_is_not_said_where(changes):
     assert short.news(at(generation=2))
 
 
+def test_who_has_seen_that_method_be_enough_is_not_told():
+    short = ShortWay(plan_of(part()))
+    assert short.news(at(method=Method.MODULES, done=tuple(PLAN.channels.tolist()))) == ""
+    assert short.news(at(generation=2)) == ""
+
+
 def test_a_dead_taxel_and_a_dead_module_are_not_waited_for():
     assert ShortWay(plan_of(part())).news(at(dead=(7,)))
     assert ShortWay(plan_of(part())).news(at(pokes=ENOUGH[:4], dead=tuple(range(12, 24))))

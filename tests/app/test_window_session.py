@@ -212,7 +212,7 @@ def to_the_file(keys: Keys) -> Path:
     bench = keys.bench
     keys.tap(Key.Key_F13)
     verdict = keys.dialog(VerdictDialog)
-    assert verdict.sentence.text().startswith("All 8 taxels are done, known to 3 mm")
+    assert verdict.sentence.text().startswith("All 8 taxels are done, predicted to 3 mm")
     assert bench.controller.running is Running.STREAMING, "the verdict did not pause"
     keys.tap(Key.Key_Space)
     export = keys.dialog(ExportDialog)

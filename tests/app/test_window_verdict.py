@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
@@ -11,7 +12,9 @@ from window_support import NAMES, changed, pixels
 from app.dialogs.export import ExportDialog
 from app.dialogs.verdict import VerdictDialog
 from app.plan import Plan
-from app.verdict_words import check_words, done_words, figures, left_words, sentence
+from app.rig_offers import Offer, used_words
+from app.verdict_words import check_words, done_words, figures, left_words, rig_state, sentence
+from skincal.estimate.correction import RIG, Correction, UsedCorrection
 from skincal.estimate.result import Method
 from skincal.guide.check import Check
 from skincal.guide.done import Need, Why
@@ -35,13 +38,15 @@ def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        (verdict(), "All 24 taxels are done, known to 3 mm, and the held-out pokes agree."),
-        (verdict(UNUSED), "All 24 used taxels are done, known to 3 mm, and the held-out pokes agree."),
+        (verdict(), "All 24 taxels are done, predicted to 3 mm, and the held-out pokes agree."),
+        (verdict(UNUSED), "All 24 used taxels are done, predicted to 3 mm, and the held-out pokes agree."),
         (verdict(UNUSED, GIVEN_UP), "23 of 24 taxels are done, and the held-out pokes agree."),
         (verdict(EARLY), "Not enough yet: 23 of 24 taxels are done, and the held-out pokes agree."),
-        (verdict(checked=Check(14, 7)), "All 24 taxels are done, known to 3 mm, but the held-out pokes speak against it."),
-        (verdict(checked=Check(0, 0)), "All 24 taxels are done, known to 3 mm."),
-        (verdict(checked=Check(4, 4)), "All 24 taxels are done, known to 3 mm."),
+        (verdict(checked=Check(14, 7)), "All 24 taxels are done, predicted to 3 mm, but the held-out pokes speak against it."),
+        (verdict(checked=Check(11, 8)), "All 24 taxels are done, predicted to 3 mm, but the held-out pokes hardly agree."),
+        (verdict(checked=Check(11, 9)), "All 24 taxels are done, predicted to 3 mm, and the held-out pokes agree."),
+        (verdict(checked=Check(0, 0)), "All 24 taxels are done, predicted to 3 mm; too few pokes are held out to check it."),
+        (verdict(checked=Check(4, 4)), "All 24 taxels are done, predicted to 3 mm; too few pokes are held out to check it."),
         (verdict(UNUSED, used=0), "No taxel is used."),
         (verdict(used=0), "No taxel has answered yet."),
     ],
@@ -75,8 +80,8 @@ def test_every_reason_is_said(why):
     assert left_words(Left(1, why, (Need.POKES, Need.SIDES))) == f"{why.value}: needs pokes of its own, pokes from other sides"
 
 
-def shown(qtbot, *left: Left, **changes) -> VerdictDialog:
-    dialog = VerdictDialog(verdict(*left), NAMES, **changes)
+def shown(qtbot, *left: Left, checked: Check = AGREES, **changes) -> VerdictDialog:
+    dialog = VerdictDialog(verdict(*left, checked=checked), NAMES, **changes)
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
     qtbot.addWidget(dialog)
     with qtbot.waitExposed(dialog):
@@ -124,6 +129,27 @@ def test_where_it_is_not_enough_the_space_bar_and_enter_go_on_with_the_session(q
     with qtbot.assertNotEmitted(dialog.export_wanted):
         tap(qtbot, key)
     assert not dialog.isVisible()
+
+
+def test_what_speaks_against_it_or_is_offered_goes_before_the_file(qtbot):
+    assert shown(qtbot, checked=Check(14, 7)).focusWidget().text() == "Go on"
+    assert shown(qtbot, rig="It can be corrected.", settled=False).focusWidget().text() == "Go on"
+    assert shown(qtbot, rig="nothing to correct").focusWidget().text().startswith("Export")
+
+
+def test_all_that_is_said_is_seen(qtbot):
+    dialog = shown(qtbot, checked=Check(14, 7), rig=30 * "The rig can be corrected. ")
+    for label in (dialog.sentence, *(value for _, value in dialog.figures)):
+        assert label.height() >= label.heightForWidth(label.width()), label.text()
+
+
+def test_what_is_known_of_the_rig_is_said():
+    used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
+    offer = Offer("Correct the rig", "The rig can be corrected: held-out pokes then pass at 5.6 mm, now at 9.6 mm.", None)
+    assert rig_state((offer,), (), 6).endswith("now at 9.6 mm. C uses that, the Rig tab says more.")
+    assert rig_state((), (used,), 6) == used_words(used)
+    assert rig_state((), (), 6) == "nothing to correct by 6 pokes at landmarks"
+    assert rig_state((), (), 0).startswith("not checked, since no landmark was poked")
 
 
 def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):

@@ -325,3 +325,13 @@ def test_a_taxel_that_is_asked_for_in_vain_gives_way_to_another_of_its_module():
         followed.poke(elsewhere if channel == shunned else None)
     assert own.count(shunned) == 2
     assert len(set(own)) >= 4
+
+
+def test_who_skips_is_led_to_another_module():
+    followed, plan = Followed(Method.MODULES), part().plan
+    homes = []
+    for _ in range(7):
+        homes.append(int(plan.modules[np.searchsorted(plan.channels, followed.guidance.target.channel)]))
+        followed.guide.skip()
+        followed.guidance = followed.look()
+    assert sorted(homes) == list(range(7))
