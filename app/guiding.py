@@ -133,7 +133,10 @@ class Guiding:
         if method not in self._guides:
             layout = self._scene.skin.layout
             spacing = SPACING if layout is None else layout.spacing
-            self._guides[method] = Guide(self.plan, self._scene.noise, method, spacing, cover=self._cover)
+            on_surface = self._surface is not None
+            self._guides[method] = Guide(
+                self.plan, self._scene.noise, method, spacing, cover=self._cover, on_surface=on_surface
+            )
         return self._guides[method]
 
     def _estimates(self, snapshot: Snapshot) -> Mapping[Method, Sequence[Estimate]]:

@@ -42,6 +42,8 @@ NEAR = 150
 hand, one third the neediest."""
 SAME_SIDE = float(np.cos(np.radians(25.0)))
 """Cosine of the angle within which two pushes come from the same side: half the way between two that are tried."""
+TURN = 3
+"""Eighths of a turn from one tilted push on a module to the next: eight come from eight sides, no two alike in a row."""
 SKIPPED = 2
 """A side of a taxel that was skipped so often is left out."""
 _NOTHING_REJECTED: Mapping[int, Rejection] = {}
@@ -57,6 +59,7 @@ class Guide:
     method : the solver whose needs count
     spacing : m, usual distance of neighbours
     cover : places to poke while nobody knows where the taxels are; None with a layout
+    on_surface : whether a mesh tells the depth; modules that lie free in space need tilted pushes for it
     """
 
     def __init__(
@@ -67,11 +70,13 @@ class Guide:
         spacing: float,
         settings: GuideSettings | None = None,
         cover: Cover | None = None,
+        *,
+        on_surface: bool = True,
     ) -> None:
         count = len(plan.channels)
         self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
         self._noise, self._spacing, self._cover = noise, spacing, cover
-        self._in_plane = method is not Method.FREE
+        self._in_plane, self._tilted = method is not Method.FREE, method is Method.MODULES and not on_surface
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._pokes = Pokes(plan.channels, self.settings)
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
@@ -323,7 +328,7 @@ class Guide:
         seconds = self.settings.poke_s + self._away(state.places[rows]) / self.settings.hand_speed
         if self._in_plane:
             row = self._in_turn(rows, seconds)
-            push = int(self._left_out(row).argmin())
+            push = self._push(row)
         else:
             near = self._near(rows, seconds)
             gains = self._fresh_gains(state, rows[near], phase) / seconds[near, None]
@@ -355,6 +360,14 @@ class Guide:
         nearest, neediest = seconds.argsort(kind="stable"), np.lexsort((seconds, known))
         both: IntArray = np.union1d(nearest[: 2 * NEAR // 3], neediest[: NEAR // 3])
         return both
+
+    def _push(self, row: int) -> int:
+        """Return which push is next at a taxel that needs none in particular: straight; from another side each, in space."""
+        turn = TURN * int(self._own()[row]) % choose.AZIMUTHS
+        round_ = [choose.TRIES - choose.AZIMUTHS + (turn + step) % choose.AZIMUTHS for step in range(choose.AZIMUTHS)]
+        order = [*(round_ if self._tilted else ()), *range(choose.TRIES)]
+        left_out = self._left_out(row)
+        return next((push for push in order if not left_out[push]), order[0])
 
     def _in_turn(self, rows: IntArray, seconds: FloatArray) -> int:
         """Return the taxel whose turn it is; a module that never answers, or is skipped, has had its turn, too."""

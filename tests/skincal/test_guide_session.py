@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -335,3 +336,20 @@ def test_who_skips_is_led_to_another_module():
         followed.guide.skip()
         followed.guidance = followed.look()
     assert sorted(homes) == list(range(7))
+
+
+def test_modules_in_space_are_pushed_from_all_sides():
+    """Parallel axes leave the depth blind where no mesh tells it."""
+    followed, plan = Followed(Method.MODULES), part().plan
+    followed.guide = Guide(plan, part().scene.noise, Method.MODULES, part().spacing, on_surface=False)
+    followed.guidance, pushes = followed.look(), {module: [] for module in range(7)}
+    for _ in range(24):
+        target = followed.guidance.target
+        # How far is what the hand manages.
+        assert np.radians(9.9) < target.tilt < np.radians(28.1)
+        pushes[int(plan.modules[np.searchsorted(plan.channels, target.channel)])].append(target.push)
+        followed.poke()
+    for own in pushes.values():
+        # A poke that fell on another module is asked for again from the same side.
+        apart = [np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))) for one, other in pairwise(own)]
+        assert sum(angle > 15.0 for angle in apart) >= 2
