@@ -335,7 +335,7 @@ class Desk(QObject):
         verdict = self.guiding.verdict(self.frame.guidance, self.frame.snapshot, self._picture.evidence)
         can_export = self._allowed is not None and self._allowed.export
         offers, snapshot = self.frame.offers, self.frame.snapshot
-        rig = rig_state(offers, snapshot.corrections.values(), len(snapshot.at_landmarks))
+        rig = rig_state(offers, snapshot.corrections.values(), self.frame.review)
         names = self.workspace.names
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=can_export, settled=not offers)
         dialog.taxel_wanted.connect(self.select_taxel)

@@ -1,13 +1,14 @@
-"""The modules method may need no more pokes while the method that is shown asks for hundreds: that is said, once."""
+"""The modules method may need no more pokes while the method that is shown asks for hundreds: that is said, once a session."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections import Counter
 
 from app.frame import Frame
 from app.running import Running
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method, State
+from skincal.estimate.result import Estimate, Method, State
+from skincal.guide.done import Facts, Need, needs
 from skincal.guide.guidance import Phase
 from skincal.guide.places import Plan
 from skincal.guide.settings import GuideSettings
@@ -43,15 +44,16 @@ class ShortWay:
         return f"{words} The box above the map, or V, shows that method; then F leads to the file." if self._told else ""
 
     def _enough(self, snapshot: Snapshot) -> bool:
-        """Return whether each taxel in use meets what `done.needs` asks for by the modules method."""
-        used = [one for one in snapshot.estimates.get(Method.MODULES, ()) if one.state is not State.DEAD]
-        if not used or not all(one.rms is not None and one.rms <= self._settings.wanted for one in used):
-            return False
-        counting = [one.outcome for one in snapshot.pokes if isinstance(one.outcome, Contact) and not one.excluded]
-        answered = [int(contact.channels[contact.responses.argmax()]) for contact in counting]
+        """Return whether no taxel of the plan needs anything by the modules method."""
         module_of = dict(zip(self._plan.channels.tolist(), self._plan.modules.tolist(), strict=True))
-        modules = {module_of[one.channel] for one in used if one.channel in module_of}
-        own = np.bincount(
-            [module_of[channel] for channel in answered if channel in module_of], minlength=max(modules, default=0) + 1
-        )
-        return bool((own[sorted(modules)] >= self._settings.module_pokes).all())
+        known = [one for one in snapshot.estimates.get(Method.MODULES, ()) if one.channel in module_of]
+        if all(one.state is State.DEAD for one in known) or any(self._needs(one, self._settings.module_pokes) for one in known):
+            return False  # whatever was poked where
+        counting = [one.outcome for one in snapshot.pokes if isinstance(one.outcome, Contact) and not one.excluded]
+        own = Counter(module_of.get(int(contact.channels[contact.responses.argmax()])) for contact in counting)
+        return not any(self._needs(one, own[module_of[one.channel]]) for one in known)
+
+    def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
+        """Return what a taxel needs whose module has so many pokes; nothing else of the facts is looked at."""
+        nothing = float("nan")
+        return needs(estimate, Facts(pokes, nothing, nothing, nothing), Method.MODULES, self._settings)

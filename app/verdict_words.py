@@ -12,6 +12,7 @@ from skincal.estimate.result import Method
 from skincal.guide.done import Why
 from skincal.guide.settings import GuideSettings
 from skincal.guide.verdict import Left, Verdict
+from skincal.session.review import Review
 
 
 def sentence(verdict: Verdict) -> str:
@@ -69,30 +70,34 @@ def check_words(verdict: Verdict) -> str:
     if not check.checked:
         return "no poke could be held out yet"
     words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others foretold"
+    if check.believed and not check.tells:
+        return f"{words}: too few to say anything"
+    if check.agrees:
+        return words
     if check.believed:
-        return words if check.tells else f"{words}: too few to say anything (expected: 19 of 20)"
+        return f"{words}, of 20 it should be 19: the errors may be larger than predicted"
     return (
         f"{words}: the errors are larger than predicted. Look whether the part or the sensor moved, and at the scene's frames."
     )
 
 
-def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], poked: int) -> str:
-    """Return what is known of the rig's own errors, which no held-out poke of the skin needs to tell.
+def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
+    """Return what is known of the rig's own errors, which held-out pokes of the skin hardly show.
 
     Parameters
     ----------
     offers : what could put the rig right
     used : corrections in use
-    poked : pokes at landmarks
+    review : what pokes at landmarks tell; None while nothing does
     """
     if offers:
         return f"{offers[0].words} C uses that, the Rig tab says more."
     in_use = " ".join(used_words(one) for one in used)
     if in_use:
         return in_use
-    if poked:
-        return f"nothing to correct by {count(poked, 'poke')} at landmarks"
-    return "not checked, since no landmark was poked: an error of the sensor's matrix or of the arm moves all taxels alike"
+    if review is not None and review.pokes:
+        return review.rig.sentences[0]
+    return "not checked, since landmarks were not poked: an error of the sensor's matrix or of the arm moves all taxels alike"
 
 
 def left_words(left: Left) -> str:

@@ -16,9 +16,11 @@ from app.rig_offers import Offer, used_words
 from app.verdict_words import check_words, done_words, figures, left_words, rig_state, sentence
 from skincal.estimate.correction import RIG, Correction, UsedCorrection
 from skincal.estimate.result import Method
+from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer
 from skincal.guide.check import Check
 from skincal.guide.done import Need, Why
 from skincal.guide.verdict import Left, Verdict
+from skincal.session.review import Review
 
 Key = Qt.Key
 UNUSED = Left(4, Why.DEAD, ())
@@ -66,6 +68,11 @@ def test_the_figures_are_those_of_the_verdict():
         ("Work", "252 pokes in 9 min"),
     )
     assert "the errors are larger than predicted" in check_words(verdict(checked=Check(14, 7)))
+    hardly = check_words(verdict(checked=Check(11, 8)))
+    assert hardly == (
+        "8 of 11 held-out pokes fell where the others foretold, of 20 it should be 19: the errors may be larger than predicted"
+    )
+    assert check_words(verdict(checked=Check(4, 4))).endswith("foretold: too few to say anything")
     assert check_words(verdict(checked=Check(0, 0))) == "no poke could be held out yet"
 
 
@@ -153,10 +160,15 @@ def test_all_that_is_said_is_seen(qtbot):
 def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
     offer = Offer("Correct the rig", "The rig can be corrected: held-out pokes then pass at 5.6 mm, now at 9.6 mm.", None)
-    assert rig_state((offer,), (), 6).endswith("now at 9.6 mm. C uses that, the Rig tab says more.")
-    assert rig_state((), (used,), 6) == used_words(used)
-    assert rig_state((), (), 6) == "nothing to correct by 6 pokes at landmarks"
-    assert rig_state((), (), 0).startswith("not checked, since no landmark was poked")
+    assert rig_state((offer,), (), None).endswith("now at 9.6 mm. C uses that, the Rig tab says more.")
+    assert rig_state((), (used,), None) == used_words(used)
+    assert rig_state((), (), None).startswith("not checked, since landmarks were not poked")
+    few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))
+    pokes = tuple(LandmarkPoke(poke, "wrist", *np.zeros((3, 3)), np.eye(4), "") for poke in (1, 2, 3))
+    for poked, said in ((pokes, few.sentences[0]), ((), rig_state((), (), None))):
+        review = Review(1, poked, {}, None, few, np.arange(24), {}, {})
+        assert rig_state((), (), review) == said
+    assert "3 pokes at 2 are there" in few.sentences[0]
 
 
 def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
