@@ -70,7 +70,7 @@ class Sizes:
     """Pokes of the others that follow, and of the other cases, free method; unguided ones go on to `long`."""
     surface_limit: int = 1008
     modules_limit: int = 252
-    """A module is known long before; each poke takes twenty times as long to solve."""
+    """A module is known long before."""
     modules_seeds: int = 20
     long: int = 4032
     cases: Mapping[str, Conditions] = field(default_factory=dict[str, Conditions])
