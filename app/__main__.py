@@ -5,8 +5,14 @@ Commands import no Qt. The window is on the screen before anything heavy is impo
 
 from __future__ import annotations
 
-import argparse
+import os
 import sys
+
+if __name__ == "__main__" and not sys.flags.safe_path:
+    # `python -m app` has put the working folder first on the path: a `typer.py` that lies there is not the program's.
+    sys.path[:] = [*sys.path[1:], os.path.dirname(os.path.dirname(__file__))]  # noqa: PTH120 - a pathlib.py may lie there
+
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -61,7 +61,7 @@ def server_command(scene: Path | None) -> tuple[str, ...]:
     Its operator follows the target that the window tells it (`LinkServer.tell`).
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
-    simulate = (sys.executable, "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
+    simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
     return (*simulate, "--scene", name, "--json")
 
 

@@ -64,7 +64,7 @@ class ReviewServer(QObject):
 
     def _start(self) -> None:
         self._started = True
-        self._process.start(sys.executable, ["-m", MODULE])
+        self._process.start(sys.executable, ["-P", "-m", MODULE])
         surface = self._session.surface
         self._tell(Part(self._session.scene, None if surface is None else surface.sha256))
 

@@ -39,7 +39,7 @@ Opens the skincal window on a simulated forearm that is being poked. What is mis
 megabytes, into .venv of this folder, and on Debian and Ubuntu missing system libraries. Where there is no display, it
 runs the same session without a window, to a calibration file and a picture of it.
 
-It takes the same words as `skincal` and `python -m app`:
+It takes the same words as `skincal`:
 
   start.py --scene NAME | FILE.toml       open the window on another part
   start.py --session DIR                  go on with a recorded session
@@ -80,7 +80,7 @@ def _start(arguments: Sequence[str]) -> int:
     fresh = python_env.ensure(places.RUN_LOCK)
     if _draws(arguments):
         _provide_drawing(fresh, shown=system_libs.has_display() and "--headless" not in arguments)
-    return _become([str(places.interpreter()), "-m", "app", *arguments], system_libs.environment())
+    return _become([str(places.interpreter()), "-P", "-m", "app", *arguments], system_libs.environment())
 
 
 def _check(arguments: Sequence[str]) -> int:
@@ -110,7 +110,7 @@ def _provide_drawing(fresh: bool, *, shown: bool) -> None:
 
 def _probe(depth: str) -> None:
     probe = subprocess.run(
-        [places.interpreter(), Path(__file__).with_name("probe.py"), depth],
+        [places.interpreter(), "-P", Path(__file__).with_name("probe.py"), depth],
         env=system_libs.environment(),
         stdin=subprocess.DEVNULL,
         capture_output=True,

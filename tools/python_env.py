@@ -120,7 +120,7 @@ def _provide_pip() -> None:
 
 def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [places.interpreter(), *arguments],
+        [places.interpreter(), "-P", *arguments],
         env=_pip_environment() | variables,
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -135,7 +135,7 @@ def _pip_environment() -> dict[str, str]:
 
 
 def _pip_install(lock: Path) -> None:
-    command = [places.interpreter(), "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
+    command = [places.interpreter(), "-P", "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
     command += ["--retries", "2", "--progress-bar", "off", "-r", lock]
     with (
         places.LOG.open("w", buffering=1, encoding="utf-8") as log,

@@ -6,6 +6,7 @@ Results go to stdout, as text or with `--json` as one JSON value; everything els
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -58,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : without the program's name; those of the process when None
     """
+    os.environ["PYTHONSAFEPATH"] = "1"  # processes that a study starts run nothing that lies in the working folder
     _register_once()
     try:
         result = typer.main.get_command(app).main(

@@ -1,4 +1,4 @@
-"""`python -m skincal.cli`: the commands without the window."""
+"""`python -P -m skincal.cli`: the commands without the window. Without `-P` a `typer.py` of the working folder would run."""
 
 import sys
 
