@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from skincal.errors import InputError
 
 if TYPE_CHECKING:
-    from skincal.readings import Stream
     from skincal.streams.links import LinkSpec
 
 DEFAULT_SCENE = "icub-forearm"
@@ -66,29 +65,21 @@ def server_command(scene: Path | None) -> tuple[str, ...]:
 
 
 def check_addresses(addresses: Addresses) -> None:
-    """Raise `InputError` where some device is named, but not both that a poke needs."""
+    """Raise `InputError` where some device is named, but not both that a poke needs, or by an address that is not known."""
     if addresses and not (addresses.wrench and addresses.skin):
         missing = "wrench" if not addresses.wrench else "skin"
         raise InputError(f"No {missing} device is named; expected the addresses of both the wrench and the skin, or of none.")
+    if addresses:
+        link_specs(addresses)
 
 
 def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
-    """Return the links for addresses; one device that carries several streams is one link."""
+    """Return the links for addresses; see `describe_links`."""
     from skincal.readings import Stream
-    from skincal.streams.links import LinkSpec
+    from skincal.streams.links import describe_links
 
-    carried: dict[str, list[Stream]] = {}
-    for address, stream in (
-        (addresses.wrench, Stream.WRENCH),
-        (addresses.skin, Stream.SKIN),
-        (addresses.joints, Stream.JOINTS),
-    ):
-        if address:
-            carried.setdefault(address, []).append(stream)
-    return tuple(
-        LinkSpec(streams[0].value if len(streams) == 1 else "board", address, tuple(streams))
-        for address, streams in carried.items()
-    )
+    named = {Stream.WRENCH: addresses.wrench, Stream.SKIN: addresses.skin, Stream.JOINTS: addresses.joints}
+    return describe_links({stream: address for stream, address in named.items() if address})
 
 
 def dated_folder(parent: Path, now: datetime) -> Path:

@@ -16,12 +16,9 @@ import numpy as np
 from app.display_units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.estimate.result import Estimate, Method, State
-from skincal.readings import LinkHealth, LinkState
+from skincal.readings import LinkHealth, LinkState, is_silent
 from skincal.session.snapshot import Snapshot
 from skincal.wrench import move_wrench, pitch
-
-SILENT_AFTER = 1.0
-"""s. A link without bytes for longer is called silent: ten readings of the slowest usual stream (joints, 10 Hz)."""
 
 ADVICE: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "Press harder, then hold.",
@@ -268,7 +265,7 @@ def _look(health: LinkHealth, now_ns: int) -> LinkLook:
         return LinkLook.ENDED
     if health.last_host_ns == 0:
         return LinkLook.WAITING
-    return LinkLook.SILENT if (now_ns - health.last_host_ns) * 1e-9 > SILENT_AFTER else LinkLook.STREAMING
+    return LinkLook.SILENT if is_silent(health.last_host_ns * 1e-9, now_ns * 1e-9) else LinkLook.STREAMING
 
 
 def _link_detail(health: LinkHealth, look: LinkLook, last: str) -> str:

@@ -128,6 +128,15 @@ class Sample:
     """(joints,) float, radians, last streamed joint angles; None without a joint stream."""
 
 
+SILENT_S = 2.0
+"""s. What has brought nothing for longer is silent. Joints at 1 Hz are slow, not silent."""
+
+
+def is_silent(last_s: float, now_s: float) -> bool:
+    """Return whether a link, or the frames of a skin, are silent at `now_s`; the newest came at `last_s` of the same clock."""
+    return now_s - last_s > SILENT_S
+
+
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
     """How a link does, for the devices panel."""

@@ -13,7 +13,7 @@ import typer
 from skincal.cli.calibrate import Json
 from skincal.cli.fresh import Fresh, KeptError, new_folder
 from skincal.errors import InputError
-from skincal.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
 from skincal.scene import Scene, load_scene, scene_file
 
 if TYPE_CHECKING:
@@ -27,10 +27,6 @@ SceneOption = Annotated[
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the new session.")]
 LinkOption = Annotated[str, typer.Option(help="Port such as /dev/ttyUSB0@460800 or COM3, socket://HOST:PORT, or a file.")]
-BOARD = "board"
-"""Name of a link that carries several streams."""
-SILENT_NS = 2_000_000_000
-"""ns. Joints at 1 Hz are slow, not silent."""
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
 
@@ -89,9 +85,11 @@ def record(
     as_json: Json = False,
 ) -> None:
     """Record devices into a session, until Ctrl-C, and estimate as pokes come in."""
+    from skincal.streams.links import describe_links
+
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
-    links = links_of({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
+    links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
     with new_folder(out) as fresh:
         road = _recorded(loaded, (out, fresh), links, pose, seconds, pokes)
         finish(road, out, as_json)
@@ -124,20 +122,6 @@ def _recorded(
             road.feed(items.get())
         road.close()
     return road
-
-
-def links_of(addresses: Mapping[Stream, str | None]) -> list[LinkSpec]:
-    """Describe the links by what each carries; one address for several streams is one board."""
-    from skincal.streams.links import LinkSpec
-
-    carried: dict[str, list[Stream]] = {}
-    for stream, address in addresses.items():
-        if address is not None:
-            carried.setdefault(address, []).append(stream)
-    return [
-        LinkSpec(streams[0].value if len(streams) == 1 else BOARD, address, tuple(streams))
-        for address, streams in carried.items()
-    ]
 
 
 def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
@@ -217,10 +201,10 @@ class Silence:
         """Return what is new at `now_ns` of the host's monotonic clock."""
         said, self._again = self._again, []
         for name, heard_ns in self._heard_ns.items():
-            if name not in self._silent and now_ns - heard_ns > SILENT_NS:
+            if name not in self._silent and is_silent(heard_ns * 1e-9, now_ns * 1e-9):
                 self._silent.add(name)
                 said.append(
-                    f"{name}: is open but silent for {SILENT_NS / 1e9:g} s; check the device's power, its cable, its baud rate "
+                    f"{name}: is open but silent for {SILENT_S:g} s; check the device's power, its cable, its baud rate "
                     "and that it was started."
                 )
         return said

@@ -14,7 +14,7 @@ from skincal.contacts.tare import TARE_AGE_MAX_S
 from skincal.readings import FloatArray, IntArray
 from skincal.scene import Scene
 
-SILENT_S = 2.0
+NO_NUMBER_S = 2.0
 """s. A channel that gives no number for so long is dead: a hundred frames at 50 Hz."""
 STUCK_END_S = TARE_AGE_MAX_S
 """s. A channel that rests at the pressed end of its range for so long is stuck: longer than any poke that counts."""
@@ -125,7 +125,7 @@ class ChannelHealth:
         dead: dict[int, str] = {}
         self._find_always_on(dead)
         self._find_stuck(host_s, dead)
-        self._find_silent(host_s, dead)
+        self._find_numberless(host_s, dead)
         self._known = {channel: why for channel, why in self._known.items() if self._holds(channel, why)}
         dead = self._known | dead
         dead = {channel: dead[channel] for channel in sorted(dead)}
@@ -146,10 +146,10 @@ class ChannelHealth:
             return self._pokes < BLIND_POKES or len(self._peaks) < BLIND_PEAKS
         return bool((self._away[self._candidates == channel] < AWAY_POKES).any())
 
-    def _find_silent(self, host_s: float, dead: dict[int, str]) -> None:
-        silent = host_s - self._number_s[self._candidates] >= SILENT_S
-        for channel in self._candidates[silent]:
-            dead[int(channel)] = f"{_NO_NUMBER} for {SILENT_S:g} s or more; check its wiring"
+    def _find_numberless(self, host_s: float, dead: dict[int, str]) -> None:
+        without = host_s - self._number_s[self._candidates] >= NO_NUMBER_S
+        for channel in self._candidates[without]:
+            dead[int(channel)] = f"{_NO_NUMBER} for {NO_NUMBER_S:g} s or more; check its wiring"
 
     def _find_stuck(self, host_s: float, dead: dict[int, str]) -> None:
         assert self._last is not None

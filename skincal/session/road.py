@@ -15,7 +15,7 @@ import numpy as np
 from skincal.contacts.detector import ContactDetector, Doubt, Known
 from skincal.contacts.outcome import Contact, Outcome, Phase
 from skincal.errors import InputError
-from skincal.readings import Chunk, FloatArray, LinkEvent, LinkState, Sample, Stream
+from skincal.readings import Chunk, FloatArray, LinkEvent, LinkState, Sample, Stream, is_silent
 from skincal.scene import ArmSpec, Scene
 from skincal.session.actions import Action, Stamped
 from skincal.session.journal import Ending, Item, JournalFailure, JournalWriter, Note
@@ -29,8 +29,6 @@ from skincal.streams.links import LinkSpec
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
 
-SILENT_S = 1.0
-"""s. A live view says "no data" when no frame came for so long."""
 DECODED_NS = 500_000_000
 """ns. Decoded wrenches go to the journal so often."""
 TOTALS_NS = 5_000_000_000
@@ -82,9 +80,7 @@ class Road:
         InputError
             It is of a link that was not described.
         """
-        if item.link not in {link.name for link in self.links}:
-            names = ", ".join(link.name for link in self.links)
-            raise InputError(f"Bytes of a link named {item.link!r} came; expected one of {names}.")
+        self._intake.check(item)  # before anything is recorded
         outcomes: list[Outcome] = []
         try:
             for sample in self._intake.feed(item):
@@ -135,7 +131,7 @@ class Road:
         detector = self._detector
         name, link_from_sensor = self._poses.current
         progress = self.session.corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name)
-        if now_ns * 1e-9 - detector.last_s > SILENT_S:
+        if is_silent(detector.last_s, now_ns * 1e-9):
             progress = replace(progress, phase=Phase.NO_DATA)
         times, wrench = self._intake.recent_wrench()
         return LiveView(

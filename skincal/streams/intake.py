@@ -69,11 +69,15 @@ class Intake:
         """Host's clock (s) and raw values (channels,) of the newest skin frame, paired or not; None before the first."""
         return self._last_skin
 
+    def check(self, item: Chunk | LinkEvent) -> None:
+        """Refuse an item of a link that was not described, with an InputError; nothing is taken."""
+        if item.link not in self._links:
+            raise InputError(f"Bytes of a link named {item.link!r} came; expected one of {', '.join(self._links) or 'none'}.")
+
     def feed(self, item: Chunk | LinkEvent) -> list[Sample]:
         """Take the next item of the queue or the journal and return the samples that it completes, in order."""
-        link = self._links.get(item.link)
-        if link is None:
-            raise InputError(f"Bytes of a link named {item.link!r} came; expected one of {', '.join(self._links) or 'none'}.")
+        self.check(item)
+        link = self._links[item.link]
         arrived = link.take_chunk(item) if isinstance(item, Chunk) else link.take_event(item)
         for arrival_ns, batch in arrived:
             self._take(link, batch, arrival_ns * 1e-9)

@@ -2,13 +2,18 @@
 
 pyserial is imported here only, and only when a serial port is opened. Every failure ends as one `LinkFailure` with a
 sentence that says what was seen and what to do.
+
+An address may come from a stranger's session, so `parse_address` alone decides what is opened: what it does not know never
+reaches pyserial, whose URLs run other code and write files (`spy://PORT?file=X` empties X).
 """
 
 from __future__ import annotations
 
 import errno
+import re
 import socket
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
@@ -16,11 +21,17 @@ from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
+from skincal.errors import InputError
 from skincal.readings import Stream
 
 DEFAULT_BAUD = 115200
 FILE_PREFIX = "file:"
 SOCKET_PREFIX = "socket://"
+SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
+"""How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
+KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, or a file"
+BOARD = "board"
+"""Name of a link that carries several streams."""
 READ_BYTES = 65536
 """Most bytes of one read: more than a second of any serial port."""
 CONNECT_S = 1.0
@@ -63,6 +74,68 @@ class LinkSpec:
     """One of `skincal.streams.formats.NAMES`."""
 
 
+class LinkKind(Enum):
+    """What an address names."""
+
+    SERIAL = "serial port"
+    TCP = "TCP server"
+    FILE = "file"
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """An address that was understood."""
+
+    kind: LinkKind
+    place: str
+    """Name of the port, path of the file, or host."""
+    number: int
+    """Baud rate, or the TCP server's port."""
+
+
+def parse_address(address: str) -> Address:
+    """Return what an address names; nothing is opened.
+
+    Raises
+    ------
+    InputError
+        No link that is known has such an address; the sentence says which have.
+    """
+    if not address:
+        raise InputError(f"The address is empty; expected {KNOWN}.")
+    if address.startswith(SOCKET_PREFIX):
+        return Address(LinkKind.TCP, *_host_and_port(address))
+    path, baud = split_baud(address)
+    if path.startswith(FILE_PREFIX) or Path(path).is_file():
+        return Address(LinkKind.FILE, path.removeprefix(FILE_PREFIX), baud)
+    scheme = SCHEME.match(address)
+    if scheme is not None:
+        raise InputError(
+            f"{address}: skincal does not open what begins with {scheme[1]}:, expected {KNOWN}; name the device itself."
+        )
+    return Address(LinkKind.SERIAL, path, baud)
+
+
+def describe_links(addresses: Mapping[Stream, str | None]) -> tuple[LinkSpec, ...]:
+    """Return the links for the address of each stream; one address for several streams is one link.
+
+    Raises
+    ------
+    InputError
+        An address is of no link that is known.
+    """
+    carried: dict[str, list[Stream]] = {}
+    for stream, address in addresses.items():
+        if address is not None:
+            carried.setdefault(address, []).append(stream)
+    for address in carried:
+        parse_address(address)
+    return tuple(
+        LinkSpec(streams[0].value if len(streams) == 1 else BOARD, address, tuple(streams))
+        for address, streams in carried.items()
+    )
+
+
 class Link(Protocol):
     """An open link."""
 
@@ -86,14 +159,17 @@ def open_link(spec: LinkSpec) -> Link:
     ------
     LinkFailure : with a sentence: not there, in use, permission denied, refused, address not understood
     """
-    path, baud = split_baud(spec.address)
-    if spec.address.startswith(SOCKET_PREFIX):
-        return TcpLink(spec.address)
-    if path.startswith(FILE_PREFIX) or Path(path).is_file():
+    try:
+        address = parse_address(spec.address)
+    except InputError as error:
+        raise LinkFailure(FailureKind.ADDRESS, str(error)) from error
+    if address.kind is LinkKind.TCP:
+        return TcpLink(spec.address, address.place, address.number)
+    if address.kind is LinkKind.FILE:
         from skincal.streams.playback import PlaybackLink
 
-        return PlaybackLink(Path(path.removeprefix(FILE_PREFIX)), spec, baud)
-    return SerialLink(path, baud)
+        return PlaybackLink(Path(address.place), spec, address.number)
+    return SerialLink(address.place, address.number)
 
 
 def split_baud(address: str) -> tuple[str, int]:
@@ -105,17 +181,16 @@ def split_baud(address: str) -> tuple[str, int]:
 
 
 class SerialLink:
-    """A serial port, a pty, or any other URL that pyserial knows."""
+    """A serial port or a pty."""
 
     def __init__(self, port: str, baud: int) -> None:
         import serial
 
         self._name = port
         self._errors = _serial_errors()
-        if not port:
-            raise LinkFailure(FailureKind.ADDRESS, "The address is empty; expected a port such as /dev/ttyUSB0 or COM3.")
         try:
-            self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
+            # Not `serial_for_url`: it takes more for a URL than a port's name.
+            self._port: Any = serial.Serial(port, baudrate=baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
         except ValueError as error:
             raise LinkFailure(
                 FailureKind.ADDRESS, f"{port} does not open at {baud} baud ({error}); check the address and its @BAUD."
@@ -164,8 +239,7 @@ class SerialLink:
 class TcpLink:
     """A TCP server that sends what a serial port would."""
 
-    def __init__(self, address: str) -> None:
-        host, port = _host_and_port(address)
+    def __init__(self, address: str, host: str, port: int) -> None:
         self._name = address
         try:
             self._socket = socket.create_connection((host, port), CONNECT_S)
@@ -206,9 +280,7 @@ def _host_and_port(address: str) -> tuple[str, int]:
     except ValueError:
         host, port = None, None
     if not host or not port:
-        raise LinkFailure(
-            FailureKind.ADDRESS, f"{address} is no TCP address; expected socket://HOST:PORT, such as socket://127.0.0.1:7000."
-        )
+        raise InputError(f"{address} is no TCP address; expected socket://HOST:PORT, such as socket://127.0.0.1:7000.")
     return host, port
 
 

@@ -24,9 +24,13 @@ from app.run import GARBAGE, Faults
 from app.running import Running
 from app.scene3d.probe import best_canvas
 from app.theme import Choice
+from app.words import LinkLook
 from skincal.estimate.result import Method, State
-from skincal.scene import resource
+from skincal.readings import Stream
+from skincal.scene import load_scene, resource
+from skincal.session.journal import create_session
 from skincal.session.replay import replay
+from skincal.streams.links import LinkSpec
 
 
 def known(snapshot) -> dict[tuple[Method, int], bytes]:
@@ -256,6 +260,19 @@ def test_bad_input_ends_in_a_sentence_and_not_in_a_window_that_is_gone(bench, tm
     assert bench.window.messages.isVisible()
     bench.window.open(Plan(session=tmp_path / "nothing"))
     bench.until(lambda: any("nothing" in m.text for m in bench.messages), OPEN_MS)
+
+
+def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, tmp_path):
+    scene, kept = load_scene(resource("scenes/flat-patch/scene.toml")), tmp_path / "kept.txt"
+    kept.write_text("a thesis")
+    links = [LinkSpec(stream.value, f"spy:///dev/null?file={kept}", (stream,)) for stream in (Stream.WRENCH, Stream.SKIN)]
+    create_session(tmp_path / "strange", scene, links).close()
+    bench.open(Plan(session=tmp_path / "strange"))
+    assert bench.controller.running is Running.OFFLINE
+    bench.controller.go_on()
+    bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in bench.window.desk.frame.links))
+    assert {link.look for link in bench.window.desk.frame.links} == {LinkLook.LOST}
+    assert kept.read_text() == "a thesis"
 
 
 @pytest.mark.parametrize(

@@ -463,6 +463,10 @@ def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
     with qtbot.assertNotEmitted(dialog.plan_chosen):
         dialog.buttons.accepted.emit()
     assert "No skin device" in dialog.objection.text()
+    dialog.fields["skin"].setText("spy:///dev/ttyACM0?file=x")
+    with qtbot.assertNotEmitted(dialog.plan_chosen):
+        dialog.buttons.accepted.emit()
+    assert "begins with spy:, expected a serial port" in dialog.objection.text()
     dialog.fields["skin"].setText("/dev/ttyACM0")
     with qtbot.waitSignal(dialog.plan_chosen) as chosen:
         dialog.buttons.accepted.emit()

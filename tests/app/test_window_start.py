@@ -62,6 +62,7 @@ def test_devices_without_a_display_end_in_a_sentence_and_code_2():
     ("arguments", "said"),
     [
         ("['--wrench', 'a']", "No skin device is named"),
+        ("['--wrench', 'spy:///dev/null?file=x', '--skin', 'b']", "begins with spy:, expected a serial port"),
         ("['--scene', 'nowhere/scene.toml']", "nowhere"),
         ("['--session', 'nowhere']", "nowhere"),
         ("['--colour']", "--colour"),

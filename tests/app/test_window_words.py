@@ -135,6 +135,8 @@ def test_looks_of_links():
         return link_words(health, round(now_s * 1e9)).look
 
     assert look(link()) is LinkLook.STREAMING
+    assert look(link(last_s=100.0), 101.9) is LinkLook.STREAMING
+    assert look(link(last_s=100.0), 102.1) is LinkLook.SILENT
     assert look(link(last_host_ns=0)) is LinkLook.WAITING
     assert look(link(state=LinkState.LOST)) is LinkLook.LOST
     assert look(link(state=LinkState.FAILED, last_host_ns=0)) is LinkLook.LOST

@@ -67,7 +67,21 @@ def test_an_address_that_cannot_be_right_ends_a_recording(run, tmp_path):
     code, _, err = run("record", "--wrench", "socket://[::1", "--skin", tmp_path, *SCENE, "--out", tmp_path / "s")
     assert code == 2
     assert "socket://[::1 is no TCP address; expected socket://HOST:PORT" in err
+    assert not (tmp_path / "s").exists()
+    code, _, err = run("record", "--wrench", "/dev/ttyNone1", "--skin", tmp_path, *SCENE, "--out", tmp_path / "s")
+    assert code == 2
     assert f"{tmp_path} is not a serial port" in err
+
+
+def test_a_kind_of_link_that_is_not_known_is_refused_before_a_session_is_made(run, tmp_path):
+    kept = tmp_path / "kept.txt"
+    kept.write_text("a thesis")
+    address = f"spy:///dev/null?file={kept}"
+    code, _, err = run("record", "--wrench", address, "--skin", "/dev/null", *SCENE, "--out", tmp_path / "s")
+    assert code == 2
+    assert err.startswith(f"skincal: {address}: skincal does not open what begins with spy:, expected a serial port")
+    assert not (tmp_path / "s").exists()
+    assert kept.read_text() == "a thesis"
 
 
 def test_a_recording_without_a_reading_says_of_which_link(run, tmp_path):
@@ -87,35 +101,36 @@ def test_a_recording_of_no_length_is_refused(run, tmp_path, option):
 
 
 def test_a_link_that_is_open_and_silent_is_told_once_and_when_it_sends_again():
-    from skincal.cli.record import SILENT_NS, Silence
-    from skincal.readings import Chunk, LinkEvent, LinkState
+    from skincal.cli.record import Silence
+    from skincal.readings import SILENT_S, Chunk, LinkEvent, LinkState
 
+    silent_ns = round(SILENT_S * 1e9)
     silence = Silence()
     silence.hear(LinkEvent("skin", 10, LinkState.OPEN))
     silence.hear(LinkEvent("wrench", 10, LinkState.FAILED, "in use"))
-    assert silence.sentences(SILENT_NS) == []
-    said = silence.sentences(SILENT_NS + 11)
+    assert silence.sentences(silent_ns) == []
+    said = silence.sentences(silent_ns + 11)
     assert len(said) == 1
     assert said[0].startswith("skin: is open but silent for 2 s; check")
-    assert silence.sentences(SILENT_NS + 12) == []
-    silence.hear(Chunk("skin", SILENT_NS + 20, b"x"))
-    assert silence.sentences(SILENT_NS + 30) == ["skin: sends again"]
-    silence.hear(LinkEvent("skin", SILENT_NS + 40, LinkState.LOST, "vanished"))
-    assert silence.sentences(9 * SILENT_NS) == []
+    assert silence.sentences(silent_ns + 12) == []
+    silence.hear(Chunk("skin", silent_ns + 20, b"x"))
+    assert silence.sentences(silent_ns + 30) == ["skin: sends again"]
+    silence.hear(LinkEvent("skin", silent_ns + 40, LinkState.LOST, "vanished"))
+    assert silence.sentences(9 * silent_ns) == []
 
 
 def test_one_address_for_several_streams_is_one_board():
-    from skincal.cli.record import links_of
     from skincal.readings import Stream
+    from skincal.streams.links import describe_links
 
     wrench, skin, joints = Stream.WRENCH, Stream.SKIN, Stream.JOINTS
-    assert [(link.name, link.carries) for link in links_of({wrench: "a", skin: "a", joints: "a"})] == [
+    assert [(link.name, link.carries) for link in describe_links({wrench: "a", skin: "a", joints: "a"})] == [
         ("board", (wrench, skin, joints))
     ]
-    assert [(link.name, link.carries) for link in links_of({wrench: "a", skin: "b", joints: "b"})] == [
+    assert [(link.name, link.carries) for link in describe_links({wrench: "a", skin: "b", joints: "b"})] == [
         ("wrench", (wrench,)), ("board", (skin, joints)),
     ]  # fmt: skip
-    assert [link.name for link in links_of({wrench: "a", skin: "b", joints: None})] == ["wrench", "skin"]
+    assert [link.name for link in describe_links({wrench: "a", skin: "b", joints: None})] == ["wrench", "skin"]
 
 
 def test_a_skin_log_of_the_wrong_width_says_what_was_seen_and_expected(run, tmp_path):

@@ -69,7 +69,8 @@ def test_the_live_view_shows_what_the_devices_say():
     assert live.wrench_s[-1] - live.wrench_s[0] == pytest.approx(1.6, abs=0.2)
     np.testing.assert_allclose(live.wrench[0], [3.0, -2.0, 20.0, 0.1, -0.3, 0.05])
     assert [link.state for link in live.links] == [LinkState.OPEN, LinkState.OPEN]
-    assert road.live(now + 2_000_000_000).progress.phase is Phase.NO_DATA
+    assert road.live(now + 1_500_000_000).progress.phase is Phase.HELD
+    assert road.live(now + 2_100_000_000).progress.phase is Phase.NO_DATA
 
 
 def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():

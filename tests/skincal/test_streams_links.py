@@ -3,6 +3,7 @@
 import errno
 import os
 import queue
+import re
 import socket
 import sys
 import time
@@ -13,9 +14,20 @@ import numpy as np
 import pytest
 import serial
 
+from skincal.errors import InputError
 from skincal.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams import links
-from skincal.streams.links import FailureKind, LinkFailure, LinkSpec, open_link, split_baud
+from skincal.streams.links import (
+    Address,
+    FailureKind,
+    LinkFailure,
+    LinkKind,
+    LinkSpec,
+    describe_links,
+    open_link,
+    parse_address,
+    split_baud,
+)
 from skincal.streams.reader import NEW_REASON_S, Reader
 
 LOST_WITHIN_S = 0.3
@@ -337,13 +349,63 @@ def test_tcp_address_that_cannot_be_right(address):
     assert failure.value.kind is FailureKind.ADDRESS
 
 
+STRANGE = [
+    "spy://{port}?file={path}", "SPY:///dev/null?file={path}", "alt://{port}?class=PosixPollSerial", "hwgrep://.*", "loop://",
+    "rfc2217://127.0.0.1:1", "cp2110://0", "http://127.0.0.1:1", "Socket://h:1", "simulated:wrench", "nothing://x@9600",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("address", STRANGE)
+def test_only_links_that_are_known_are_opened(tmp_path, monkeypatch, address):
+    monkeypatch.setattr(serial, "Serial", lambda *_, **__: pytest.fail("pyserial was asked"))
+    kept = tmp_path / "kept.txt"
+    kept.write_text("a thesis")
+    address = address.format(port="/dev/ttyUSB0", path=kept)
+    with pytest.raises(InputError) as error:
+        parse_address(address)
+    begins = address.partition(":")[0]
+    assert f"{address}: skincal does not open what begins with {begins}:, expected a serial port" in str(error.value)
+    with pytest.raises(LinkFailure) as failure:
+        open_link(spec(address))
+    assert failure.value.kind is FailureKind.ADDRESS
+    assert str(failure.value) == str(error.value)
+    with pytest.raises(InputError, match="begins with"):
+        describe_links({Stream.WRENCH: "/dev/ttyUSB0", Stream.SKIN: address})
+    assert kept.read_text() == "a thesis"
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "place", "number"),
+    [
+        ("/dev/ttyUSB0@460800", LinkKind.SERIAL, "/dev/ttyUSB0", 460800),
+        ("COM3", LinkKind.SERIAL, "COM3", 115200),
+        (r"\\.\COM12@9600", LinkKind.SERIAL, r"\\.\COM12", 9600),
+        ("/dev/pts/7", LinkKind.SERIAL, "/dev/pts/7", 115200),
+        ("/dev/serial/by-id/usb-a:b-if00", LinkKind.SERIAL, "/dev/serial/by-id/usb-a:b-if00", 115200),
+        ("socket://127.0.0.1:7000", LinkKind.TCP, "127.0.0.1", 7000),
+        ("file:C:/logs/skin.bin@9600", LinkKind.FILE, "C:/logs/skin.bin", 9600),
+        (__file__, LinkKind.FILE, __file__, 115200),
+    ],
+)
+def test_what_an_address_names(address, kind, place, number):
+    assert parse_address(address) == Address(kind, place, number)
+
+
+def test_a_port_s_name_is_never_a_url(monkeypatch):
+    """Were the check above gone, pyserial still would not look for a handler of `spy://`."""
+    monkeypatch.setattr(links, "SCHEME", re.compile("(?!)(x)"))
+    with pytest.raises(LinkFailure, match="There is no port") as failure:
+        open_link(spec("spy:///dev/null"))
+    assert failure.value.kind is FailureKind.ABSENT
+
+
 @pytest.mark.parametrize("address", ["", "nothing://x"])
 def test_address_that_cannot_be_right_is_said_once_and_left(address):
     items = queue.SimpleQueue()
     reader = Reader(spec(address), items)
     reader.start()
     event = next_event(items, LinkState.FAILED)
-    assert "address" in event.text
+    assert "expected a serial port such as" in event.text
     time.sleep(0.3)
     assert not reader.running
     assert items.empty()
@@ -398,7 +460,7 @@ def test_what_the_system_says_becomes_a_sentence(monkeypatch, platform, error, k
     def refuse(*_args, **_kwargs):
         raise error
 
-    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    monkeypatch.setattr(serial, "Serial", refuse)
     monkeypatch.setattr(links.sys, "platform", platform)
     with pytest.raises(LinkFailure, match=words) as failure:
         open_link(spec("/dev/ttyX"))
