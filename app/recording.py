@@ -86,11 +86,10 @@ class Recording:
             The disk takes no new segment. Nothing is read then; the session stays as it is, with its journal open, so that
             what the operator does to it is still recorded.
         """
-        from skincal.session.journal import open_next_segment
-
         self.drain()
         self.road.demand_record()
-        following = open_next_segment(self.storage.folder, self.road.scene, self.links)
+        assert self.road.journal is not None
+        following = self.road.journal.open_next(self.road.scene, self.links)
         self.road.close()
         self.road.begin_segment(self.links, following)
         self.start()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from app.plan import Plan, dated_folder
 from skincal.errors import InputError
+from skincal.journal.lock import LOCK_NAME
 
 
 class Storage:
@@ -59,7 +60,7 @@ class Storage:
 
     def _copy(self, target: Path) -> None:
         try:
-            shutil.copytree(self.folder, target, dirs_exist_ok=True)
+            shutil.copytree(self.folder, target, ignore=shutil.ignore_patterns(LOCK_NAME), dirs_exist_ok=True)
         except (OSError, shutil.Error) as error:
             raise InputError(f"{target}: the session cannot be kept there ({error}); free some space and try again.") from error
 

@@ -31,6 +31,7 @@ from mcap.writer import Writer
 
 from skincal import __version__
 from skincal.errors import InputError
+from skincal.journal.lock import SessionLock, writer_of
 from skincal.readings import Chunk, FloatArray, LinkEvent, Sample, Stream
 from skincal.scene import Scene
 from skincal.session import cdr
@@ -77,28 +78,52 @@ def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Jou
     InputError
         The folder holds a session already, or cannot be made, or the scene's files cannot be copied.
     """
-    if any(folder.glob("segment-*.mcap*")):
-        raise InputError(f"{folder}: holds a session already; name another folder, or open this one to go on.")
-    if (folder / SCENE_FOLDER).exists():
-        raise InputError(f"{folder}: there is a folder {folder / 'scene'} already; name an empty or new folder.")
+    who = writer_of(folder)
+    if who:
+        raise InputError(f"{folder}: is being recorded by {who}; name another folder.")
+    _demand_empty(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); name a folder where you may write.") from None
-    copy_scene(scene, folder / SCENE_FOLDER)
-    return open_segment(folder, 1, scene, links)
+    lock = SessionLock(folder)
+    try:
+        _demand_empty(folder)  # another may have been quicker
+        copy_scene(scene, folder / SCENE_FOLDER)
+        return open_segment(folder, scene, links, lock)
+    except InputError:
+        lock.release()
+        raise
+
+
+def _demand_empty(folder: Path) -> None:
+    if any(folder.glob("segment-*.mcap*")):
+        raise InputError(f"{folder}: holds a session already; name another folder, or open this one to go on.")
+    if (folder / SCENE_FOLDER).exists():
+        raise InputError(f"{folder}: there is a folder {folder / 'scene'} already; name an empty or new folder.")
 
 
 def open_next_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> JournalWriter:
-    """Open the segment after the last of a session; `InputError` where that is not possible."""
-    return open_segment(folder, len(list(folder.glob("segment-*.mcap"))) + 1, scene, links)
+    """Open the segment after the last of a session that nobody writes; `InputError` where that is not possible."""
+    lock = SessionLock(folder)
+    try:
+        return open_segment(folder, scene, links, lock)
+    except InputError:
+        lock.release()
+        raise
 
 
-def open_segment(folder: Path, number: int, scene: Scene, links: Sequence[LinkSpec]) -> JournalWriter:
-    """Open a new segment of a session; `InputError` where that is not possible."""
+def open_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock) -> JournalWriter:
+    """Open the segment after the last of a session; `InputError` where that is not possible.
+
+    Parameters
+    ----------
+    lock : of the folder; the new segment's from then on
+    """
+    number = len(list(folder.glob("segment-*.mcap"))) + 1
     path = folder / SEGMENT_NAME.format(number)
     try:
-        return JournalWriter(path, number, scene, links)
+        return JournalWriter(path, number, scene, links, lock)
     except (OSError, JournalFailure) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{path}: cannot be written ({why}); check the folder's rights and the space on the disk.") from None
@@ -112,10 +137,13 @@ class JournalWriter:
     path : a file that does not exist yet
     number : of the segment, from 1
     scene, links : written at the start
+    lock : of the session's folder, let go with the segment's end
     """
 
-    def __init__(self, path: Path, number: int, scene: Scene, links: Sequence[LinkSpec]) -> None:
+    def __init__(self, path: Path, number: int, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock) -> None:
         self.path = path
+        self._lock = lock
+        self._holds_lock = False  # before it stands, the lock is the caller's
         self.failed = ""
         """Why nothing is written any more; empty while all is well."""
         self._file: BufferedWriter = path.open("xb")
@@ -133,6 +161,7 @@ class JournalWriter:
         self._monotonic_ns, self._unix_ns = time.monotonic_ns(), time.time_ns()
         self._frame = scene.link
         self._guarded(lambda: self._begin(number, scene, links))
+        self._holds_lock = True
 
     def write(self, item: Item, notes: Sequence[Note] = ()) -> None:
         """Append one item and what it led to.
@@ -171,9 +200,22 @@ class JournalWriter:
         self._guarded(lambda: self._flush(sync=True))
 
     def close(self) -> None:
-        """Finish the segment, with its index."""
+        """Finish the segment, with its index, and let others write."""
         if not self._file.closed:
             self._guarded(self._finish)
+        self._let_go()
+
+    def open_next(self, scene: Scene, links: Sequence[LinkSpec]) -> JournalWriter:
+        """Open the segment that follows, which keeps the lock; this one stays open until `close`.
+
+        Raises
+        ------
+        InputError
+            It cannot be opened; this one goes on as if nothing had happened.
+        """
+        following = open_segment(self.path.parent, scene, links, self._lock)
+        self._holds_lock = False
+        return following
 
     def unix_ns(self, host_ns: int) -> int:
         """Return the time of day of a moment of the monotonic clock, ns since 1970."""
@@ -282,6 +324,10 @@ class JournalWriter:
         os.fsync(self._file.fileno())
         self._file.close()
 
+    def _let_go(self) -> None:
+        if self._holds_lock:
+            self._lock.release()
+
     def _guarded(self, work: Callable[[], None]) -> None:
         """Do work on the file; a refusal of the disk ends the journal, once."""
         if self.failed:
@@ -295,6 +341,7 @@ class JournalWriter:
             )
             with contextlib.suppress(OSError):
                 self._file.close()  # tries to write once more, and is closed all the same
+            self._let_go()
             raise JournalFailure(self.failed) from error
 
 

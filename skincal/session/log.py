@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 from mcap.records import Channel
 
 from skincal.errors import InputError
+from skincal.journal.lock import writer_of
 from skincal.readings import Chunk, LinkEvent, LinkState
 from skincal.scene import Scene, load_scene
 from skincal.session import cdr
@@ -46,6 +47,7 @@ class SessionLog:
     Parameters
     ----------
     folder : of the session
+    own : the reader holds the folder's lock itself
 
     Raises
     ------
@@ -53,8 +55,9 @@ class SessionLog:
         It is not a session's folder, or its scene cannot be read, or its first segment has no readable beginning.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, own: bool = False) -> None:
         self.folder = folder
+        self.own = own
         self.segments = find_segments(folder)
         self._findings: list[str] = []
         first = next(_SegmentItems(self.segments[0]).read(), None)
@@ -70,6 +73,10 @@ class SessionLog:
         """Every segment read so far tells the session without the bytes."""
         self.whole = True
         """Every segment read to its end so far was closed, and nothing is wrong with it."""
+        self.written_by = "" if own else writer_of(folder)
+        """Who records it at the moment, in words; empty where nobody does."""
+        if self.written_by:
+            self._findings.append(f"{folder}: is being recorded by {self.written_by}; read as far as it is written.")
         if self.scene_changed:
             self._findings.append(f"{self.scene.path}: was changed after the recording; the changed one is used.")
 
@@ -107,7 +114,7 @@ class SessionLog:
                 elif not isinstance(item, Chunk):
                     ended |= isinstance(item, Ending)
                     yield item
-        if not ended:
+        if not ended and not self.written_by:
             self._findings.append(
                 f"{self.segments[-1].name}: was not closed. At most the poke in progress is missing, "
                 "and counts of readings may lack the last seconds."
@@ -120,7 +127,8 @@ class SessionLog:
             yield segment
             self.whole &= segment.whole
             sentence = segment.finding()
-            if sentence:
+            # Of a segment that grows, the end is never whole.
+            if sentence and not (self.written_by and path == self.segments[-1]):
                 self._findings.append(sentence)
             later = self.segments[index + 1 :]
             if not segment.complete and later:

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skincal.errors import InputError
+from skincal.journal.lock import SessionLock
 from skincal.scene import Scene, with_layout
 from skincal.session.actions import Stamped
-from skincal.session.journal import Ending, open_next_segment
-from skincal.session.log import LogItem, LogState, SegmentMark, SessionLog
+from skincal.session.journal import Ending, open_segment
+from skincal.session.log import LogItem, LogState, SegmentMark, SessionLog, find_segments
 from skincal.session.recovery import recover_session
 from skincal.session.road import Road
 from skincal.session.segment import has_end
@@ -52,10 +53,7 @@ def replay(
     InputError
         The folder is not a session, or its scene or mesh cannot be read.
     """
-    log = SessionLog(folder)
-    road = _new_road(log, layout)
-    _play(log, road, speed, stop)
-    return road
+    return _played(SessionLog(folder), layout, speed, stop)
 
 
 def load(folder: Path, layout: Path | None = None) -> Road:
@@ -77,19 +75,18 @@ def load(folder: Path, layout: Path | None = None) -> Road:
     InputError
         As for `replay`.
     """
-    return _load(folder, layout)[0]
+    return _load(SessionLog(folder), layout)[0]
 
 
-def _load(folder: Path, layout: Path | None = None) -> tuple[Road, bool]:
+def _load(log: SessionLog, layout: Path | None = None) -> tuple[Road, bool]:
     """Return the road, and whether every segment is known to be whole."""
-    log = SessionLog(folder)
     if log.scene_changed or not log.has_notes:
-        return replay(folder, layout=layout), False
+        return _played(log, layout), False
     road = _new_road(log, layout)
     misfits: list[str] = []
     for item in log.state():
         if log.scene_changed or not log.has_notes:
-            return replay(folder, layout=layout), False
+            return _played(SessionLog(log.folder, own=log.own), layout), False
         try:
             _load_step(road, item)
         except InputError as error:
@@ -125,18 +122,27 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Road:
     Raises
     ------
     InputError
-        As for `replay`; also if the folder cannot be written.
+        As for `replay`; also if the folder cannot be written, or is being written by another process.
     """
-    segments = SessionLog(folder).segments  # says what is wrong before anything is changed
+    SessionLog(folder)  # says what is wrong before anything is changed
+    lock = SessionLock(folder)
+    try:
+        return _resume(folder, links, lock)
+    except BaseException:
+        lock.release()
+        raise
+
+
+def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -> Road:
     said: tuple[str, ...] = ()
-    if not all(has_end(path) for path in segments):
+    if not all(has_end(path) for path in find_segments(folder)):
         said = recover_session(folder)
-    road, whole = _load(folder)
+    road, whole = _load(SessionLog(folder, own=True))
     if not whole and not said:
         said = recover_session(folder)
-        road = load(folder) if said else road
+        road = _load(SessionLog(folder, own=True))[0] if said else road
     links = road.links if links is None else tuple(links)
-    journal = open_next_segment(folder, road.scene, links)
+    journal = open_segment(folder, road.scene, links, lock)
     road.begin_segment(links, journal)
     road.findings = (*said, *road.findings)
     return road
@@ -155,7 +161,8 @@ def step(road: Road, item: LogItem) -> None:
         road.feed(item)
 
 
-def _play(log: SessionLog, road: Road, speed: float | None, stop: Callable[[], bool]) -> None:
+def _played(log: SessionLog, layout: Path | None, speed: float | None = None, stop: Callable[[], bool] = lambda: False) -> Road:
+    road = _new_road(log, layout)
     pace = None if speed is None else _Pace(speed)
     misfits: list[str] = []
     for item in log.items():
@@ -171,6 +178,7 @@ def _play(log: SessionLog, road: Road, speed: float | None, stop: Callable[[], b
         if stop():
             break
     road.findings = (*log.findings, *misfits)
+    return road
 
 
 class _Pace:

@@ -10,7 +10,7 @@ from skincal.session import journal
 from skincal.session.actions import Exclude
 from skincal.session.replay import load, replay, resume
 from skincal.session.road import Road
-from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
+from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
 
 class Folder:
@@ -36,8 +36,7 @@ def segments(folder):
 
 
 def test_no_number_is_skipped_after_a_recovery(recording, tmp_path):
-    recording.road.journal.sync()
-    recording.road.journal._file.close()
+    killed(recording.road)
     road = resume(tmp_path / "s")
     assert (tmp_path / "s" / "segment-0001.mcap.damaged").exists()
     Recording(road, recording.storage).go_on()

@@ -26,6 +26,7 @@ from app.scene3d.probe import best_canvas
 from app.theme import Choice
 from app.words import LinkLook
 from skincal.estimate.result import Method, State
+from skincal.journal.lock import SessionLock
 from skincal.readings import Stream
 from skincal.scene import load_scene, resource
 from skincal.session.journal import create_session
@@ -166,6 +167,20 @@ def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):
     found = [message for message in bench.messages if segment.name in message.text]
     assert found
     assert all(message.found and not message.error for message in found)
+
+
+def test_a_session_that_is_recorded_elsewhere_is_refused_with_a_sentence(bench, recorded):
+    before = {path: path.read_bytes() for path in recorded.rglob("*") if path.is_file()}
+    lock = SessionLock(recorded)
+    try:
+        bench.window.open(Plan(session=recorded))
+        bench.until(lambda: any("is being recorded by process" in m.text and m.error for m in bench.messages))
+        assert bench.controller.running is Running.OFFLINE
+        bench.key(Qt.Key.Key_Escape)
+    finally:
+        lock.release()
+    assert {path: path.read_bytes() for path in recorded.rglob("*") if path.is_file()} == before
+    bench.open(Plan(session=recorded))
 
 
 def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(bench, tmp_path):

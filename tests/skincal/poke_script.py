@@ -209,3 +209,11 @@ def outcome_key(outcome: Outcome) -> tuple[object, ...]:
     """All fields of an outcome in a form that `==` compares bit for bit."""
     values = (getattr(outcome, name) for name in type(outcome).__slots__)
     return tuple(np.asarray(value).tobytes() if isinstance(value, np.ndarray | float) else value for value in values)
+
+
+def killed(road):
+    """What was buffered is on the disk, and nothing more comes: what the system does to a process that dies."""
+    road.journal.sync()
+    road.journal._file.close()
+    road.journal._lock._file.close()
+    return road

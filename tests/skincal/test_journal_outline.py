@@ -21,6 +21,7 @@ from tests.skincal.poke_script import (
     SPOTS,
     Script,
     as_chunks,
+    killed,
     outcome_key,
     same_estimates,
     small_scene,
@@ -170,8 +171,7 @@ def test_a_damaged_end_is_not_believed(scene, tmp_path):
 
 def test_a_session_that_was_cut_off_has_none_and_loses_nothing(scene, tmp_path):
     live = record(scene, tmp_path / "s", some_pokes(scene, 3))
-    live.journal.sync()
-    live.journal._file.close()
+    killed(live)
     assert read_outline(path_of(tmp_path / "s")) is None
     loaded = load(tmp_path / "s")
     assert any("was not closed" in sentence for sentence in loaded.findings)
@@ -197,8 +197,7 @@ def test_damaged_readings_and_notes_of_a_closed_segment_cost_no_poke(scene, tmp_
     assert path.read_bytes() == data  # nothing is cut away
     for item in as_chunks(some_pokes(scene, 1, 9).samples):
         again.feed(item)
-    again.journal.sync()
-    again.journal._file.close()  # killed: the second segment has to be recovered, the first must not be cut
+    killed(again)  # killed: the second segment has to be recovered, the first must not be cut
     third = resume(tmp_path / "s")
     assert any("segment-0002.mcap" in sentence for sentence in third.findings)
     assert path.read_bytes() == data

@@ -31,6 +31,7 @@ from tests.skincal.poke_script import (
     SPOTS,
     Script,
     as_chunks,
+    killed,
     outcome_key,
     same_estimates,
     skt_line,
@@ -51,13 +52,6 @@ def record(scene, folder, script, actions=(), links=LINKS, change=lambda items: 
     """A session recorded to its end; each action is done at the share of it that it names."""
     road = Road(scene, links, None, create_session(folder, scene, links))
     feed(road, change(as_chunks(script.samples)), actions)
-    return road
-
-
-def killed(road):
-    """What was buffered is on the disk, and nothing more comes."""
-    road.journal.sync()
-    road.journal._file.close()
     return road
 
 

@@ -1,0 +1,1 @@
+"""A session's folder: who writes it, what is written and how it is read back."""
