@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from packaging.requirements import Requirement
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 LOCKS = ("requirements.lock", "requirements-dev.lock")
-LINES_MAX = 500
+LINES_MAX = 900
 PACKAGE_OF = {"serial": "pyserial", "PySide6": "PySide6-Essentials", "vtkmodules": "vtk"}
 """Where the name that is imported is not the name that is installed."""
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
@@ -35,10 +36,11 @@ def chosen(lock: str, python: str, platform: str = "linux") -> dict[str, str]:
     return {pin.name: str(pin.specifier) for pin in pins(lock) if pin.marker is None or pin.marker.evaluate(machine)}
 
 
-def run(*arguments: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
+def run(*arguments: str, timeout: float = 60.0, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=CHECKOUT,
+        env=environment,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -172,6 +174,34 @@ def test_a_command_imports_neither_qt_nor_vtk(module: str, command: list[str]) -
     assert done.returncode == 0, done.stderr
     assert done.stdout.rstrip().endswith("HEAVY []")
     assert "skincal" in done.stdout
+
+
+THREADS = """
+import ctypes, importlib, pathlib
+importlib.import_module({module!r})
+import numpy, scipy.linalg
+for package in (numpy, scipy):
+    place = pathlib.Path(package.__file__).parent
+    for library in [*(place.parent / f"{{package.__name__}}.libs").glob("*openblas*"), *place.glob(".dylibs/*openblas*")]:
+        blas = ctypes.CDLL(str(library))
+        names = ("scipy_openblas_get_num_threads64_", "scipy_openblas_get_num_threads")
+        print(next(getattr(blas, name)() for name in names if hasattr(blas, name)))
+"""
+"""Prints how many threads numpy's and scipy's OpenBLAS take; nothing where they bring none (Accelerate)."""
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="one core: there is nothing to see")
+@pytest.mark.parametrize("wanted", [None, "2"])
+@pytest.mark.parametrize(
+    "module", ["app.__main__", "skincal.cli", "skincal.session.review_process", "skincal.estimate.solve", "skincal"]
+)
+def test_linear_algebra_takes_one_thread_unless_the_environment_says_otherwise(module: str, wanted: str | None) -> None:
+    environment = {name: value for name, value in os.environ.items() if not name.endswith(("NUM_THREADS", "MAXIMUM_THREADS"))}
+    if wanted:
+        environment["OPENBLAS_NUM_THREADS"] = wanted
+    done = run("-c", THREADS.format(module=module), environment=environment)
+    assert done.returncode == 0, done.stderr
+    assert set(done.stdout.split()) <= {wanted or "1"}
 
 
 def test_qt_survives_more_void_calls_than_none_has_references() -> None:

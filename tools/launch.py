@@ -90,6 +90,7 @@ def _check(arguments: Sequence[str]) -> int:
     system_libs.provide_test_display()
     environment = system_libs.environment()
     environment.pop("QT_QPA_PLATFORM", None)  # "offscreen" has no OpenGL; the tests look at real pixels
+    environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
     failed = [] if arguments else [name for name, told in CHECKS.items() if _run(name, told, environment)]
     tests = _run("pytest", ("-m", "pytest", *arguments), environment) if arguments else _run_tests(environment)
     if failed:

@@ -2,6 +2,8 @@
 
 A folder holds `data.log`, one message a line, and `info.log`, whose `Stamp:` line says which times stand in it. Old
 dumpers wrote no `Stamp:` line: then a log has two stamps where its third column is a time within seconds of the second.
+A sender without an envelope leaves its stamp 0: a log with such lines is read by the receiver's stamps, all of it, since the
+two clocks may differ.
 Source: robotology/yarp `src/yarpdatadumper/main.cpp` (and `src/commands/yarpdatadumper` later).
 """
 
@@ -10,7 +12,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -42,7 +44,9 @@ BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 TOO_LONG = b"...\n"
 """No record, so that it is counted as one that cannot be read."""
 FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
-"""Number of stamps to the name of the decoder."""
+"""Number of stamps to the name of the decoder..."""
+BY_RECEIVER = "yarp-rx"
+"""...and of that for two stamps of which the sender's is not always there."""
 _STAMP_LINE = re.compile(r"^\s*Stamp:\s*([a-z+]+)", re.MULTILINE)
 
 
@@ -56,11 +60,12 @@ class _Log:
     stamps: int
     clock: str
     """`"tx"` or `"rx"`: whose clock the lines are placed by; empty where the log does not say."""
+    decoder: str
     findings: tuple[str, ...]
 
     @property
     def link(self) -> LinkSpec:
-        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), FORMATS[self.stamps])
+        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), self.decoder)
 
     def lines(self) -> Iterator[Line]:
         """Give each record with the time at which this program would have received it.
@@ -81,6 +86,8 @@ class _Log:
 class _Contents:
     """What a first reading of a log counts."""
 
+    untimed: int = 0
+    """Lines whose first stamp is 0: their sender gave none."""
     empty: int = 0
     unreadable: int = 0
     cut: bool = False
@@ -116,8 +123,11 @@ def read_yarp(
     logs = [_open_log(stream, place) for stream, place in places.items()]
     findings: list[str] = []
     timelines: list[Timeline] = []
-    for log in logs:
-        timeline, sentences = _read_through(log)
+    for index, log in enumerate(logs):
+        timeline, contents = _read_through(log)
+        if contents.untimed:
+            logs[index] = replace(log, decoder=BY_RECEIVER)
+        sentences = _content_findings(log, contents, timeline.lines)
         timelines.append(timeline)
         findings += [*log.findings, *timeline.sentences(), *sentences]
     check_overlap(timelines)
@@ -132,7 +142,8 @@ def _open_log(stream: Stream, place: Path) -> _Log:
     path, findings = find_log(place)
     stamps, clock, found = _grammar(path)
     name = stream.value
-    return _Log(name, stream, path, stamps, clock, tuple(f"{name}: {sentence}" for sentence in (*findings, *found)))
+    sentences = tuple(f"{name}: {sentence}" for sentence in (*findings, *found))
+    return _Log(name, stream, path, stamps, clock, FORMATS[stamps], sentences)
 
 
 def find_log(place: Path) -> tuple[Path, list[str]]:
@@ -198,7 +209,7 @@ def _read_info(path: Path) -> str:
 
 def _is_second_stamp(line: LogLine) -> bool:
     tx, rx = line.stamps
-    return rx > EPOCH_MIN and abs(rx - tx) < STAMPS_APART
+    return rx > EPOCH_MIN and (tx == 0 or abs(rx - tx) < STAMPS_APART)
 
 
 def _whole_lines(path: Path) -> Iterator[bytes]:
@@ -226,23 +237,26 @@ def _ends_open(path: Path) -> bool:
         return size > 0 and file.read(1) != b"\n"
 
 
-def _read_through(log: _Log) -> tuple[Timeline, list[str]]:
-    """Read a log once: its timeline, and sentences on its contents."""
+def _read_through(log: _Log) -> tuple[Timeline, _Contents]:
+    """Read a log once: its timeline, and what it holds."""
     contents = _Contents()
     timeline = scan(log.name, _stamps(log, contents))
     if not timeline.lines:
         seen = f"has {plural(contents.unreadable, 'line')}, none of them of the form <number> <time> <values>"
         seen = seen if contents.unreadable else "is empty"
         raise InputError(f"{log.path}: {seen}; expected a log that yarpdatadumper wrote.")
+    if contents.untimed == timeline.lines and log.stamps == 1:
+        raise InputError(f"{log.path}: every time is 0, since the sender gave none; record it again with --rxTime.")
     contents.cut = _ends_open(log.path)
     _check_width(log, contents)
-    return timeline, _content_findings(log, contents)
+    return timeline, contents
 
 
 def _stamps(log: _Log, contents: _Contents) -> Iterator[float]:
     for data in _whole_lines(log.path):
         line = split_line(data, log.stamps)
         if line is not None:
+            contents.untimed += line.stamps[0] == 0
             _look(log.stream, line.payload, contents)
             yield line.stamps[-1]
         elif not is_header(data):
@@ -289,8 +303,13 @@ def _check_width(log: _Log, contents: _Contents) -> None:
         raise InputError(f"{log.path}: its lines hold {width} values; expected six, fx fy fz mx my mz: is this the F/T log?")
 
 
-def _content_findings(log: _Log, contents: _Contents) -> list[str]:
+def _content_findings(log: _Log, contents: _Contents, lines: int) -> list[str]:
     found: list[str] = []
+    if contents.untimed and log.stamps == 2:
+        found.append(
+            f"{contents.untimed} of {plural(lines, 'line')} without a time of the sender (0): "
+            "all are placed by the receiver's, which is a little later."
+        )
     if len(contents.widths) > 1:
         usual, count = contents.widths.most_common(1)[0]
         found.append(f"{plural(contents.widths.total() - count, 'line')} with another number of values than {usual}.")

@@ -81,8 +81,6 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
     """
     sizes = sizes or (QUICK if quick else FULL)
     context = multiprocessing.get_context("spawn")
-    # One thread a process: on a busy machine threads that wait for each other take four times as long for these small matrices.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with ProcessPoolExecutor(os.cpu_count() or 1, mp_context=context) as pool:
         trials: list[Trial] = []
         for trial in pool.map(partial(run_trial, share=sizes.share), range(1, sizes.seeds + 1)):

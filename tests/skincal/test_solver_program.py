@@ -10,12 +10,20 @@ import threading
 import numpy as np
 import pytest
 import wasmtime
-from surface_support import random_metrics, same, tube
+from surface_support import KINDS, random_metrics, same, soup, together, tube
 
 from skincal.estimate import solution
+from skincal.estimate.boards import Boards
+from skincal.estimate.result import Method
+from skincal.estimate.solve import estimate_taxels
+from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.rig import RigErrors
+from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
 from skincal.surface import resident, tree
+from skincal.surface.mesh import make_surface
 from skincal.surface.nearest import GRAZING, nearest_to_rows
+from tests.skincal.sim_support import make_rig
 from tools import solver
 
 PROBE = """
@@ -73,6 +81,39 @@ def probe(tmp_path_factory):
 
 def test_the_program_is_what_its_source_compiles_to():
     assert solver.build() == PROGRAM.read_bytes(), "run `python -m tools.solver`"
+
+
+def answers():
+    """Bytes of what the solver finds: in metrics of all kinds on an odd mesh, and for all methods on a bad rig."""
+    rng = np.random.default_rng(7)
+    surface = together(tube(), soup(rng))
+    for kind in KINDS:
+        found = nearest_to_rows(surface, *random_metrics(rng, surface, 50, kind))
+        yield from (found.points.tobytes(), found.triangles.tobytes(), found.values.tobytes())
+    rig = make_rig(RigErrors.paper(), 1)
+    whole = make_surface(rig.surface.vertices, rig.surface.triangles)
+    layout = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, whole)
+    contacts = [one for pose in rig.stances for one in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
+    for method in estimate_taxels(
+        contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, boards=layout
+    ).values():
+        for one in method.values():
+            yield from (one.state, *(value.tobytes() for value in (one.position, one.covariance) if value is not None))
+
+
+def test_the_solver_does_nothing_that_c_leaves_undefined(tmp_path, monkeypatch):
+    """A program that would end at it runs through, and finds the same to the last bit."""
+    shipped = list(answers())
+    strict = tmp_path / "strict.wasm"
+    strict.write_bytes(solver.build(*solver.TRAPS))
+    with monkeypatch.context() as patch:
+        patch.setattr(solver_machine, "PROGRAM", strict)
+        for kept in (solver_machine._module, solver_machine.shared):
+            kept.cache_clear()
+        found = list(answers())
+    for kept in (solver_machine._module, solver_machine.shared):
+        kept.cache_clear()
+    assert found == shipped
 
 
 def number(name):

@@ -128,6 +128,48 @@ def test_a_log_of_pokes_pairs_each_frame_with_its_wrench(tmp_path):
         assert sample.angles is not None
 
 
+BOTH_STAMPS = {"info": "Type: Bottle;\nStamp: tx+rx;\n", "rx": 0.003}
+
+
+def without_sender_times(folder, lines=None):
+    """Make the sender's stamps 0, as the dumper writes them of a sender without an envelope; of all lines, or of some."""
+    path = folder / "data.log"
+    words = [line.split(" ", 2) for line in path.read_text().splitlines()]
+    for index in range(len(words)) if lines is None else lines:
+        words[index][:2] = "-1", "0.000000"
+    path.write_text("".join(" ".join(line) + "\n" for line in words))
+
+
+@pytest.mark.parametrize("info", [BOTH_STAMPS["info"], None], ids=["told by info.log", "told by the lines"])
+@pytest.mark.parametrize(
+    "which", [None, range(5), range(40, 150, 3), [149]], ids=["no line", "not at first", "not always", "the last"]
+)
+def test_lines_without_a_time_of_the_sender_are_placed_by_the_receivers(tmp_path, info, which):
+    """Where the sender's clock is 4 s ahead, too: one log is on one clock."""
+    folders = recording(tmp_path, rx=-4.0, info=info)
+    expected = samples_of(folders)
+    for folder in folders.values():
+        without_sender_times(folder, None if which is None else [line for line in which if line < 60 or "skin" in folder.name])
+    links, chunks, findings = read_yarp(folders["wrench"], folders["skin"], folders["joints"])
+    assert not any(sum(counts.values()) for counts in decode(links, chunks)[1].values())
+    count = 150 if which is None else len(which)
+    assert links[1].format == "yarp-rx"
+    said = f"skin: {count} of 150 lines without a time of the sender (0): all are placed by the receiver's, "
+    assert [finding for finding in findings if "sender" in finding and "skin" in finding] == [f"{said}which is a little later."]
+    samples = samples_of(folders)
+    assert len(samples) == len(expected) > 140
+    for sample, other in zip(samples, expected, strict=True):
+        assert sample.host_s == pytest.approx(other.host_s, abs=1e-6)
+        np.testing.assert_array_equal(sample.skin, other.skin)
+
+
+def test_a_log_of_a_sender_without_times_and_of_nothing_else_is_refused(tmp_path):
+    folders = recording(tmp_path, info="Type: Bottle;\nStamp: tx;\n")
+    without_sender_times(folders["skin"])
+    with pytest.raises(InputError, match=r"skin/data.log: every time is 0, since the sender gave none; record .* --rxTime"):
+        read_yarp(folders["wrench"], folders["skin"])
+
+
 def test_lines_that_travel_together_give_the_samples_of_lines_alone(tmp_path, monkeypatch):
     folders = recording(tmp_path, rates=(500, 50, 100), info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.002)
     samples = samples_of(folders)

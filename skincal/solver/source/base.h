@@ -25,10 +25,11 @@ INLINE double from_bits(Bits b) { return __builtin_bit_cast(double, b); }
 
 /* ---- vectors ---- */
 
-typedef struct { double x, y, z; } Vec;
+/* By name or by number: `at[i]` is the only way to a component whose number is known when it runs. */
+typedef union { struct { double x, y, z; }; double at[3]; } Vec;
 
-INLINE Vec vec(double x, double y, double z) { return (Vec){x, y, z}; }
-INLINE Vec vec_at(const double *v) { return (Vec){v[0], v[1], v[2]}; }
+INLINE Vec vec(double x, double y, double z) { return (Vec){{x, y, z}}; }
+INLINE Vec vec_at(const double *v) { return (Vec){{v[0], v[1], v[2]}}; }
 INLINE void put(double *to, Vec v) { to[0] = v.x; to[1] = v.y; to[2] = v.z; }
 INLINE Vec plus(Vec a, Vec b) { return vec(a.x + b.x, a.y + b.y, a.z + b.z); }
 INLINE Vec minus(Vec a, Vec b) { return vec(a.x - b.x, a.y - b.y, a.z - b.z); }

@@ -122,7 +122,7 @@ static void eliminate(Rows *rows, int k, int left[3], Factor *f)
         row[pivot] = -alpha;
     }
     f->root.row[k] = vec_at(row);
-    (&f->offset.x)[k] = row[3];
+    f->offset.at[k] = row[3];
 }
 
 /* The factor's last row, where one column is left. A plain projection: a reflection would add a heavy row's first number
@@ -134,7 +134,7 @@ static void project(const Rows *rows, const int left[3], Factor *f)
     double size = root_of(product_of(v, v, 2, rows->count)), along = product_of(v, rows->column[3], 2, rows->count);
     f->order[2] = pivot;
     f->root.row[2] = vec(0, 0, 0);
-    (&f->root.row[2].x)[pivot] = size;
+    f->root.row[2].at[pivot] = size;
     f->offset.z = size > 0 ? along / size : 0.0;
 }
 
@@ -168,7 +168,7 @@ static Vec smallest(const Vec rows[2], int rank, const double offsets[2], Vec *b
     return plus(times(x1, q1), times(x2, q2));
 }
 
-INLINE double root_at(const Factor *f, int k, int j) { return (&f->root.row[k].x)[f->order[j]]; }
+INLINE double root_at(const Factor *f, int k, int j) { return f->root.row[k].at[f->order[j]]; }
 
 /* Rank, solution and blind direction from the triangular factor. */
 static void solve_factor(Factor *f, const double noises[3])
@@ -179,7 +179,7 @@ static void solve_factor(Factor *f, const double noises[3])
     for (int k = 0; k < 3; k++) {
         if (!(size_of(root_at(f, k, k)) > noises[k])) continue;
         r[f->rank] = vec(root_at(f, k, 0), root_at(f, k, 1), root_at(f, k, 2));
-        offsets[f->rank++] = (&f->offset.x)[k];
+        offsets[f->rank++] = f->offset.at[k];
     }
     if (f->rank == 3) {
         x[2] = offsets[2] / r[2].z;
@@ -189,8 +189,8 @@ static void solve_factor(Factor *f, const double noises[3])
         put(x, smallest(r, f->rank, offsets, &blind));
     }
     for (int j = 0; j < 3; j++) {
-        (&f->solution.x)[f->order[j]] = x[j];
-        (&f->blind.x)[f->order[j]] = (&blind.x)[j];
+        f->solution.at[f->order[j]] = x[j];
+        f->blind.at[f->order[j]] = blind.at[j];
     }
 }
 

@@ -99,14 +99,16 @@ static double stretch_of(const Matrix *root)
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             m[i][j] = 0;
-            for (int k = 0; k < 3; k++) m[i][j] += (&root->row[k].x)[i] * (&root->row[k].x)[j];
+            for (int k = 0; k < 3; k++) m[i][j] += root->row[k].at[i] * root->row[k].at[j];
         }
     for (int twice = 0; twice < 2; twice++) {
         for (int i = 0; i < 3; i++)
             for (int j = 0; j < 3; j++) n[i][j] = m[i][0] * m[0][j] + m[i][1] * m[1][j] + m[i][2] * m[2][j];
-        for (int i = 0; i < 9; i++) m[0][i] = n[0][i];
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) m[i][j] = n[i][j];
     }
-    for (int i = 0; i < 9; i++) sum += m[0][i] * m[0][i];
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) sum += square(m[i][j]);
     return larger(root_of(root_of(root_of(root_of(sum)))) * (1 + ROUND), LEAST_STRETCH);
 }
 
@@ -119,9 +121,9 @@ static void set_bounds(Metric *m, double extent)
         reach += size * extent;
         squares += size * size;
         m->lengths[i] = (float)size;
-        for (int j = 0; j < 3; j++) m->rows[i][j] = (float)(&m->root.row[i].x)[j];
-        m->offsets[i] = (float)(&m->offset.x)[i];
-        m->pushes[i] = (float)(&m->push.x)[i];
+        for (int j = 0; j < 3; j++) m->rows[i][j] = (float)m->root.row[i].at[j];
+        m->offsets[i] = (float)m->offset.at[i];
+        m->pushes[i] = (float)m->push.at[i];
     }
     m->stretch = (float)stretch;
     m->slack = (float)(3 * TIE + SLACK * reach);
@@ -136,7 +138,7 @@ static Metric metric_of(const Surface *s, const Matrix *root, Vec offset, const 
     int exponent;
     double most = 0, rows[3];
     for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) most = larger(most, size_of((&root->row[i].x)[j]));
+        for (int j = 0; j < 3; j++) most = larger(most, size_of(root->row[i].at[j]));
     fraction(most, &exponent);
     /* Powers of two change no digit, and no square leaves the range of numbers. */
     m.scale = power_of_two(-exponent);

@@ -97,8 +97,8 @@ static void two_columns(Vec g, Vec k, Vec h, double *s, double *t)
     Vec beta = vec(g.x / (size * (first + size)), g.y / (size * (first + size)), g.z / (size * (first + size)));
     k = minus(k, times(dot(g, k), beta));
     h = minus(h, times(dot(g, h), beta));
-    double above = (&k.x)[lead], right = (&h.x)[lead];
-    (&k.x)[lead] = 0.0;
+    double above = k.at[lead], right = h.at[lead];
+    k.at[lead] = 0.0;
     double y = -dot(k, h) / dot(k, k), x = (right + above * y) / size;
     *s = swap ? y : x;
     *t = swap ? x : y;
@@ -162,7 +162,7 @@ static Polished polish(const Matrix *root, Vec rest, const Vec c[3], Vec normal)
         Vec row = root->row[i];
         /* A product's rounding is at most 32 times that of its size. */
         double rounding = 32 * EPS * root_of(dot(row, row) * dot(best.away, best.away));
-        best.unsure += rounding * (2.0 * (size_of((&rest.x)[i]) + size_of((&image.x)[i])) + rounding);
+        best.unsure += rounding * (2.0 * (size_of(rest.at[i]) + size_of(image.at[i])) + rounding);
     }
     return best;
 }

@@ -63,7 +63,7 @@ static Freedom in_space(const Factor *f)
     double (*inverse)[3] = free.inverse;
     for (int j = 0; j < 3; j++) {
         free.basis[j] = vec(0, 0, 0);
-        (&free.basis[j].x)[f->order[j]] = 1.0;
+        free.basis[j].at[f->order[j]] = 1.0;
         for (int k = 0; k < 3; k++) inverse[j][k] = 0.0;
     }
     for (int j = 0; j < 3; j++) inverse[j][j] = 1.0 / root_at(f, j, j);
@@ -142,7 +142,7 @@ static void add_contacts(const Carried *k, double middle[3][3])
 {
     int d = k->free->d;
     double lambda = common_share(k->c);
-    Vec moved[3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
+    Vec moved[3] = {{{0, 0, 0}}, {{0, 0, 0}}, {{0, 0, 0}}};
     for (int i = 0; i < k->c->count; i++) {
         Vec e1 = column(k->c->first, i), e2 = column(k->c->second, i);
         double common = k->noise->reach * k->c->weakness[i] * lambda, own = k->c->square[i] - common * common;
@@ -203,7 +203,7 @@ static void add_poses(const Carried *k, double middle[3][3])
     int d = k->free->d, *order = ROOM(int, c->count);
     order_by_pose(c, order);
     for (int begin = 0, end; begin < c->count; begin = end) {
-        Vec moved[3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
+        Vec moved[3] = {{{0, 0, 0}}, {{0, 0, 0}}, {{0, 0, 0}}};
         for (end = begin; end < c->count && c->pose[order[end]] == c->pose[order[begin]]; end++) {
             int i = order[end];
             for (int j = 0; j < d; j++)
@@ -307,7 +307,7 @@ static Uncertainty propagate(const Contacts *c, const Freedom *free, Vec p, cons
             double sum = 0;
             for (int j = 0; j < free->d; j++)
                 for (int m = 0; m < free->d; m++)
-                    sum += (&free->basis[j].x)[r] * small[j][m] * (&free->basis[m].x)[s];
+                    sum += free->basis[j].at[r] * small[j][m] * free->basis[m].at[s];
             found.covariance[3 * r + s] = found.covariance[3 * s + r] = sum;
             known = known && finite(sum);
         }

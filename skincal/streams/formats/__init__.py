@@ -22,6 +22,7 @@ _CLASSES = {
     "text": ("skincal.streams.formats.text", "Text"),
     "yarp": ("skincal.streams.formats.yarp", "Yarp"),
     "yarp-tx-rx": ("skincal.streams.formats.yarp", "YarpTxRx"),
+    "yarp-rx": ("skincal.streams.formats.yarp", "YarpRx"),
     "csv": ("skincal.streams.formats.yarp", "Csv"),
 }
 """Name in a link's description to the module and class; a module is imported when a link asks for it."""

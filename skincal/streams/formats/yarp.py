@@ -181,8 +181,9 @@ class _Steps:
 
     def missing(self, seq: int) -> int:
         """Return how many numbers are missing before `seq`; the usual step is the last that came twice in a row."""
-        step = 0 if self._last is None else seq - self._last
-        self._last = seq
+        step = 0 if self._last is None or seq < 0 else seq - self._last
+        # A message without an envelope has the number -1, and nobody knows how many of them were lost.
+        self._last = seq if seq >= 0 else None
         if step > 0 and step == self._step:
             self._usual = step
         self._step = step
@@ -198,6 +199,9 @@ class Yarp(PieceFormat):
     mark = b"\n"
     limit = LINE_MAX
     stamps = 1
+    """How many times stand in a line."""
+    made = 0
+    """Which of them says when the reading was taken: the sender's."""
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
@@ -223,8 +227,7 @@ class Yarp(PieceFormat):
         self.good += 1
         if self._stream is Stream.JOINTS:
             values = [radians(value) for value in values]
-        # The sender's stamp says when the reading was taken.
-        return self._collector.add(self._stream, line.seq, line.stamps[0], values)
+        return self._collector.add(self._stream, line.seq, line.stamps[self.made], values)
 
     def _numbers(self, payload: bytes) -> list[float]:
         if not any(mark in payload for mark in _NOT_PLAIN):
@@ -243,6 +246,13 @@ class YarpTxRx(Yarp):
 
     name = "YARP log, two stamps"
     stamps = 2
+
+
+class YarpRx(YarpTxRx):
+    """Decode log lines with both stamps by the receiver's: the sender's is not always there."""
+
+    name = "YARP log, by the receiver's stamp"
+    made = 1
 
 
 class Csv(Yarp):
