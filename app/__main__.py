@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.preflight import no_display, objection
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 HELP = ("-h", "--help", "--version")
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from app.frame import Frame
-from skincal.estimate.board_health import judged_modules
-from skincal.estimate.board_mend import Mend, mend_boards
-from skincal.estimate.boards import Boards
-from skincal.estimate.result import Method
+from skincal.modules.health import LayoutMend, judged_modules, mend_modules
+from skincal.modules.pose import ModuleModel
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from app.opening import Part
@@ -25,7 +24,7 @@ class Found:
 
     method: Method
     """Whose estimates were judged."""
-    mend: Mend
+    mend: LayoutMend
     """What is wrong with the modules, and how the layout is put right."""
     judged: int
     """Modules of which enough is known."""
@@ -43,7 +42,7 @@ class BoardWatch:
     def __init__(self, part: Part, run: Run) -> None:
         self._part = part
         self._run = run
-        self._boards: Boards | None = None
+        self._boards: ModuleModel | None = None
         self._busy = False
         self._asked: int | None = None
         self.found: Found | None = None
@@ -57,12 +56,12 @@ class BoardWatch:
         method = Method.SURFACE if self._part.surface is not None else Method.FREE
         estimates = {one.channel: one for one in frame.snapshot.estimates.get(method, ())}
         if self._boards is None:
-            self._boards = Boards(layout, self._part.scene.skin.anchor, self._part.surface)
+            self._boards = ModuleModel(layout, self._part.scene.skin.anchor, self._part.surface)
         boards = self._boards
 
         def work() -> Found:
             try:
-                return Found(method, mend_boards(boards, estimates), judged_modules(boards, estimates))
+                return Found(method, mend_modules(boards, estimates), judged_modules(boards, estimates))
             except BaseException:
                 # Who runs the work says why; `take` is not called then.
                 self._busy = False

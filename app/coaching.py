@@ -15,8 +15,8 @@ import numpy as np
 from app.display_units import ChannelNames, degrees, millimetres, newtons
 from app.frame import Frame
 from app.guide_words import ASIDE, BETWEEN, STRAIGHT, Lean, lean_along
-from skincal.contacts.outcome import Phase
-from skincal.guide.coach import Coaching, leeway
+from skincal.contacts.outcome import PressPhase
+from skincal.guide.coaching import Coaching, leeway
 from skincal.guide.guidance import Guidance, Target
 
 COACH_S = 0.25
@@ -80,7 +80,7 @@ SILENT = CoachMemory()
 def follow(memory: CoachMemory, at: Frame) -> CoachMemory:
     """Return what is to be said now: the force at once, a hint once it held, none while the poke counts."""
     memory = replace(memory, force=_force(memory.force, at))
-    if at.live.progress.phase is not Phase.PRESSING:
+    if at.live.progress.phase is not PressPhase.PRESSING:
         return CoachMemory(memory.force)
     wanted = _hint(memory.hint, at)
     if _alike(wanted, memory.hint):
@@ -96,7 +96,7 @@ def _force(said: Force, at: Frame) -> Force:
     progress, limits = at.live.progress, at.scene.contacts
     size = float(np.linalg.norm(progress.force))
     # What is held still is hard enough: it counts.
-    if progress.phase is Phase.PRESSING and size < limits.force_min + (FORCE_BACK if said is Force.LOW else 0.0):
+    if progress.phase is PressPhase.PRESSING and size < limits.force_min + (FORCE_BACK if said is Force.LOW else 0.0):
         return Force.LOW
     return Force.HIGH if size > limits.force_max - (FORCE_BACK if said is Force.HIGH else 0.0) else Force.RIGHT
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from app.comparing import Origin, Pair, Source
 from app.display_units import DASH, TIMES, ChannelNames, count, millimetres, number
 from app.words import METHOD_NAMES
-from skincal.estimate.board_mend import Mend
-from skincal.estimate.compare import ModuleDifference, Summary
-from skincal.estimate.result import Method
+from skincal.modules.health import LayoutMend
+from skincal.taxels.differences import ModuleDifference, Summary
+from skincal.taxels.result import Method
 
 MODULE_HEADINGS = ("Module", "Mean", "Shift", "Shape", "Spacing")
 MODULE_HINTS = (
@@ -106,7 +106,7 @@ def spacing_words(ratios: Mapping[Method, float]) -> str:
     return f"Neighbours lie {', '.join(parts)} of the layout's spacing apart." if parts else ""
 
 
-def misfit_words(mend: Mend, judged: int, method: Method) -> tuple[str, ...]:
+def misfit_words(mend: LayoutMend, judged: int, method: Method) -> tuple[str, ...]:
     """Return what is said of modules that do not lie as planned, one sentence each; the first with the sign of a warning.
 
     What cannot be put right by another layout follows.
@@ -125,7 +125,7 @@ def misfit_words(mend: Mend, judged: int, method: Method) -> tuple[str, ...]:
     return (f"{_none_of(judged)} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
 
 
-def save_hint(mend: Mend) -> str:
+def save_hint(mend: LayoutMend) -> str:
     """Return what the button that saves the corrected layout does."""
     changes = "; ".join(change.words for change in mend.changes)
     return (
@@ -133,7 +133,7 @@ def save_hint(mend: Mend) -> str:
     )
 
 
-def saved_words(path: Path, mend: Mend) -> str:
+def saved_words(path: Path, mend: LayoutMend) -> str:
     """Return where the corrected layout is, and how it is used."""
     changed = count(len(mend.changes), "module")
     return (

@@ -12,10 +12,10 @@ from enum import Enum
 import numpy as np
 
 from app.frame import Frame
-from skincal.estimate.compare import places_of
-from skincal.estimate.result import Method
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.session.review import Review
+from skincal.taxels.differences import places_of
+from skincal.taxels.result import Method
 
 
 class Origin(Enum):

@@ -22,13 +22,11 @@ from app.plan import Plan, find_scene, link_specs
 from app.recording import Recording, stop_all
 from app.running import Running
 from app.storage import Storage
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from app.opening import Part
     from app.review_server import ReviewServer
-    from skincal.estimate.evidence import Evidence
-    from skincal.estimate.result import Method
     from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
     from skincal.session.actions import Action
@@ -37,6 +35,8 @@ if TYPE_CHECKING:
     from skincal.session.snapshot import LiveView, Snapshot
     from skincal.simulate.orders import Wish
     from skincal.streams.links import LinkSpec
+    from skincal.taxels.contact_table import Evidence
+    from skincal.taxels.result import Method
 
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""

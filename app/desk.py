@@ -37,17 +37,17 @@ from app.theme import Colours
 from app.verdict_words import rig_state
 from app.wishes import wish_of
 from app.workspace import Workspace
-from skincal.errors import InputError
-from skincal.estimate.result import Method
 from skincal.files.calibration import landmark_check
+from skincal.model.errors import InputError
 from skincal.session.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.session.corrections import used_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.estimate.board_mend import Mend
     from skincal.files.reference import Reference
+    from skincal.modules.health import LayoutMend
 
 LATE_S = 0.3
 """s. What happened longer ago is not heard any more: by now the hand does something else."""
@@ -376,7 +376,7 @@ class Desk(QObject):
             lambda sentence: self.said.emit(Message(sentence, error=True)),
         )
 
-    def ask_layout(self, mend: Mend) -> None:
+    def ask_layout(self, mend: LayoutMend) -> None:
         """Ask for a file and save the corrected layout there."""
         ask_layout(self.workspace, self._documents, self.workspace.part.scene, mend, self._controller.compute, self.said.emit)
 

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from skincal.readings import FloatArray
-from skincal.skin import Layout
+from skincal.geometry.arrays import FloatArray
+from skincal.model.skin import Layout
 
 DASH = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"

@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 RATE = 48_000
 """Samples a second: what most sound devices run at, so that nobody has to convert."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 
 def envelope(times: FloatArray, values: FloatArray, columns: int, span: float) -> tuple[FloatArray, FloatArray]:

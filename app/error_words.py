@@ -9,10 +9,10 @@ from enum import Enum
 import numpy as np
 
 from app.display_units import count, in_millimetres, number
-from skincal.estimate.result import Method
 from skincal.files.reference import Origin, Reference
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
+from skincal.taxels.result import Method
 
 PAPER = {Method.FREE: 7.2e-3, Method.SURFACE: 6.6e-3}
 """m. Mean error of Del Prete et al. 2011 on their forearm, seven arm poses averaged (section V)."""

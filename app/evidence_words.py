@@ -10,9 +10,9 @@ import numpy as np
 
 from app.display_units import ChannelNames, millimetres, number
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Estimate, State
+from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.session.snapshot import Snapshot
-from skincal.wrench import axis_point, move_wrench
+from skincal.taxels.result import Estimate, State
 
 DOUBT_MARKED = 0.5
 """Trust below which a poke is marked in the list: 99 of 100 good pokes stay above it."""

@@ -10,16 +10,16 @@ from app.rig_offers import Offer
 from app.running import Running
 from app.scene3d.camera import PLAIN, Eye
 from app.words import LinkWords
-from skincal.estimate.result import Estimate, Method
-from skincal.guide.coach import Coaching
+from skincal.guide.coaching import Coaching
 from skincal.guide.guidance import Guidance, Target
-from skincal.guide.sky import Sky
-from skincal.scene import Scene
+from skincal.guide.progress import AxisDiversity
+from skincal.model.scene import Scene
 from skincal.session.review import Review
 from skincal.session.snapshot import LiveView, Snapshot
+from skincal.taxels.result import Estimate, Method
 
 
-def _no_sky(_channel: int) -> Sky | None:
+def _no_sky(_channel: int) -> AxisDiversity | None:
     return None
 
 
@@ -42,7 +42,7 @@ class Frame:
     links: tuple[LinkWords, ...] = ()
     guidance: Guidance | None = None
     """What to poke next and what each taxel still needs; None where nobody guides."""
-    sky: Callable[[int], Sky | None] = _no_sky
+    sky: Callable[[int], AxisDiversity | None] = _no_sky
     """What the contacts of a channel are like; None where nobody guides, or nothing is known of it."""
     coaching: Coaching | None = None
     """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""

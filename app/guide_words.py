@@ -10,14 +10,12 @@ import numpy as np
 from app.display_units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, number
 from app.words import METHOD_NAMES
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method
-from skincal.estimate.rig_gain import Gain
-from skincal.guide.done import Need
-from skincal.guide.guidance import Guidance, Phase, Target
-from skincal.guide.landmarks import LandmarkWish
-from skincal.guide.settings import GuideSettings
-from skincal.guide.sky import Sky
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.guidance import Guidance, GuidePhase, Target
+from skincal.guide.landmark_targets import LandmarkTarget
+from skincal.guide.progress import AxisDiversity, GuideSettings, Need
+from skincal.rig.expected_gain import Gain
+from skincal.taxels.result import Method
 
 STRAIGHT = float(np.radians(5.0))
 """rad. A hand does not hold a smaller tilt: it is asked to push straight."""
@@ -91,7 +89,7 @@ def landmark_poked_words(poke: int, name: str) -> str:
     return f"poke {poke} at the landmark {name}"
 
 
-def landmark_words(wish: LandmarkWish) -> str:
+def landmark_words(wish: LandmarkTarget) -> str:
     """Return which of how many landmark pokes it is."""
     return f"landmark {wish.done + 1} of {wish.wanted} in this arm pose"
 
@@ -139,7 +137,7 @@ def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
 
 def left_words(guidance: Guidance) -> str:
     """Return how much is left: `"about 120 pokes, 6 min left"`; empty where nothing is, or where nobody knows."""
-    if not guidance.pokes_left or guidance.phase in (Phase.COVER, Phase.LANDMARKS):
+    if not guidance.pokes_left or guidance.phase in (GuidePhase.COVER, GuidePhase.LANDMARKS):
         return ""
     # More digits than it is good to would be a lie.
     pokes = guidance.pokes_left if guidance.pokes_left < 10 else 10 * round(guidance.pokes_left / 10)
@@ -213,7 +211,7 @@ FOLLOWS: Mapping[Method, str] = {
 """The guide of one method is wrong for the other."""
 
 
-def sky_words(sky: Sky, method: Method) -> str:
+def sky_words(sky: AxisDiversity, method: Method) -> str:
     """Return what a taxel's contacts are like beside what the method needs: `"axes spread 9° of 15°"`."""
     settings = GuideSettings()
     if not len(sky.own):
@@ -226,6 +224,6 @@ def sky_words(sky: Sky, method: Method) -> str:
     return f"their middle lies {millimetres(beside)} beside it, wanted {millimetres(settings.balance)} or less"
 
 
-def contacts_words(sky: Sky) -> str:
+def contacts_words(sky: AxisDiversity) -> str:
     """Return how many contacts there are: `"12 pokes, 3 its own"`; empty where there is none."""
     return f"{count(len(sky.own), 'poke')}, {int(sky.own.sum())} its own" if len(sky.own) else ""

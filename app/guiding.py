@@ -8,18 +8,17 @@ from app.landmark_round import Landmarks
 from app.opening import Part
 from app.scene3d.entry import skin_point
 from skincal.contacts.outcome import Contact, Progress, Rejection
-from skincal.estimate.boards import Boards
-from skincal.estimate.evidence import Evidence
-from skincal.estimate.result import Estimate, Method, State
-from skincal.guide.coach import Coaching, Smoothed, coach, smooth
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.coaching import Coaching, Smoothed, coach, smooth
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.guide import Guide
-from skincal.guide.places import SPACING, Plan, plan_from, unplaced
-from skincal.guide.settings import GuideSettings
-from skincal.guide.sky import Sky
+from skincal.guide.places import SPACING, PlannedPlaces, plan_from, unplaced
+from skincal.guide.progress import AxisDiversity, GuideSettings
 from skincal.guide.verdict import Verdict, verdict_of
-from skincal.readings import FloatArray
+from skincal.modules.pose import ModuleModel
 from skincal.session.snapshot import Snapshot
+from skincal.taxels.contact_table import Evidence
+from skincal.taxels.result import Estimate, Method, State
 
 
 class Guiding:
@@ -37,7 +36,7 @@ class Guiding:
         """Where the layout puts the taxels."""
         self.landmarks = Landmarks(part, self.plan)
         layout = part.scene.skin.layout
-        self._boards = None if layout is None else Boards(layout, part.scene.skin.anchor, part.surface)
+        self._boards = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
@@ -112,7 +111,7 @@ class Guiding:
             self._skin = target, skin_point(self._surface, target.place, target.normal)
         return coach(self._smoothed, progress, target, self._skin[1])
 
-    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> Sky | None:
+    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
 
         Parameters
@@ -155,7 +154,7 @@ class Guiding:
         return self._nothing.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
 
 
-def plan_of(part: Part) -> Plan:
+def plan_of(part: Part) -> PlannedPlaces:
     """Return where the part's layout puts the taxels; nowhere where there is no layout or it is not laid."""
     layout, laid = part.scene.skin.layout, part.laid
     plan = None if layout is None or laid is None else plan_from(layout, laid)

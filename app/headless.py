@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from skincal.errors import InputError
-from skincal.estimate.result import Method
 from skincal.files.export import write_calibration
 from skincal.files.reference import error_summary, read_reference
+from skincal.model.errors import InputError
 from skincal.session.road import Road
+from skincal.taxels.result import Method
 
 POKES = 168
 """Two for each taxel of the paper's forearm: every taxel gets an estimate, in about half a minute of computing."""
@@ -49,7 +49,7 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
 
 
 def _simulate(scene_path: Path, out: Path) -> Road:
-    from skincal.scene import load_scene
+    from skincal.model.scene import load_scene
     from skincal.simulate.rig import RigErrors
     from skincal.simulate.session import simulate_session
     from skincal.surface.mesh import load_surface

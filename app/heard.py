@@ -21,10 +21,9 @@ from app.guide_words import newly_done
 from app.policies import is_news, newest_outcome
 from app.running import Running
 from app.words import LinkLook
-from skincal.contacts.outcome import Outcome, Phase, Rejection
-from skincal.guide.coach import PRESSING
-from skincal.guide.guidance import Guidance
-from skincal.guide.guidance import Phase as GuidePhase
+from skincal.contacts.outcome import Outcome, PressPhase, Rejection
+from skincal.guide.coaching import PRESSING
+from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.session.snapshot import Snapshot
 
 ALARM_S = 3.0
@@ -46,7 +45,7 @@ class Ear:
 
     outcome: Outcome | None = None
     """The newest poke that was seen."""
-    phase: Phase = Phase.NO_DATA
+    phase: PressPhase = PressPhase.NO_DATA
     at_landmark: bool = False
     """That poke was at a landmark, where no taxel need answer."""
     held: bool = False
@@ -71,7 +70,7 @@ def heard(ear: Ear, at: Frame) -> tuple[Heard | None, Ear]:
         outcome=newest,
         at_landmark=newest is not None and newest.poke in at.snapshot.at_landmarks,
         phase=phase,
-        held=phase is Phase.HELD or (ear.held and phase in PRESSING),
+        held=phase is PressPhase.HELD or (ear.held and phase in PRESSING),
         guidance=at.guidance,
         lost=lost,
         alarm_s=ear.alarm_s,

@@ -9,14 +9,14 @@ import numpy as np
 
 from app.opening import Part
 from skincal.contacts.outcome import Contact, Outcome
-from skincal.estimate.rig import RigPrior
-from skincal.estimate.rig_fit import LandmarkPoke
-from skincal.estimate.rig_gain import Gain, PlannedPoke, expected_error
+from skincal.geometry.arrays import FloatArray
 from skincal.guide.guidance import Guidance
-from skincal.guide.landmarks import LandmarkRound, LandmarkWish, Stances, rig_moves, was_there
-from skincal.guide.places import Plan
-from skincal.readings import FloatArray
-from skincal.scene import Landmark
+from skincal.guide.landmark_targets import LandmarkRound, LandmarkTarget, Stances, rig_moves, was_there
+from skincal.guide.places import PlannedPlaces
+from skincal.model.scene import Landmark
+from skincal.rig.correction import RigPrior
+from skincal.rig.correction_fit import LandmarkPoke
+from skincal.rig.expected_gain import Gain, PlannedPoke, expected_error
 from skincal.session.actions import AtLandmark
 from skincal.session.known_points import landmark_normals, landmark_pokes, poke_at
 from skincal.session.snapshot import Snapshot
@@ -38,7 +38,7 @@ class Landmarks:
     plan : where the layout puts the taxels
     """
 
-    def __init__(self, part: Part, plan: Plan) -> None:
+    def __init__(self, part: Part, plan: PlannedPlaces) -> None:
         self._scene, self._surface = part.scene, part.surface
         there = np.isfinite(plan.places).all(axis=1)
         self._taxels, self._outward = plan.places[there], plan.normals[there]
@@ -49,7 +49,7 @@ class Landmarks:
         self._stance, self._stance_s = "", -np.inf
         """The arm's pose, and since when it holds: host's monotonic clock, seconds."""
         self._normals: dict[bytes, FloatArray] = {}
-        self._wishes: list[LandmarkWish] = []
+        self._wishes: list[LandmarkTarget] = []
         """All that is asked for in this arm pose."""
         self._asked_s = np.inf
         """Host's monotonic clock, seconds, since when the landmark is asked for."""
@@ -114,10 +114,10 @@ class Landmarks:
         return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
 
     @property
-    def _wish(self) -> LandmarkWish | None:
+    def _wish(self) -> LandmarkTarget | None:
         return self._wishes[0] if self._wishes else None
 
-    def _plan(self, snapshot: Snapshot) -> list[LandmarkWish]:
+    def _plan(self, snapshot: Snapshot) -> list[LandmarkTarget]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
             return []
         poked = [(self._key(one.pose, one.link_from_sensor), one.name) for one in self._made(snapshot)]

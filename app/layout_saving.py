@@ -10,8 +10,8 @@ from PySide6.QtWidgets import QFileDialog, QWidget
 
 from app.compare_words import saved_words
 from app.panels.message_bar import Message
-from skincal.estimate.board_mend import Mend
-from skincal.scene import Scene
+from skincal.model.scene import Scene
+from skincal.modules.health import LayoutMend
 
 
 class Compute(Protocol):
@@ -23,7 +23,7 @@ class Compute(Protocol):
 
 
 def ask_layout(
-    parent: QWidget, documents: Path, scene: Scene, mend: Mend, compute: Compute, say: Callable[[Message], None]
+    parent: QWidget, documents: Path, scene: Scene, mend: LayoutMend, compute: Compute, say: Callable[[Message], None]
 ) -> None:
     """Ask for a file, write the corrected layout there, and say where it is or why it is not.
 

@@ -128,7 +128,7 @@ def parse_links(line: bytes) -> tuple[object, ...]:
     ValueError, KeyError, TypeError
         The line is not what a serving process prints.
     """
-    from skincal.readings import Stream
+    from skincal.model.readings import Stream
     from skincal.streams.links import LinkSpec
 
     entries = json.loads(line)["links"]

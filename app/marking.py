@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QWidget
 from app.dialogs.landmark import LandmarkDialog
 from app.panels.message_bar import Message
 from app.scene3d.view import View3D
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 from skincal.session.actions import Action, AddLandmark
 
 ASK = Message("Click the point on the part; Esc ends.", asks=True)

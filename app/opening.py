@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.readings import IntArray
-from skincal.scene import Scene, load_scene
+from skincal.geometry.arrays import IntArray
+from skincal.model.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from skincal.files.reference import Reference
-    from skincal.guide.cover import Cover
+    from skincal.guide.candidates import Cover
     from skincal.session.road import Road
     from skincal.streams.links import LinkSpec
     from skincal.surface.lay import LaidSkin
@@ -76,7 +76,7 @@ def _cover(surface: Surface | None) -> Cover | None:
     """Spread places over a surface; only where they are needed, since it takes half a second."""
     if surface is None:
         return None
-    from skincal.guide.cover import Cover
+    from skincal.guide.candidates import Cover
 
     return Cover(surface)
 

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from skincal.streams.links import LinkSpec
@@ -49,7 +49,7 @@ class Plan:
 
 def find_scene(scene: Path | None) -> Path:
     """Return a scene's file: as given, by the name of one that ships, or the one that opens by default."""
-    from skincal.scene import scene_file
+    from skincal.model.scene import scene_file
 
     return scene_file(Path(DEFAULT_SCENE) if scene is None else scene)
 
@@ -75,7 +75,7 @@ def check_addresses(addresses: Addresses) -> None:
 
 def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
     """Return the links for addresses; see `describe_links`."""
-    from skincal.readings import Stream
+    from skincal.model.readings import Stream
     from skincal.streams.links import describe_links
 
     named = {Stream.WRENCH: addresses.wrench, Stream.SKIN: addresses.skin, Stream.JOINTS: addresses.joints}

@@ -30,15 +30,15 @@ from app.guide_words import (
 from app.rig_offers import Offer
 from app.running import Running
 from app.words import LinkLook, LinkWords, counted_words, link_words, peak_channel, verdict_detail, verdict_words
-from skincal.contacts.outcome import Contact, Outcome, Phase, Rejection
-from skincal.estimate.result import Estimate, State
-from skincal.guide.coach import PRESSING
-from skincal.guide.guidance import Guidance
-from skincal.guide.guidance import Phase as GuidePhase
-from skincal.guide.settings import GuideSettings
-from skincal.readings import FloatArray, IntArray, LinkHealth, Stream
-from skincal.scene import ContactSettings, Scene
+from skincal.contacts.outcome import Contact, Outcome, PressPhase, Rejection
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.coaching import PRESSING
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.progress import GuideSettings
+from skincal.model.readings import LinkHealth, Stream
+from skincal.model.scene import ContactSettings, Scene
 from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.taxels.result import Estimate, State
 
 VERDICT_S = 2.5
 """s. A verdict stays at least this long unless the next poke begins: a dozen words are read in it."""
@@ -77,9 +77,9 @@ class NowMemory:
     outcome: Outcome | None = None
     """The newest poke that was seen."""
     verdict_until_s: float = -math.inf
-    phase: Phase = Phase.NO_DATA
+    phase: PressPhase = PressPhase.NO_DATA
     """The phase that is said."""
-    coming: Phase = Phase.NO_DATA
+    coming: PressPhase = PressPhase.NO_DATA
     coming_since_s: float = -math.inf
     asked: int | None = None
     """Channel that the frame before asked to poke."""
@@ -180,7 +180,7 @@ def _trouble(at: Frame) -> Now | None:
 
 def _pressing(memory: NowMemory, at: Frame) -> Now:
     how = pressing_words(at.coaching, at.target, at.names)
-    if memory.phase is Phase.HELD:
+    if memory.phase is PressPhase.HELD:
         return Now(Tone.GOOD, "enough, release", how or "The still window is full.")
     hint = memory.coach.hint
     asked = hint_words(hint, at.target, at.names) if hint is not None and at.target is not None else ""
@@ -205,13 +205,13 @@ def _verdict(outcome: Outcome, memory: NowMemory, at: Frame) -> Now:
     return Now(Tone.GOOD, words, BETWEEN.join(filter(None, (done_words(memory.done, at.names), _next(at), detail))))
 
 
-def _calm(phase: Phase, at: Frame) -> Now:
+def _calm(phase: PressPhase, at: Frame) -> Now:
     if at.unsolved:
         left = f"{count(at.unsolved, 'taxel')} to go: what changed concerns all of them. Pokes count meanwhile."
         return Now(Tone.WAIT, "solving anew", left)
-    if phase is Phase.NO_DATA:
+    if phase is PressPhase.NO_DATA:
         return _no_data(at)
-    if phase is Phase.TARING:
+    if phase is PressPhase.TARING:
         following = _next(at)
         taring = (
             f"Taring.  {following}" if following else "Taring: the sensor's offset is taken while nothing touches the part."

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from app.storage import Storage
 
 if TYPE_CHECKING:
-    from skincal.readings import Chunk, LinkEvent
+    from skincal.model.readings import Chunk, LinkEvent
     from skincal.session.road import Road
     from skincal.streams.links import LinkSpec
     from skincal.streams.reader import Reader

@@ -10,12 +10,12 @@ import numpy as np
 
 from app.display_units import DASH, in_millimetres, millimetres, number
 from skincal.contacts.outcome import Outcome
-from skincal.estimate.correction import FRAME, RIG, UsedCorrection
-from skincal.estimate.result import Estimate, Method
+from skincal.rig.correction import FRAME, RIG, UsedCorrection
 from skincal.session.actions import Correct
 from skincal.session.corrections import offered
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Estimate, Method
 
 
 @dataclass(frozen=True, slots=True)

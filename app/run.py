@@ -24,7 +24,7 @@ from app.scene3d.probe import best_canvas
 from app.sound import Player
 from app.theme import Choice, Theme
 from app.window import Window
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 LOG = logging.getLogger("skincal")
 LOG_BYTES = 1_000_000

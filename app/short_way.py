@@ -7,12 +7,11 @@ from collections import Counter
 from app.frame import Frame
 from app.running import Running
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Estimate, Method, State
-from skincal.guide.done import Facts, Need, needs
-from skincal.guide.guidance import Phase
-from skincal.guide.places import Plan
-from skincal.guide.settings import GuideSettings
+from skincal.guide.guidance import GuidePhase
+from skincal.guide.places import PlannedPlaces
+from skincal.guide.progress import Facts, GuideSettings, Need, needs
 from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Estimate, Method, State
 
 
 class ShortWay:
@@ -23,14 +22,14 @@ class ShortWay:
     plan : where the layout puts the taxels
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: PlannedPlaces) -> None:
         self._plan, self._settings = plan, GuideSettings()
         self._seen: int | None = None
         self._told = False
 
     def news(self, frame: Frame) -> str:
         """Return what the operator is told; empty where there is nothing to tell, or it was told."""
-        asked = frame.guidance is not None and frame.guidance.phase is not Phase.ENOUGH
+        asked = frame.guidance is not None and frame.guidance.phase is not GuidePhase.ENOUGH
         # Who has seen that method need no more knows it.
         self._told |= frame.method is Method.MODULES and not asked and frame.guidance is not None
         if self._told or not asked or frame.method is Method.MODULES or frame.running is not Running.STREAMING:

@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 from app.plan import Plan, dated_folder
-from skincal.errors import InputError
 from skincal.journal.lock import LOCK_NAME
+from skincal.model.errors import InputError
 
 
 class Storage:

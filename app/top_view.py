@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.scene3d.camera import Eye
-from skincal.estimate.result import Method
-from skincal.guide.coach import Coaching
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.coaching import Coaching
 from skincal.guide.guidance import Guidance, Target
-from skincal.guide.settings import GuideSettings
-from skincal.guide.sky import Sky
-from skincal.readings import FloatArray, IntArray
+from skincal.guide.progress import AxisDiversity, GuideSettings
+from skincal.taxels.result import Method
 
 TOOL = 0.035
 """m. Length of the stick, a tool's tip: as long as the arrow in the 3D view."""
@@ -120,7 +119,7 @@ class SkyView:
     """(g, g) float, 0 to 1: how much a next one would tell there, rows from the top; all 0 where nothing is to be said."""
 
 
-def sky_view(sky: Sky, method: Method, eye: Eye) -> SkyView:
+def sky_view(sky: AxisDiversity, method: Method, eye: Eye) -> SkyView:
     """Return the picture of what a method needs of a taxel: sides for the free one, places for the others."""
     axes = axes_on(sky.normal, eye)
     if method is Method.FREE:

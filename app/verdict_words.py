@@ -7,12 +7,11 @@ from collections.abc import Iterable, Sequence
 from app.display_units import count, millimetres, minutes
 from app.rig_offers import Offer, used_words
 from app.words import METHOD_NAMES
-from skincal.estimate.correction import UsedCorrection
-from skincal.estimate.result import Method
-from skincal.guide.done import Why
-from skincal.guide.settings import GuideSettings
+from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import Left, Verdict
+from skincal.rig.correction import UsedCorrection
 from skincal.session.review import Review
+from skincal.taxels.result import Method
 
 
 def sentence(verdict: Verdict) -> str:

@@ -15,10 +15,10 @@ import numpy as np
 
 from app.display_units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
-from skincal.estimate.result import Estimate, Method, State
-from skincal.readings import LinkHealth, LinkState, is_silent
+from skincal.geometry.wrench import move_wrench, pitch
+from skincal.model.readings import LinkHealth, LinkState, is_silent
 from skincal.session.snapshot import Snapshot
-from skincal.wrench import move_wrench, pitch
+from skincal.taxels.result import Estimate, Method, State
 
 ADVICE: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "Press harder, then hold.",

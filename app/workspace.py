@@ -29,10 +29,10 @@ from app.policies import Now, Tone
 from app.scene3d.view import View3D
 from app.theme import GAP, Colours
 from app.words import METHOD_NAMES, error_words, pokes_words, summary_words
-from skincal.estimate.result import Method
-from skincal.guide.coach import leeway
+from skincal.guide.coaching import leeway
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
+from skincal.taxels.result import Method
 
 SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
 """Methods in the order in which they are offered; the first that there is is shown first."""

@@ -193,7 +193,7 @@ for package in (numpy, scipy):
 @pytest.mark.skipif(os.cpu_count() == 1, reason="one core: there is nothing to see")
 @pytest.mark.parametrize("wanted", [None, "2"])
 @pytest.mark.parametrize(
-    "module", ["app.__main__", "skincal.cli", "skincal.session.review_process", "skincal.estimate.solve", "skincal"]
+    "module", ["app.__main__", "skincal.cli", "skincal.session.review_process", "skincal.methods", "skincal"]
 )
 def test_linear_algebra_takes_one_thread_unless_the_environment_says_otherwise(module: str, wanted: str | None) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.endswith(("NUM_THREADS", "MAXIMUM_THREADS"))}

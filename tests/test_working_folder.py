@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from app.plan import server_command
-from skincal.scene import resource
+from skincal.model.scene import resource
 from tools import places, python_env
 
 CHECKOUT = Path(__file__).resolve().parent.parent

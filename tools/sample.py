@@ -20,7 +20,7 @@ SEED = 11
 
 def main() -> int:
     """Write `resources/sessions/sample`."""
-    from skincal.scene import load_scene, resource
+    from skincal.model.scene import load_scene, resource
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.operator import Habits
     from skincal.simulate.rig import RigErrors

@@ -105,7 +105,7 @@ class Measure(QObject):
 
     def take(self, picture: Picture) -> None:
         """Take a moment of the session: whether the tool presses."""
-        from skincal.guide.coach import PRESSING
+        from skincal.guide.coaching import PRESSING
 
         now = time.monotonic()
         pressing = picture.live.progress.phase in PRESSING

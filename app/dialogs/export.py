@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 from app.display_units import count
 from app.panels.texts import plain_buttons, put, quiet
 from app.words import METHOD_NAMES
-from skincal.estimate.result import Method
+from skincal.taxels.result import Method
 
 FORMATS: tuple[tuple[str, str, str, str], ...] = (
     ("icub", "iCub position file", ".txt", "What skinManager and skinGui load: every channel, unit normals, taxel2Repr."),

@@ -21,8 +21,8 @@ from PySide6.QtWidgets import (
 from app.display_units import UNITS, in_metres, in_millimetres
 from app.panels.texts import plain_buttons, put, quiet
 from app.theme import GAP
-from skincal.readings import FloatArray
-from skincal.tables import LENGTH_MAX
+from skincal.geometry.arrays import FloatArray
+from skincal.model.tables import LENGTH_MAX
 
 AXES = ("x", "y", "z")
 DECIMALS = 2

@@ -21,8 +21,8 @@ from PySide6.QtWidgets import (
 
 from app.panels.texts import plain_buttons, put, quiet
 from app.plan import Addresses, Plan, check_addresses, server_command
-from skincal.errors import InputError
-from skincal.scene import load_scene, resource
+from skincal.model.errors import InputError
+from skincal.model.scene import load_scene, resource
 
 ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
 

@@ -11,8 +11,8 @@ from app.frame import Frame
 from app.panels.texts import fit_rows, put, quiet
 from app.theme import GAP
 from skincal.contacts.outcome import Contact
-from skincal.readings import Stream
-from skincal.scene import ArmSpec
+from skincal.model.readings import Stream
+from skincal.model.scene import ArmSpec
 
 
 class ArmPanel(QWidget):

@@ -49,16 +49,16 @@ from app.panels.texts import on_panel, put, quiet
 from app.scene3d.ground import Cloud, Comparison
 from app.scene3d.looks import DARK, LIGHT, Tint
 from app.theme import GAP, Colours
-from skincal.estimate.board_health import Neighbours, neighbours_of
-from skincal.estimate.compare import compare_modules, differences, summarise, worst_rows
-from skincal.estimate.result import Method
-from skincal.readings import FloatArray
-from skincal.skin import Layout
+from skincal.geometry.arrays import FloatArray
+from skincal.model.skin import Layout
+from skincal.modules.health import PlannedNeighbours, neighbours_of
+from skincal.taxels.differences import compare_modules, differences, summarise, worst_rows
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from app.board_watch import BoardWatch
     from app.opening import Part
-    from skincal.estimate.board_mend import Mend
+    from skincal.modules.health import LayoutMend
 
 WORST = 10
 """Taxels in the list of the worst."""
@@ -81,7 +81,7 @@ class ComparePanel(QScrollArea):
     comparison_changed = Signal(object)
     """`Comparison`, or None while nothing is compared."""
     layout_wanted = Signal(object)
-    """`Mend`: the corrected layout is to be saved."""
+    """`LayoutMend`: the corrected layout is to be saved."""
 
     def __init__(self, part: Part, methods: tuple[Method, ...], names: ChannelNames, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -90,7 +90,7 @@ class ComparePanel(QScrollArea):
         self._layout = part.scene.skin.layout
         self._channels = part.channels
         self._places = Places(part.channels, None if part.laid is None else part.laid.places)
-        self._neighbours: Neighbours | None = None
+        self._neighbours: PlannedNeighbours | None = None
         """Of the layout; made when first needed."""
         self._watch: BoardWatch | None = None
         self._frame: Frame | None = None
@@ -260,7 +260,7 @@ class ComparePanel(QScrollArea):
         self.health.setVisible(bool(sentences))
         self._show_offer(None if found is None or not found.mend.changes else found.mend)
 
-    def _show_offer(self, mend: Mend | None) -> None:
+    def _show_offer(self, mend: LayoutMend | None) -> None:
         """Have the button while there is a corrected layout to save."""
         if mend is None:
             if self.save is not None:

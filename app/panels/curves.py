@@ -17,7 +17,7 @@ from app.envelope import envelope
 from app.frame import Frame
 from app.policies import curve_range
 from app.theme import GAP, LIGHT, Colours
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 SPAN = 10.0
 """s, of the time axis: what the live view keeps."""

@@ -11,7 +11,7 @@ from app.frame import Frame
 from app.panels.texts import ElidedLabel, on_panel, put, quiet
 from app.theme import GAP, LIGHT, Colours, digits_font
 from app.words import LinkLook, LinkWords
-from skincal.readings import LinkHealth
+from skincal.model.readings import LinkHealth
 
 ICON_PX = 18
 

@@ -15,8 +15,8 @@ from app.display_units import degrees, millimetres
 from app.frame import Frame
 from app.theme import LIGHT, Colours, mix
 from app.top_view import AROUND, TopView, top_view
-from skincal.guide.coach import leeway
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.coaching import leeway
 
 DIAL_PX = 104
 RIM_PX = 3.0

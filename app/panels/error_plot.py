@@ -18,9 +18,9 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 from app.display_units import in_millimetres, in_minutes
 from app.error_words import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
 from app.theme import LIGHT, Colours, method_hue
-from skincal.estimate.result import Method
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
+from skincal.taxels.result import Method
 
 STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
 SYMBOLS = {Method.FREE: "o", Method.SURFACE: "d", Method.MODULES: "t1"}

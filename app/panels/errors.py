@@ -22,8 +22,8 @@ from app.panels.plot_panel import PlotPanel
 from app.panels.texts import put, quiet
 from app.theme import GAP, LIGHT, Colours, method_hue
 from app.words import METHOD_NAMES
-from skincal.estimate.result import Method
-from skincal.skin import Layout
+from skincal.model.skin import Layout
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from app.error_tracker import ErrorTracker

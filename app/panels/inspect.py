@@ -27,7 +27,7 @@ from app.panels.texts import on_panel, put, quiet
 from app.policies import MARK_WORDS, mark_of, worst
 from app.theme import GAP, Colours
 from app.words import METHOD_NAMES, find_estimate
-from skincal.estimate.result import Estimate, Method, State
+from skincal.taxels.result import Estimate, Method, State
 
 ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
 POKE_HEADINGS = ("Poke", "Weight k", "Trust", "Axis off by")

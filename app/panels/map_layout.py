@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
-from skincal.skin import Layout
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.skin import Layout
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,8 +13,8 @@ from app.evidence_words import doubt_mark, doubt_words, doubting
 from app.theme import LIGHT, Colours
 from app.words import force_of, peak_channel, pitch_of, reason_short, reason_words, tilt_of
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.estimate.result import Estimate
 from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.taxels.result import Estimate
 
 _Index = QModelIndex | QPersistentModelIndex
 HEADINGS = ("#", "Outcome", "Taxel", "N", "Tilt", "Pitch")

@@ -22,7 +22,7 @@ from app.panels.texts import fit_rows, on_panel, put, quiet
 from app.rig_offers import Offer, landmark_rows, review_words
 from app.theme import GAP
 from skincal.guide.guidance import Guidance
-from skincal.scene import ArmSpec
+from skincal.model.scene import ArmSpec
 
 HEADINGS = ("Landmark", "Here", "All", "Off by")
 _HINTS = (

@@ -17,10 +17,10 @@ from app.guide_words import FOLLOWS, contacts_words, sky_words
 from app.panels.texts import put, quiet
 from app.theme import GAP, LIGHT, Colours
 from app.top_view import SkyView, sky_view
-from skincal.estimate.result import Method
+from skincal.geometry.arrays import FloatArray
 from skincal.guide.guidance import Guidance
-from skincal.guide.sky import Sky
-from skincal.readings import FloatArray
+from skincal.guide.progress import AxisDiversity
+from skincal.taxels.result import Method
 
 SKY_PX = 152
 DOT_PX = 4.0
@@ -43,7 +43,7 @@ class SkyPlot(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setFixedSize(SKY_PX, SKY_PX)
-        self._sky: Sky | None = None
+        self._sky: AxisDiversity | None = None
         self._view: SkyView | None = None
         self._colours = LIGHT
         self.setAccessibleName("contacts of the taxel, from above")
@@ -52,7 +52,7 @@ class SkyPlot(QWidget):
         """Return the size that it keeps."""
         return QSize(SKY_PX, SKY_PX)
 
-    def set(self, sky: Sky, view: SkyView) -> None:
+    def set(self, sky: AxisDiversity, view: SkyView) -> None:
         """Show the contacts of a taxel."""
         self._sky, self._view = sky, view
         self.update()
@@ -179,7 +179,7 @@ class SkyPanel(QWidget):
         if sky is not None:
             self._show_sky(sky, frame, is_target=channel == target)
 
-    def _show_sky(self, sky: Sky, frame: Frame, *, is_target: bool) -> None:
+    def _show_sky(self, sky: AxisDiversity, frame: Frame, *, is_target: bool) -> None:
         put(self.whose, f"{self._names.short(sky.channel)}{', the target' if is_target else ''}")
         put(self.contacts, contacts_words(sky))
         put(self.spread, sky_words(sky, frame.method).capitalize())

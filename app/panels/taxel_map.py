@@ -33,9 +33,9 @@ from app.panels.map_layout import Fit, MapPlan, fit, plan_map
 from app.panels.marks import Stamps, draw_mark, draw_wedge
 from app.policies import MARK_WORDS, Mark, answer_levels, marks
 from app.theme import HUES, LIGHT, Colours, mix
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene
+from skincal.model.scene import Scene
 
 LEGEND_PX = 22
 MARGIN_PX = 6

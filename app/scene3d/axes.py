@@ -10,10 +10,10 @@ from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import ColourArray, Look
 from app.scene3d.shapes import Balls, Segments
 from skincal.contacts.outcome import Contact, Progress
-from skincal.guide.coach import PRESSING
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.guide.coaching import PRESSING
 from skincal.session.snapshot import Snapshot
-from skincal.wrench import axis_point, move_wrench
 
 MOST_AXES = 30
 """Axes of the selected taxel: more are a tangle, and the newest tell most."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera

@@ -14,7 +14,7 @@ from app.scene3d.estimates import FAR_SIDE
 from app.scene3d.ground import Comparison, Frame, Ground
 from app.scene3d.looks import DARK, ColourArray, Look, Tint
 from app.scene3d.shapes import Dots, Segments
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 DOT = 1.5e-3
 """m. Diameter of a dot: half of an estimate's ball, so that dots of several sets are seen beside each other."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 from skincal.surface.mesh import Surface
 
 

@@ -15,8 +15,8 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import ColourArray, Look
 from app.scene3d.shapes import Balls, Segments, crosses, rings
-from skincal.estimate.result import Estimate, Method, State
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.taxels.result import Estimate, Method, State
 
 BALL = 3.2e-3
 """m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""

@@ -11,7 +11,7 @@ import ctypes.util
 import os
 import sys
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 EGL_DEVICE = 0x313F
 """EGL_PLATFORM_DEVICE_EXT, of the extension EGL_EXT_platform_device: a display without a window system."""

@@ -10,13 +10,13 @@ import numpy as np
 
 from app.scene3d.looks import ColourArray, Tint, module_hues
 from app.scene3d.shading import Shaded, shade
-from skincal.estimate.result import Estimate, Method
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.guidance import Target
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene
+from skincal.model.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.surface.lay import LaidSkin
 from skincal.surface.mesh import Surface
+from skincal.taxels.result import Estimate, Method
 
 DEFAULT_RADIUS = 0.06
 """m. Half the size of the view while nothing is known of the part: about a forearm's width."""

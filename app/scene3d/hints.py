@@ -12,7 +12,7 @@ from app.scene3d.camera import pixels_per_metre
 from app.scene3d.ground import Frame
 from app.scene3d.looks import Look, unit
 from app.scene3d.shapes import cells
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 EDGE = 26
 """Pixels between the hints and the edge of the picture."""

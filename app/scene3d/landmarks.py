@@ -15,8 +15,8 @@ from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import ColourArray, Look, unit
 from app.scene3d.picking import project
 from app.scene3d.shapes import Segments, closed, tangents
-from skincal.readings import FloatArray
-from skincal.scene import Landmark
+from skincal.geometry.arrays import FloatArray
+from skincal.model.scene import Landmark
 from skincal.session.known_points import landmark_normals
 from skincal.session.snapshot import Snapshot
 from skincal.surface.mesh import Surface

@@ -13,8 +13,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.readings import IntArray
-from skincal.skin import Layout
+from skincal.geometry.arrays import IntArray
+from skincal.model.skin import Layout
 
 Colour: TypeAlias = tuple[int, int, int]
 ColourArray: TypeAlias = NDArray[np.uint8]

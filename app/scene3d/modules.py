@@ -8,8 +8,8 @@ from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D, vtkRenderer
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import HUES, ColourArray, Look, unit
 from app.scene3d.shapes import Dots, Segments, closed
-from skincal.readings import FloatArray
-from skincal.skin import Layout
+from skincal.geometry.arrays import FloatArray
+from skincal.model.skin import Layout
 from skincal.surface.lay import LaidSkin
 
 LIFT = 4e-4

@@ -7,7 +7,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import eye_of
 from app.scene3d.entry import entry_points
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 from skincal.surface.mesh import Surface
 
 REACH = 14.0

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 
 CREASE = float(np.cos(np.radians(40.0)))
 """Cosine. A triangle more than 40 degrees off the mean of a vertex is beyond an edge; below it the part is smooth."""

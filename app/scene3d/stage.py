@@ -30,7 +30,7 @@ from app.scene3d.surface import SurfaceLayer
 from app.scene3d.target import TargetLayer
 from app.scene3d.turning import Turner
 from app.scene3d.uncertainty import UncertaintyLayer
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 
 SMALLEST = 0.015
 """m. Half the height of the view at least: half a module."""

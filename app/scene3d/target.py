@@ -12,8 +12,8 @@ from app.scene3d.entry import skin_point
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import Look
 from app.scene3d.shapes import Segments, rings, tangents
+from skincal.geometry.arrays import FloatArray
 from skincal.guide.guidance import Target
-from skincal.readings import FloatArray
 
 RING = 4.6e-3
 """m. Radius of the ring: around the rings of a selected taxel, and below the distance to the next one."""

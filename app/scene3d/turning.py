@@ -14,9 +14,9 @@ import numpy as np
 from app.scene3d.camera import NEAREST, VIEW_ANGLE
 from app.scene3d.entry import entry_points, skin_point
 from app.scene3d.ground import Frame
-from skincal.guide.coach import PRESSING
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.coaching import PRESSING
 from skincal.guide.guidance import Target
-from skincal.readings import FloatArray
 from skincal.surface.mesh import Surface
 
 if TYPE_CHECKING:

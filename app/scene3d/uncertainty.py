@@ -13,8 +13,8 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import ColourArray, Look
 from app.scene3d.shapes import Segments
-from skincal.estimate.result import Estimate, Method
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.taxels.result import Estimate, Method
 
 WORST = 3
 """Ellipsoids at a time: more hide the taxels that they are about."""

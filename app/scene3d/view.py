@@ -24,13 +24,13 @@ from app.scene3d.loading import Loaded, load, mount
 from app.scene3d.looks import DARK, LIGHT
 from app.scene3d.pointer import Pointer
 from app.scene3d.probe import Canvas, best_canvas
-from skincal.errors import InputError
-from skincal.estimate.result import Method
 from skincal.guide.guidance import Target
-from skincal.scene import Scene
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.surface.lay import LaidSkin
 from skincal.surface.mesh import Surface
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from app.scene3d.loading import AnyCanvas

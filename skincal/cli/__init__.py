@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import typer
 
 from skincal import __version__
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 app = typer.Typer(
     name="skincal",

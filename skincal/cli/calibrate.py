@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.errors import InputError
-from skincal.estimate.result import Method
+from skincal.model.errors import InputError
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.estimate.frame_doctor import FrameDiagnosis
-    from skincal.estimate.rig_fit import RigAnswer
     from skincal.files.calibration import Calibration
-    from skincal.readings import FloatArray
+    from skincal.geometry.arrays import FloatArray
+    from skincal.rig.correction_fit import RigAnswer
+    from skincal.rig.frame_check import FrameDiagnosis
     from skincal.session.road import Road
     from skincal.session.session import Session
 
@@ -49,7 +49,7 @@ LayoutFile = Annotated[
 SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
 
 
-class Format(Enum):
+class ExportFormat(Enum):
     """A calibration file's format."""
 
     ICUB = "icub"
@@ -144,7 +144,7 @@ def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path |
 
 def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
     from skincal.cli import report
-    from skincal.estimate.solve import average_over_poses
+    from skincal.methods import average_over_poses
 
     session = road.session
     summaries: dict[str, Any] = {}
@@ -159,8 +159,8 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
 
 
 def _told_by_landmarks(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
-    from skincal.estimate.frame_doctor import diagnose
-    from skincal.estimate.rig_fit import correct_rig
+    from skincal.rig.correction_fit import correct_rig
+    from skincal.rig.frame_check import diagnose
     from skincal.session.known_points import landmark_normals
 
     known = {one.name: one for one in session.landmarks}
@@ -177,7 +177,7 @@ def _correct(session: Session) -> None:
     InputError
         They offer nothing that is sure.
     """
-    from skincal.estimate.correction import FRAME
+    from skincal.rig.correction import FRAME
     from skincal.session.corrections import offered
 
     if not session.landmark_pokes:
@@ -203,8 +203,8 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
     if not session.landmark_pokes:
         return {}, []
     from skincal.cli import report
-    from skincal.estimate.correction import RIG
-    from skincal.estimate.solve import estimate_taxels
+    from skincal.methods import estimate_taxels
+    from skincal.rig.correction import RIG
 
     frame, answer = _told_by_landmarks(session)
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
@@ -233,8 +233,8 @@ def _calibration(session: Session) -> Calibration:
     """Return what the files are written from, with what landmark pokes say of a correction of the rig."""
     if not session.landmark_pokes:
         return session.calibration()
-    from skincal.estimate.rig_fit import correct_rig
     from skincal.files.calibration import landmark_check
+    from skincal.rig.correction_fit import correct_rig
 
     return replace(session.calibration(), landmark_check=landmark_check(correct_rig(session.rig_request())))
 
@@ -251,7 +251,7 @@ def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], l
     files: list[str] = []
     findings: list[str] = []
 
-    def write(format_: Format, name: str, method: Method) -> None:
+    def write(format_: ExportFormat, name: str, method: Method) -> None:
         path = folder / name
         for sentence in write_calibration(calibration, format_.value, path, method, part):
             if sentence not in findings:
@@ -259,17 +259,17 @@ def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], l
         files.append(str(path))
 
     methods = tuple(calibration.estimates)
-    write(Format.JSON, "calibration.json", methods[0])
-    write(Format.CSV, "calibration.csv", methods[0])
+    write(ExportFormat.JSON, "calibration.json", methods[0])
+    write(ExportFormat.CSV, "calibration.csv", methods[0])
     for method in methods:
-        write(Format.ICUB, f"positions-{method.value}.txt", method)
-        write(Format.PLY, f"taxels-{method.value}.ply", method)
+        write(ExportFormat.ICUB, f"positions-{method.value}.txt", method)
+        write(ExportFormat.PLY, f"taxels-{method.value}.ply", method)
     return files, findings
 
 
 def export(
     session: SessionArgument,
-    format_: Annotated[Format, typer.Option("--format", help="Format of the file.")],
+    format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file.")],
     out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak.")],
     method: Annotated[
         Method | None, typer.Option(help="Whose positions to write; the surface method where the scene has a surface.")
@@ -284,7 +284,7 @@ def export(
     from skincal.cli import report
     from skincal.files.export import write_calibration
 
-    if part is not None and format_ is not Format.ICUB:
+    if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
     road = _opened(session, replay, None, layout)
     if correct:

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Generator
 from pathlib import Path
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 
 class KeptError(InputError):

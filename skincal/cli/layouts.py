@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from skincal.errors import InputError
-from skincal.estimate.board_health import judged_modules
-from skincal.estimate.board_mend import Mend, mend_boards
-from skincal.estimate.result import Method
+from skincal.model.errors import InputError
+from skincal.modules.health import LayoutMend, judged_modules, mend_modules
 from skincal.session.session import Session
+from skincal.taxels.result import Method
 
 
 def layout_result(session: Session, used: Path | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
@@ -37,7 +36,7 @@ def layout_result(session: Session, used: Path | None, out: Path | None) -> tupl
         return result, lines
     told = session.snapshot().estimates
     estimates = {one.channel: one for one in told.get(Method.SURFACE) or told.get(Method.FREE, ())}
-    mend = mend_boards(session.boards, estimates)
+    mend = mend_modules(session.boards, estimates)
     written = out if mend.changes else None
     if written is not None:
         from skincal.files.layout_file import write_layout
@@ -50,7 +49,7 @@ def layout_result(session: Session, used: Path | None, out: Path | None) -> tupl
     return {"misfits": misfits, "layout": layout}, lines
 
 
-def _lines(mend: Mend, out: Path | None, judged: int) -> list[str]:
+def _lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
     """Return what is said of the correction, without the misfits themselves."""
     changes = "; ".join(change.words for change in mend.changes)
     if mend.changes and out is not None:

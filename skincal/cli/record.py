@@ -12,12 +12,12 @@ import typer
 
 from skincal.cli.calibrate import Json
 from skincal.cli.fresh import Fresh, KeptError, new_folder
-from skincal.errors import InputError
-from skincal.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
-from skincal.scene import Scene, load_scene, scene_file
+from skincal.model.errors import InputError
+from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
+from skincal.model.scene import Scene, load_scene, scene_file
 
 if TYPE_CHECKING:
-    from skincal.readings import FloatArray
+    from skincal.geometry.arrays import FloatArray
     from skincal.session.road import Road
     from skincal.streams.links import LinkSpec
     from skincal.streams.reader import Reader
@@ -287,7 +287,7 @@ def import_yarp(
     as_json: Json = False,
 ) -> None:
     """Make a session from `yarpdatadumper` folders of one recording."""
-    from skincal.files.yarp import read_yarp
+    from skincal.files.importers.yarp_log import read_yarp
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
@@ -304,7 +304,7 @@ def import_csv(
     as_json: Json = False,
 ) -> None:
     """Make a session from CSV files of one recording."""
-    from skincal.files.csv_log import read_csv
+    from skincal.files.importers.csv_log import read_csv
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)

@@ -11,13 +11,14 @@ import numpy as np
 import typer
 
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.estimate.board_health import spacing_ratio
-from skincal.estimate.result import Estimate, Method, State
 from skincal.files.reference import error_summary
-from skincal.readings import FloatArray, LinkHealth, LinkState
+from skincal.geometry.arrays import FloatArray
+from skincal.model.readings import LinkHealth, LinkState
+from skincal.model.skin import Layout
+from skincal.modules.health import spacing_ratio
 from skincal.session.snapshot import Snapshot
 from skincal.session.totals import LinkTotals
-from skincal.skin import Layout
+from skincal.taxels.result import Estimate, Method, State
 
 
 def print_result(result: Mapping[str, Any], as_json: bool) -> None:

@@ -16,10 +16,10 @@ import typer
 
 from skincal.cli.calibrate import Json
 from skincal.cli.record import SceneOption, find_scene
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from skincal.scene import Scene
+    from skincal.model.scene import Scene
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.follow import Guided
     from skincal.simulate.operator import Habits, Told

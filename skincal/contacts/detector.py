@@ -31,16 +31,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skincal.contacts.gates import GAP_PERIODS
+from skincal.contacts.gates import GAP_PERIODS, FinishedPress, answer_limit, finish, judge
 from skincal.contacts.health import ChannelHealth
-from skincal.contacts.judge import Poke, answer_limit, finish, judge
-from skincal.contacts.outcome import Outcome, Phase, Progress, Reason, Rejection
-from skincal.contacts.pose import ArmPose, turned
-from skincal.contacts.press import Press
+from skincal.contacts.outcome import Outcome, PressPhase, Progress, Reason, Rejection
+from skincal.contacts.press import ArmPose, Press, turned
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
-from skincal.readings import FloatArray, IntArray, Sample
-from skincal.scene import Scene
-from skincal.wrench import axis_point, move_wrench
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.model.readings import Sample
+from skincal.model.scene import Scene
 
 _PERIOD_SAMPLES = 15
 """Samples whose median spacing is the period; enough to outvote a few missing frames."""
@@ -51,7 +50,7 @@ _CROWDED = (Reason.TOO_MANY_TAXELS, Reason.NOT_CONNECTED)
 class Doubt(NamedTuple):
     """What a poke that dead channels may have spoilt is judged by, whenever more is known of them."""
 
-    poke: Poke
+    poke: FinishedPress
     after: Tare | None
 
 
@@ -92,7 +91,7 @@ class ContactDetector:
         self._rest_seen = False
         self._press: Press | None = None
         self._pokes = known.pokes
-        self._pending: list[Poke] = []
+        self._pending: list[FinishedPress] = []
         self._doubts = {doubt.poke.number: (doubt, outcome) for doubt, outcome in known.doubts}
         self.responses: FloatArray = np.full(scene.skin.channels, np.nan)
         """(channels,) float, raw units: the last frame above its baseline; NaN before the first tare."""
@@ -199,19 +198,19 @@ class ContactDetector:
             still=0.0 if press is None else min(1.0, press.still),
         )
 
-    def _phase(self) -> Phase:
+    def _phase(self) -> PressPhase:
         tare, press = self._tares.tare, self._press
         if self._last is None:
-            return Phase.NO_DATA
+            return PressPhase.NO_DATA
         if tare is None or (press is None and self._last.host_s - tare.end_s > TARE_AGE_MAX_S):
-            return Phase.TARING
+            return PressPhase.TARING
         if press is None:
-            return Phase.READY
+            return PressPhase.READY
         if press.held:
-            return Phase.HELD
+            return PressPhase.HELD
         hard = float(np.linalg.norm(press.force)) >= self._scene.contacts.force_min
         # Two samples are always alike enough; a quarter of the window says something.
-        return Phase.STILL if hard and press.still >= 0.25 else Phase.PRESSING
+        return PressPhase.STILL if hard and press.still >= 0.25 else PressPhase.PRESSING
 
     def _arm_angles(self, sample: Sample) -> FloatArray | None:
         arm = self._scene.arm
@@ -332,7 +331,7 @@ class ContactDetector:
             outcomes.append(self._judge(self._pending.pop(0), None, final=True))
         return outcomes
 
-    def _judge(self, poke: Poke, after: Tare | None, *, final: bool) -> Outcome:
+    def _judge(self, poke: FinishedPress, after: Tare | None, *, final: bool) -> Outcome:
         outcome = judge(poke, self._scene, after, final, self._left_out())
         if final and _is_crowded(outcome):
             self._doubts[poke.number] = Doubt(poke, after), outcome

@@ -11,8 +11,8 @@ from types import MappingProxyType
 import numpy as np
 
 from skincal.contacts.tare import TARE_AGE_MAX_S
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import Scene
 
 NO_NUMBER_S = 2.0
 """s. A channel that gives no number for so long is dead: a hundred frames at 50 Hz."""

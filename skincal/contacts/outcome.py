@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeAlias
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 
 
 class Reason(Enum):
@@ -88,7 +88,7 @@ class Rejection:
 Outcome: TypeAlias = Contact | Rejection
 
 
-class Phase(Enum):
+class PressPhase(Enum):
     """Where the poke in progress stands."""
 
     NO_DATA = "no data"
@@ -103,7 +103,7 @@ class Phase(Enum):
 class Progress:
     """The poke in progress, for the views."""
 
-    phase: Phase
+    phase: PressPhase
     force: FloatArray
     """(3,) float, N, tared, link frame; zeros when nothing presses."""
     axis_point: FloatArray

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray, Sample
-from skincal.scene import ContactSettings
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.readings import Sample
+from skincal.model.scene import ContactSettings
 
 QUIET_SPREAD = 0.35
 """N. Largest spread (root of the summed variances) of a quiet window: twice that of a sensor with 0.1 N noise an axis."""

@@ -6,7 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 
 def write_atomically(path: Path, data: bytes) -> None:

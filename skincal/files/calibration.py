@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.errors import InputError
-from skincal.estimate.correction import UsedCorrection
-from skincal.estimate.result import Estimate, Method
-from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene
+from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.taxels.result import Estimate, Method
 
 
 @dataclass(frozen=True, slots=True)

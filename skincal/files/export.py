@@ -1,7 +1,15 @@
-"""Write a calibration in one format, and say what is wrong with it and what it leaves out."""
+"""A calibration as CSV: one row a channel and method.
+
+A calibration as a point cloud that MeshLab, CloudCompare and ParaView open.
+
+Write a calibration in one format, and say what is wrong with it and what it leaves out.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,20 +17,102 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.estimate.result import Estimate, Method, State
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, placed_taxels
-from skincal.files.csv_file import csv_text
 from skincal.files.icub import SKIN_PARTS, icub_text, parse_icub, skin_part
 from skincal.files.json_file import json_text
-from skincal.files.lint import Reference, lint
-from skincal.files.ply import ply_text
-from skincal.readings import FloatArray
-from skincal.scene import SurfaceSpec
+from skincal.files.lint import LintReference, lint
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.scene import SurfaceSpec
 from skincal.surface.lay import LaidSkin, lay
 from skincal.surface.mesh import Finding, Surface, load_surface
 from skincal.surface.nearest import nearest_points
+from skincal.taxels.result import Estimate, Method, State
+
+COLUMNS = ("channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm")
+
+
+def csv_text(calibration: Calibration) -> str:
+    """Return the CSV text of every method; what is not known is left empty.
+
+    Positions are metres in the link frame, `sd_mm` is the predicted sd along the weakest direction, millimetres. Numbers
+    have every digit that a double needs.
+    """
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for estimates in calibration.estimates.values():
+        for estimate in estimates:
+            writer.writerow(_csv_row(calibration, estimate))
+    return out.getvalue()
+
+
+def _csv_row(calibration: Calibration, estimate: Estimate) -> list[str]:
+    module = calibration.module_id(estimate.channel)
+    sd = None if estimate.sd is None or estimate.position is None else estimate.sd * 1e3
+    return [
+        str(estimate.channel),
+        "" if module is None else str(module),
+        estimate.method.value,
+        estimate.state.value,
+        str(estimate.contacts),
+        *_vector(estimate.position),
+        *_vector(estimate.normal if estimate.position is not None else None),
+        _number(sd),
+    ]
+
+
+def _vector(vector: FloatArray | None) -> list[str]:
+    if vector is None:
+        return ["", "", ""]
+    return [_number(value) for value in vector.tolist()]
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or not math.isfinite(value) else repr(float(value))
+
+
+METHOD_CODE = {Method.FREE: 0, Method.SURFACE: 1, Method.MODULES: 2}
+"""PLY has no text properties."""
+
+
+def ply_text(calibration: Calibration, method: Method) -> str:
+    """Return ASCII PLY: one vertex a taxel with a position, metres, link frame.
+
+    Properties: `x y z`, unit normal `nx ny nz` (0 0 0 where unknown), `channel`, `method` (0 free, 1 surface, 2 modules),
+    `sd_mm` (-1 where it is not determined).
+    """
+    taxels = placed_taxels(calibration.of(method))
+    header = [
+        "ply",
+        "format ascii 1.0",
+        f"comment skincal {calibration.version}, {method.value} method, metres, frame {_one_line(calibration.scene.link)}",
+        "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
+        *(f"comment {one.words}" for one in calibration.corrections),
+        f"element vertex {len(taxels.channels)}",
+        *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
+        "property int channel",
+        "property uchar method",
+        "property float sd_mm",
+        "end_header",
+    ]
+    rows = [
+        f"{_ply_row(position)} {_ply_row(normal)} {channel} {METHOD_CODE[method]} {sd * 1e3 if math.isfinite(sd) else -1.0:.6g}"
+        for channel, position, normal, sd in zip(
+            taxels.channels.tolist(), taxels.positions.tolist(), taxels.normals.tolist(), taxels.sd.tolist(), strict=True
+        )
+    ]
+    return "\n".join([*header, *rows]) + "\n"
+
+
+def _ply_row(vector: list[float]) -> str:
+    return " ".join(f"{value:.9g}" for value in vector)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
 
 FORMATS = ("icub", "json", "csv", "ply")
 
@@ -117,7 +207,7 @@ def _changed_ns(path: Path) -> int:
         return 0
 
 
-def _reference(calibration: Calibration, method: Method, shape: _Part) -> Reference | None:
+def _reference(calibration: Calibration, method: Method, shape: _Part) -> LintReference | None:
     """Return where the skin should be: the surface, or else the layout as planned."""
     taxels = placed_taxels(calibration.of(method))
     finite = np.isfinite(taxels.positions).all(axis=1)
@@ -126,14 +216,14 @@ def _reference(calibration: Calibration, method: Method, shape: _Part) -> Refere
         if finite.any():
             _, triangles = nearest_points(shape.surface, taxels.positions[finite])
             normals[finite] = shape.surface.normals[triangles]
-        return Reference(shape.surface.vertices, normals, "the surface")
+        return LintReference(shape.surface.vertices, normals, "the surface")
     if shape.laid is None:
         return None
     places: FloatArray = shape.laid.places
     known = np.isfinite(places).all(axis=1)
     if not known.any():
         return None
-    return Reference(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
+    return LintReference(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
 
 
 def _left_out(estimates: tuple[Estimate, ...], method: Method, format_: str) -> list[str]:

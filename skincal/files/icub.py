@@ -32,12 +32,11 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.estimate.result import Estimate, Method, State
 from skincal.files.calibration import Calibration, placed_taxels
-from skincal.files.text import list_channels
-from skincal.readings import FloatArray, IntArray
-from skincal.skin import Layout
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError, list_channels
+from skincal.model.skin import Layout
+from skincal.taxels.result import Estimate, Method, State
 
 DECIMALS = 6
 NO_TAXEL = -1

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.errors import InputError
-from skincal.estimate.correction import Correction, UsedCorrection
-from skincal.estimate.result import Estimate, Method, Rival, State
-from skincal.estimate.rig_fit import LandmarkPoke
 from skincal.files.calibration import Calibration, LandmarkCheck
-from skincal.readings import FloatArray
-from skincal.scene import ContactSettings, NoiseSettings
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.scene import ContactSettings, NoiseSettings
+from skincal.rig.correction import Correction, UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke
+from skincal.taxels.result import Estimate, Method, Rival, State
 
 FORMAT = "skincal-calibration/3"
 OLDER = "skincal-calibration/2"
@@ -46,7 +46,7 @@ NOISE_UNITS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationFile:
-    """What a calibration's JSON says: enough to solve again with `skincal.estimate.solve`."""
+    """What a calibration's JSON says: enough to solve again with `skincal.methods`."""
 
     version: str
     """Of the skincal that wrote it."""

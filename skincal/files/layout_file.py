@@ -12,16 +12,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.estimate.board_mend import Change, Mend
 from skincal.files.atomic import write_atomically
-from skincal.skin import Layout, load_layout, read_layout
+from skincal.model.errors import InputError
+from skincal.model.skin import Layout, load_layout, read_layout
+from skincal.modules.health import LayoutMend, ModuleChange
 
 SAME = 1e-7
 """rad: angles that differ by less are the same; a file has six digits of a degree."""
 
 
-def write_layout(given: Layout, mend: Mend, path: Path) -> None:
+def write_layout(given: Layout, mend: LayoutMend, path: Path) -> None:
     """Write the corrected layout to a file; an older one there is kept with `.bak` after its name.
 
     Parameters
@@ -48,7 +48,7 @@ def write_layout(given: Layout, mend: Mend, path: Path) -> None:
     _check(load_layout(path, given.width), mend.layout, path)
 
 
-def corrected_text(text: str, changes: Sequence[Change]) -> str:
+def corrected_text(text: str, changes: Sequence[ModuleChange]) -> str:
     """Return the text of a layout's file with some modules changed, and all else as it was.
 
     Raises

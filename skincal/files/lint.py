@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.estimate.result import Method
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.icub import ORIGIN_RADIUS
-from skincal.files.text import list_channels, plural
-from skincal.readings import FloatArray, IntArray
-from skincal.skin import Layout, Module
-from skincal.wrench import cross_matrix
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry.wrench import cross_matrix
+from skincal.model.errors import list_channels, plural
+from skincal.model.skin import Layout, Module
+from skincal.taxels.result import Method
 
 BOX_MARGIN = 0.020
 """m. A taxel lies on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
@@ -37,7 +37,7 @@ SPACING_RATIOS = (0.7, 1.4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference:
+class LintReference:
     """Where the skin should be, as far as it is known otherwise."""
 
     points: FloatArray
@@ -48,7 +48,7 @@ class Reference:
     """Such as `"the surface"`."""
 
 
-def lint(calibration: Calibration, method: Method, reference: Reference | None = None) -> tuple[str, ...]:
+def lint(calibration: Calibration, method: Method, reference: LintReference | None = None) -> tuple[str, ...]:
     """Return one sentence for each fault of one method's positions; none if it is fit to be loaded."""
     taxels = placed_taxels(calibration.of(method))
     name = method.value
@@ -102,7 +102,7 @@ def _normal_lengths(taxels: PlacedTaxels) -> list[str]:
     return sentences
 
 
-def _outside(taxels: PlacedTaxels, reference: Reference) -> list[str]:
+def _outside(taxels: PlacedTaxels, reference: LintReference) -> list[str]:
     low, high = reference.points.min(axis=0) - BOX_MARGIN, reference.points.max(axis=0) + BOX_MARGIN
     beyond = np.maximum(low - taxels.positions, taxels.positions - high).max(axis=1)
     out = beyond > 0

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.estimate.result import Estimate
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.taxels.result import Estimate
 
 TRUTH_NAME = "truth.json"
 """A simulated session has one beside its segments."""

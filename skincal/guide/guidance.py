@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from skincal.estimate.result import Method
-from skincal.estimate.rig_gain import Gain
-from skincal.guide.done import Need, Why
-from skincal.guide.landmarks import LandmarkWish
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.landmark_targets import LandmarkTarget
+from skincal.guide.progress import Need, Why
+from skincal.rig.expected_gain import Gain
+from skincal.taxels.result import Method
 
 
-class Phase(Enum):
+class GuidePhase(Enum):
     """What the guide is after; the value is its name."""
 
     LANDMARKS = "landmarks"
@@ -51,7 +51,7 @@ class Guidance:
 
     method: Method
     """The solver it follows."""
-    phase: Phase
+    phase: GuidePhase
     target: Target | None
     channels: IntArray
     """(n,) ascending."""
@@ -73,7 +73,7 @@ class Guidance:
     """How many pokes it takes until it is enough, about."""
     seconds_left: float | None
     """s, and how long, at the pace of the last pokes; None while that is unknown."""
-    landmark: LandmarkWish | None = None
+    landmark: LandmarkTarget | None = None
     """The landmark that is asked for before the skin; None where none is."""
     gain: Gain | None = None
     """What the landmarks of this arm pose are worth; None where none is asked for, or where nobody knows."""
@@ -83,7 +83,7 @@ class Guidance:
         """How many taxels are done."""
         return sum(not each for each in self.needs)
 
-    def before_skin(self, wish: LandmarkWish, normal: FloatArray, gain: Gain | None) -> Guidance:
+    def before_skin(self, wish: LandmarkTarget, normal: FloatArray, gain: Gain | None) -> Guidance:
         """Return the guidance that asks for a landmark first.
 
         Parameters
@@ -95,4 +95,6 @@ class Guidance:
         target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), wish.landmark.name)
         left = self.pokes_left + wish.left
         pace = None if self.seconds_left is None else self.seconds_left / max(self.pokes_left, 1) * left
-        return replace(self, phase=Phase.LANDMARKS, target=target, landmark=wish, gain=gain, pokes_left=left, seconds_left=pace)
+        return replace(
+            self, phase=GuidePhase.LANDMARKS, target=target, landmark=wish, gain=gain, pokes_left=left, seconds_left=pace
+        )

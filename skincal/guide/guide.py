@@ -12,23 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.estimate.evidence import Evidence
-from skincal.estimate.result import Estimate, Method, State
-from skincal.guide import choose
-from skincal.guide.done import Facts, Need, Tried, Why, given_up, needs
-from skincal.guide.guidance import Guidance, Phase, Target
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide import candidates
+from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.knowledge import Knowledge
-from skincal.guide.left import module_pokes_left, pace, pokes_left
-from skincal.guide.places import Plan, believed
-from skincal.guide.pokes import Pokes, axis_of
-from skincal.guide.settings import GuideSettings
-from skincal.guide.sky import Sky
-from skincal.guide.turns import Turns
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import NoiseSettings
+from skincal.guide.places import PlannedPlaces, believed
+from skincal.guide.poke_history import PokeHistory, axis_of
+from skincal.guide.progress import (
+    AxisDiversity,
+    Facts,
+    GuideSettings,
+    Need,
+    Tried,
+    Turns,
+    Why,
+    given_up,
+    module_pokes_left,
+    needs,
+    pace,
+    pokes_left,
+)
+from skincal.model.scene import NoiseSettings
+from skincal.taxels.contact_table import Evidence
+from skincal.taxels.result import Estimate, Method, State
 
 if TYPE_CHECKING:
-    from skincal.guide.cover import Cover
+    from skincal.guide.candidates import Cover
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
@@ -64,7 +73,7 @@ class Guide:
 
     def __init__(
         self,
-        plan: Plan,
+        plan: PlannedPlaces,
         noise: NoiseSettings,
         method: Method,
         spacing: float,
@@ -78,18 +87,18 @@ class Guide:
         self._noise, self._spacing, self._cover = noise, spacing, cover
         self._in_plane, self._tilted = method is not Method.FREE, method is Method.MODULES and not on_surface
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
-        self._pokes = Pokes(plan.channels, self.settings)
+        self._pokes = PokeHistory(plan.channels, self.settings)
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
         self._loose: BoolArray = np.isnan(plan.places[:, 0])
         """(n,) channels that the plan puts nowhere: no taxels until they answer."""
         self._rig: float = 0.0
         """m, sd of what the rig moves all estimates by, each direction."""
-        self._gains_of: Phase | None = None
-        self._gains = np.full((count, choose.TRIES), -np.inf)
+        self._gains_of: GuidePhase | None = None
+        self._gains = np.full((count, candidates.TRIES), -np.inf)
         self._stale = np.ones(count, dtype=bool)
         self._usable = self._pokes.tilt.usable
         self._lay_out()
-        self._state: choose.State | None = None
+        self._state: candidates.ChoiceState | None = None
         self._last: Target | None = None
         self._kept: tuple[int, int] | None = None
         """Index of the last target and of its push, as long as nothing but its numbers changed."""
@@ -171,7 +180,7 @@ class Guide:
             self._find_loose(rows, best)
         if self._pokes.tilt.usable != self._usable:
             self._usable = self._pokes.tilt.usable
-            self._pushes = choose.directions(self._normals, self._usable)
+            self._pushes = candidates.directions(self._normals, self._usable)
             self._stale[:], self._kept = True, None
         return {int(self.plan.channels[row]) for row in rows}
 
@@ -185,9 +194,9 @@ class Guide:
 
     def _lay_out(self) -> None:
         """Work out what follows from where the taxels are believed to be."""
-        self._neighbours = choose.find_neighbours(self._places, self._spacing, self._noise)
-        self._pulls = choose.pulls(self._places, self._neighbours)
-        self._pushes = choose.directions(self._normals, self._usable)
+        self._neighbours = candidates.find_answering(self._places, self._spacing, self._noise)
+        self._pulls = candidates.pulls(self._places, self._neighbours)
+        self._pushes = candidates.directions(self._normals, self._usable)
 
     def _find_loose(self, rows: Collection[int], estimates: Sequence[Estimate]) -> None:
         """Take places and normals of channels that the plan puts nowhere from their estimates."""
@@ -246,7 +255,7 @@ class Guide:
         rms = np.array([np.inf if one.rms is None else one.rms for one in estimates])
         open_ = np.array([bool(each) for each in self._needs])
         open_[list(left)] = False
-        state = choose.State(
+        state = candidates.ChoiceState(
             self._places, self._pushes, self._neighbours, know.information, self._normals, self._pokes.sensor,
             self.settings.wanted, self._in_plane, open_.astype(np.float64), self._solved,
         )  # fmt: skip
@@ -255,7 +264,7 @@ class Guide:
         self._last = None
         if self._place is not None:
             self._last = self._somewhere(self._place)
-        elif phase is not Phase.ENOUGH:
+        elif phase is not GuidePhase.ENOUGH:
             self._last = self._target(state, phase)
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
         if self.method is Method.MODULES:
@@ -300,17 +309,17 @@ class Guide:
                 found[row] = why
         return found
 
-    def _phase(self, open_: BoolArray) -> tuple[Phase, int | None]:
+    def _phase(self, open_: BoolArray) -> tuple[GuidePhase, int | None]:
         """Return what the guide is after, and the place of the cover that it asks for."""
         place = None if self._cover is None else self._cover.next(self._pokes.hand(self._places))
         if place is not None:
-            return Phase.COVER, place
+            return GuidePhase.COVER, place
         if not open_.any():
             # Where nothing answered yet, and no layout tells of taxels, there is nothing that could be enough.
-            return (Phase.COVER if self._loose.all() and not self._pokes.contacts else Phase.ENOUGH), None
+            return (GuidePhase.COVER if self._loose.all() and not self._pokes.contacts else GuidePhase.ENOUGH), None
         if self._in_plane or self._loose.all() or len(self._pokes.contacts) >= self.settings.sweep * len(self.plan.channels):
-            return Phase.OWN, None
-        return Phase.SWEEP, None
+            return GuidePhase.OWN, None
+        return GuidePhase.SWEEP, None
 
     def _somewhere(self, place: int) -> Target:
         """Return a poke at a place of the cover, straight."""
@@ -318,7 +327,7 @@ class Guide:
         normal = self._cover.normals[place]
         return Target(None, self._cover.places[place], normal, -normal, 0.0, float("inf"), float("inf"))
 
-    def _target(self, state: choose.State, phase: Phase) -> Target | None:
+    def _target(self, state: candidates.ChoiceState, phase: GuidePhase) -> Target | None:
         if self._kept is not None and state.open[self._kept[0]] > 0:
             # The tare after a poke came: the hand is on its way already.
             return self._told(state, *self._kept)
@@ -337,7 +346,7 @@ class Guide:
         self._kept = row, push
         return self._told(state, row, push)
 
-    def _eligible(self, state: choose.State) -> IntArray:
+    def _eligible(self, state: candidates.ChoiceState) -> IntArray:
         """Return the taxels that may be asked for: open ones that are somewhere; the one just skipped only if it is alone."""
         rows = np.flatnonzero((state.open > 0) & np.isfinite(state.places).all(axis=1))
         others = rows[rows != self._not_now]
@@ -347,7 +356,7 @@ class Guide:
         """Return (d,) which pushes at a taxel come from sides that were skipped."""
         skips = self._skips.get(row)
         if skips is None:
-            return np.zeros(choose.TRIES, dtype=bool)
+            return np.zeros(candidates.TRIES, dtype=bool)
         alike: FloatArray = self._pushes[row] @ np.array(skips).T
         often: IntArray = np.sum(alike > SAME_SIDE, axis=1)
         return often >= SKIPPED
@@ -363,9 +372,11 @@ class Guide:
 
     def _push(self, row: int) -> int:
         """Return which push is next at a taxel that needs none in particular: straight; from another side each, in space."""
-        turn = TURN * int(self._own()[row]) % choose.AZIMUTHS
-        round_ = [choose.TRIES - choose.AZIMUTHS + (turn + step) % choose.AZIMUTHS for step in range(choose.AZIMUTHS)]
-        order = [*(round_ if self._tilted else ()), *range(choose.TRIES)]
+        turn = TURN * int(self._own()[row]) % candidates.AZIMUTHS
+        round_ = [
+            candidates.TRIES - candidates.AZIMUTHS + (turn + step) % candidates.AZIMUTHS for step in range(candidates.AZIMUTHS)
+        ]
+        order = [*(round_ if self._tilted else ()), *range(candidates.TRIES)]
         left_out = self._left_out(row)
         return next((push for push in order if not left_out[push]), order[0])
 
@@ -379,13 +390,13 @@ class Guide:
             tried[row] += len(sides)
         return Turns(self._places, self.plan.modules, tried, own).module_taxel(rows, seconds)
 
-    def _fresh_gains(self, state: choose.State, rows: IntArray, phase: Phase) -> FloatArray:
+    def _fresh_gains(self, state: candidates.ChoiceState, rows: IntArray, phase: GuidePhase) -> FloatArray:
         """Return (m, d) the gains at `rows`, worked out anew only where something around them changed."""
         if phase is not self._gains_of:
             self._gains_of, self._stale[:] = phase, True
         anew = rows[self._stale[rows]]
         if anew.size:
-            self._gains[anew] = choose.gains(state, anew, self._noise, 1.0 if phase is Phase.SWEEP else OTHERS)
+            self._gains[anew] = candidates.gains(state, anew, self._noise, 1.0 if phase is GuidePhase.SWEEP else OTHERS)
             for row in self._skips.keys() & set(anew.tolist()):
                 self._gains[row, self._left_out(row)] = -np.inf
             self._stale[anew] = False
@@ -405,15 +416,15 @@ class Guide:
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
 
-    def _foretold(self, state: choose.State, row: int, push: int) -> tuple[float, float]:
+    def _foretold(self, state: candidates.ChoiceState, row: int, push: int) -> tuple[float, float]:
         """Return a taxel's predicted rms error now and after a push at it, metres."""
         if self.method is not Method.MODULES:
-            return choose.foretold(state, row, push, self._noise)
+            return candidates.predicted(state, row, push, self._noise)
         # A module is known from all its pokes alike: the variance falls as one over them.
         before, pokes = float(self._solved[row]), int(self._own()[row])
         return before, before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted
 
-    def _told(self, state: choose.State, row: int, push: int) -> Target:
+    def _told(self, state: candidates.ChoiceState, row: int, push: int) -> Target:
         direction = state.pushes[row, push]
         before, after = self._foretold(state, row, push)
         cosine = -float(direction @ state.normals[row])
@@ -427,7 +438,7 @@ class Guide:
             after=after,
         )
 
-    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> Sky | None:
+    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a taxel are like; None where the guide knows no such taxel, or not where it is.
 
         Parameters
@@ -442,8 +453,8 @@ class Guide:
         drawn = self._drawn()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
         doubted: Mapping[int, float] = {} if one is None else one.doubted
-        worth = choose.gains(state, np.array([row]), self._noise, 1.0 if self._gains_of is Phase.SWEEP else OTHERS)[0]
-        return Sky(
+        worth = candidates.gains(state, np.array([row]), self._noise, 1.0 if self._gains_of is GuidePhase.SWEEP else OTHERS)[0]
+        return AxisDiversity(
             channel=channel,
             normal=normal,
             pushes=told.directions,

@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from skincal.estimate.evidence import Evidence, across
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import NoiseSettings
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import NoiseSettings
+from skincal.taxels.contact_table import Evidence, across
 
 
 class Knowledge:

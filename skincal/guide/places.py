@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.estimate.result import Estimate
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.knowledge import solved
-from skincal.readings import FloatArray, IntArray
-from skincal.skin import Layout
+from skincal.model.skin import Layout
 from skincal.surface.lay import LaidSkin
+from skincal.taxels.result import Estimate
 
 WHOLE = 0.006
 """m, sd of the whole skin beside its plan, each direction: by hand it is put on to a few millimetres."""
@@ -33,7 +33,7 @@ FLOOR = 0.0005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class PlannedPlaces:
     """Where the layout puts n taxels, link frame."""
 
     channels: IntArray
@@ -46,16 +46,16 @@ class Plan:
     """(n,) index of the module, from 0."""
 
 
-def plan_from(layout: Layout, laid: LaidSkin) -> Plan | None:
+def plan_from(layout: Layout, laid: LaidSkin) -> PlannedPlaces | None:
     """Return where a laid layout puts the taxels, without those that it puts nowhere; None where it puts none."""
     channels = layout.channels
     channels = channels[np.isfinite(laid.places[channels]).all(axis=1)]
     if not len(channels):
         return None
-    return Plan(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
+    return PlannedPlaces(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
 
 
-def unplaced(channels: IntArray, modules: IntArray | None = None) -> Plan:
+def unplaced(channels: IntArray, modules: IntArray | None = None) -> PlannedPlaces:
     """Return a plan that puts none of `channels` (n,) anywhere: there is no layout, or it lies nowhere.
 
     Parameters
@@ -63,10 +63,12 @@ def unplaced(channels: IntArray, modules: IntArray | None = None) -> Plan:
     modules : (n,) index of each channel's module; None without a layout
     """
     nowhere = np.full((len(channels), 3), np.nan)
-    return Plan(channels, nowhere, nowhere.copy(), np.zeros(len(channels), dtype=np.int64) if modules is None else modules)
+    return PlannedPlaces(
+        channels, nowhere, nowhere.copy(), np.zeros(len(channels), dtype=np.int64) if modules is None else modules
+    )
 
 
-def believed(plan: Plan, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
+def believed(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
     """Return (n, 3) the believed places, metres; NaN where neither plan nor estimate says anything.
 
     A rig's errors move all estimates nearly alike, as if the skin lay elsewhere. Where they are known to be large, what the

@@ -1,26 +1,208 @@
-"""How a session ends: what is known well enough, whether its errors may be believed, what is not done and why."""
+"""Whether the predicted errors may be believed: a poke in six is held out and foretold from all the others.
+
+A held-out poke costs nothing: it counts for the estimates, and is left out only where it is foretold. The taxel that answered
+it most is solved without it; the poke's axis passes it at r = E (p - a), two numbers across the push. Their covariance is
+E S E' + D, with S that of the taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a
+chi-squared of two degrees of freedom, at most 5.99 in 95 of 100 pokes.
+
+By the modules method the module that the poke touched is solved without it (`estimate/board_check.py`), and the axis passes the
+middle of the pads that answered; the rest is the same.
+
+That tells errors of which the prediction knows nothing: a wrong frame, a slipped sensor, a part that moved. It does not tell
+what shifts all pokes alike.
+
+How a session ends: what is known well enough, whether its errors may be believed, what is not done and why.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.boards import Boards
-from skincal.estimate.evidence import Evidence
-from skincal.estimate.result import Estimate, Method, State
-from skincal.guide.check import Check, check
-from skincal.guide.done import Need, Why
-from skincal.guide.guidance import Guidance, Phase
-from skincal.guide.left import worked
-from skincal.guide.settings import GuideSettings
-from skincal.scene import NoiseSettings
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.knowledge import offset_square, row_precision
+from skincal.guide.progress import GuideSettings, Need, Why, worked
+from skincal.model.scene import NoiseSettings
+from skincal.modules.estimate import predicted_squares
+from skincal.modules.pose import ModuleModel, joined
+from skincal.modules.pose_fit import find_touches, fit_modules, start_of
+from skincal.taxels.contact_table import Evidence
+from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
+from skincal.taxels.solve import Solution, solve
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
+
+ONE_IN = 6
+"""One poke in so many is held out."""
+INSIDE = 5.991
+"""Chi-squared of two degrees of freedom that 95 % stay below."""
+OUTSIDE_SHARE = 0.05
+BELIEVED = 0.01
+"""Chance below which so many outside are no accident."""
+AGREED = 0.1
+"""Chance below which they are not said to agree: one true session in ten at most is denied it."""
+TELLING = 10
+"""Held-out pokes below which agreement says nothing: of five, none falls outside by chance in three sessions of four."""
+OTHERS = 2
+"""Other contacts of its taxel that a held-out poke needs: from fewer nothing is foretold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """How many held-out pokes fell where they were foretold."""
+
+    checked: int
+    inside: int
+
+    @property
+    def chance(self) -> float:
+        """Chance, 0 to 1, that as many or more fall outside though the predicted errors are true."""
+        outside, share = self.checked - self.inside, OUTSIDE_SHARE
+        below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
+        return max(0.0, 1.0 - below)
+
+    @property
+    def tells(self) -> bool:
+        """Whether there are enough of them to say anything."""
+        return self.checked >= TELLING
+
+    @property
+    def agrees(self) -> bool:
+        """Whether so many fall outside by chance often enough to say that they agree."""
+        return self.chance >= AGREED
+
+    @property
+    def believed(self) -> bool:
+        """Whether nothing speaks against the predicted errors."""
+        return self.chance >= BELIEVED
+
+
+def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
+    """Return number and strongest channel of every sixth contact, in the order of their numbers."""
+    return [(one.poke, int(one.channels[one.responses.argmax()])) for one in contacts[ONE_IN - 1 :: ONE_IN]]
+
+
+def check(
+    contacts: Sequence[Contact],
+    channels: Collection[int],
+    evidence: Callable[[Collection[int]], Evidence],
+    method: Method,
+    noise: NoiseSettings,
+    surface: Surface | None,
+    boards: ModuleModel | None = None,
+    estimates: Sequence[Estimate] = (),
+) -> Check:
+    """Foretell every sixth contact from the others.
+
+    Parameters
+    ----------
+    contacts : those that count, in the order of their numbers
+    channels : taxels that are used
+    evidence : gives what the contacts say of some channels
+    surface : needed by the surface method
+    boards : needed by the modules method; without them nothing is foretold by it
+    estimates : of the modules method, where the search for its boards begins
+    """
+    if method is Method.MODULES:
+        return Check(0, 0) if boards is None else _check_modules(contacts, channels, evidence, noise, boards, estimates)
+    used = set(channels)
+    pairs = [(poke, channel) for poke, channel in held_out(contacts) if channel in used]
+    told = evidence(sorted({channel for _, channel in pairs}))
+    cuts = _cuts(told, pairs)
+    if not cuts:
+        return Check(0, 0)
+    others = _joined(told, [others for _, others in cuts])
+    solution = solve(others, [method], noise, surface)
+    distances = _distances(told, np.array([out for out, _ in cuts]), solution, method, noise)
+    return _counted(distances)
+
+
+def _counted(squares: FloatArray) -> Check:
+    """Return how many of squared distances are known, and at most `INSIDE`."""
+    known = np.isfinite(squares)
+    return Check(int(known.sum()), int((squares[known] <= INSIDE).sum()))
+
+
+def _check_modules(
+    contacts: Sequence[Contact],
+    channels: Collection[int],
+    evidence: Callable[[Collection[int]], Evidence],
+    noise: NoiseSettings,
+    boards: ModuleModel,
+    estimates: Sequence[Estimate],
+) -> Check:
+    """Foretell every sixth contact from the others of its module."""
+    width, module_of = boards.layout.width, boards.layout.module_of
+    told = evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
+    by_channel = {one.channel: one for one in estimates}
+    begun = {module: start_of(boards, module, [by_channel]) for module in boards.modules_of(told.channels.tolist())}
+    ready = {module: start for module, start in begun.items() if start is not None}
+    weights = {one.poke: float(one.responses.sum() / one.responses.max()) for one in contacts}
+    totals = np.array([weights[poke] for poke in told.pokes.tolist()])
+    touches = find_touches(told, totals, boards, noise, ready)
+    if not len(touches.boards):
+        return Check(0, 0)
+    fitted = fit_modules(touches, boards, joined([ready[module] for module in touches.boards.tolist()]), noise)
+    out = [poke for poke, _ in held_out(contacts)]
+    at = np.flatnonzero(np.isin(told.pokes[touches.rows], out) & (fitted.misses[touches.of] <= MISS_MAX))
+    return _counted(predicted_squares(touches, fitted, noise, at))
+
+
+def _cuts(told: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
+    """Return for each pair of poke and channel its own answer, and the answers of the taxel's other pokes."""
+    row = {channel: i for i, channel in enumerate(told.channels.tolist())}
+    cuts: list[tuple[int, list[int]]] = []
+    for poke, channel in pairs:
+        if channel not in row:
+            continue
+        first, after = told.starts[row[channel] : row[channel] + 2].tolist()
+        out = told.pokes[first:after].tolist().index(poke) + first
+        others = [answer for answer in range(first, after) if answer != out]
+        if len(others) >= OTHERS:
+            cuts.append((out, others))
+    return cuts
+
+
+def _joined(told: Evidence, groups: Sequence[Sequence[int]]) -> Evidence:
+    """Return the evidence of as many taxels as there are groups of answers, each of one taxel, whatever its channel."""
+    sizes, every = np.array([len(group) for group in groups]), np.array([answer for group in groups for answer in group])
+    return Evidence(
+        channels=np.arange(len(groups)),
+        starts=np.concatenate([[0], sizes.cumsum()]),
+        taxels=np.arange(len(groups)).repeat(sizes),
+        pokes=told.pokes[every],
+        poses=told.poses[every],
+        columns=np.ascontiguousarray(told.columns[:, every]),
+        weights=told.weights[every],
+        trust=np.ones(len(every)),
+    )
+
+
+def _distances(told: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> FloatArray:
+    """Return (n,) the squared distance of each held-out axis from its taxel, in standard deviations; NaN where unknown."""
+    if method is Method.FREE and solution.free is not None:
+        places, known = solution.factors.solutions, solution.free
+        there = known.sds <= SD_MAX
+    elif solution.surface is not None:
+        places, known = solution.surface.points, solution.surface.uncertain
+        there = (solution.surface.triangles >= 0) & (known.sds <= SD_MAX)
+    else:
+        raise ValueError(f"the {method.value} method was not solved")
+    covariances = np.where(there[:, None, None], known.covariances, 0.0)
+    places = np.where(there[:, None], places, 0.0)
+    pairs, lever = told.pairs[out], places - told.sensors[out]
+    own = row_precision(pairs, lever, told.forces[out], offset_square(told.weights[out], noise), noise)
+    total = pairs @ covariances @ pairs.transpose(0, 2, 1) + np.asarray(np.linalg.inv(own), dtype=np.float64)
+    off = (pairs @ (places - told.nearest[out])[:, :, None])[:, :, 0]
+    distances = np.sum(off * np.asarray(np.linalg.solve(total, off[:, :, None])[:, :, 0], dtype=np.float64), axis=1)
+    return np.where(there, distances, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +244,7 @@ def verdict_of(
     noise: NoiseSettings,
     surface: Surface | None,
     settings: GuideSettings,
-    boards: Boards | None = None,
+    boards: ModuleModel | None = None,
 ) -> Verdict:
     """Return what a session has come to.
 
@@ -81,7 +263,7 @@ def verdict_of(
     ordered = [contacts[poke] for poke in sorted(contacts)]
     return Verdict(
         method=guidance.method,
-        enough=guidance.phase is Phase.ENOUGH and bool(used),
+        enough=guidance.phase is GuidePhase.ENOUGH and bool(used),
         wanted=settings.wanted,
         done=len(used) - sum(one.why is not Why.DEAD for one in left),
         used=len(used),

@@ -16,7 +16,7 @@ from datetime import datetime
 from io import FileIO
 from pathlib import Path
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 LOCK_NAME = "session.lock"
 _PATIENCE_S = 0.3

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeAlias, cast
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Correct:
     """Use a correction of what the rig tells, in place of one of its kind; the numbers travel with it, SI units."""
 
     of: str
-    """`FRAME` or `RIG` of `skincal.estimate.correction`, where the rest is described, too."""
+    """`FRAME` or `RIG` of `skincal.rig.correction`, where the rest is described, too."""
     matrix: tuple[float, ...]
     """36, row by row."""
     everywhere: tuple[float, ...]

@@ -10,8 +10,8 @@ import struct
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
 
 _PREFIX = b"\x00\x01\x00\x00"
 _SEPARATOR = "=" * 80

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Progress
-from skincal.errors import InputError
-from skincal.estimate.correction import FRAME, RIG, Correction, UsedCorrection, frame_correction
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.model.errors import InputError
+from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection, frame_correction
 from skincal.session.actions import Correct, Uncorrect
 from skincal.session.history import Step
-from skincal.wrench import axis_point, move_wrench
 
 if TYPE_CHECKING:
-    from skincal.estimate.frame_doctor import FrameDiagnosis
-    from skincal.estimate.rig_fit import RigAnswer
+    from skincal.rig.correction_fit import RigAnswer
+    from skincal.rig.frame_check import FrameDiagnosis
 
 ROUNDING = 1e-9
 """How far a rotation's product with itself may be from one."""

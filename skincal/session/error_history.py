@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Estimate, Method
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import Scene
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Estimate, Method
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface

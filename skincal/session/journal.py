@@ -30,10 +30,11 @@ import numpy as np
 from mcap.writer import Writer
 
 from skincal import __version__
-from skincal.errors import InputError
+from skincal.geometry.arrays import FloatArray
 from skincal.journal.lock import SessionLock, writer_of
-from skincal.readings import Chunk, FloatArray, LinkEvent, Sample, Stream
-from skincal.scene import Scene
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, Sample, Stream
+from skincal.model.scene import Scene
 from skincal.session import cdr
 from skincal.session.actions import Stamped, to_json
 from skincal.session.outline import MEDIA_TYPE, NAME, OutlineWriter

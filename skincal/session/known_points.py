@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
-from skincal.errors import InputError
-from skincal.estimate.rig_fit import LandmarkPoke
-from skincal.readings import FloatArray
-from skincal.scene import Landmark
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.scene import Landmark
+from skincal.model.tables import LENGTH_MAX
+from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.actions import AddLandmark, AtLandmark
 from skincal.session.history import Step
-from skincal.tables import LENGTH_MAX
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface

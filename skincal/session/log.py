@@ -11,10 +11,10 @@ from typing import Any, TypeAlias
 
 from mcap.records import Channel
 
-from skincal.errors import InputError
 from skincal.journal.lock import writer_of
-from skincal.readings import Chunk, LinkEvent, LinkState
-from skincal.scene import Scene, load_scene
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState
+from skincal.model.scene import Scene, load_scene
 from skincal.session import cdr
 from skincal.session.actions import Stamped, from_json
 from skincal.session.journal import EVENT_TOPIC, FORMAT, NOTE_TOPIC, RAW_TOPIC, Ending, Note, link_specs

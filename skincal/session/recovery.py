@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 from skincal.session.closing import close_copy, survey
 from skincal.session.log import find_segments
 from skincal.session.outline import read_outline

@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skincal.errors import InputError
 from skincal.journal.lock import SessionLock
-from skincal.scene import Scene, with_layout
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene, with_layout
 from skincal.session.actions import Stamped
 from skincal.session.journal import Ending, open_segment
 from skincal.session.log import LogItem, LogState, SegmentMark, SessionLog, find_segments

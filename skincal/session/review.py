@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
-from skincal.estimate.boards import Boards
-from skincal.estimate.correction import RIG, UsedCorrection
-from skincal.estimate.frame_doctor import FrameDiagnosis, diagnose
-from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
-from skincal.estimate.solve import estimate_taxels
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Landmark, Scene
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.methods import estimate_taxels
+from skincal.model.scene import Landmark, Scene
+from skincal.modules.pose import ModuleModel
+from skincal.rig.correction import RIG, UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
+from skincal.rig.frame_check import FrameDiagnosis, diagnose
 from skincal.session.known_points import landmark_normals, landmark_pokes
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.surface.mesh import Surface
@@ -111,7 +111,7 @@ class Reviewer:
         self._scene, self._surface = scene, surface
         self._methods = methods_of(scene, surface)
         layout = scene.skin.layout
-        self._boards = None if layout is None else Boards(layout, scene.skin.anchor, surface)
+        self._boards = None if layout is None else ModuleModel(layout, scene.skin.anchor, surface)
         self._pokes: dict[int, Outcome] = {}
         self._newest: Change | None = None
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from io import BufferedIOBase, BufferedReader, FileIO
 from typing import Any
 
-from skincal.errors import InputError
-from skincal.scene import Scene
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene
 from skincal.session.review import Reviewer
 from skincal.surface.mesh import Surface, load_surface
 

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.detector import ContactDetector, Doubt, Known
-from skincal.contacts.outcome import Contact, Outcome, Phase
-from skincal.errors import InputError
-from skincal.readings import Chunk, FloatArray, LinkEvent, LinkState, Sample, Stream, is_silent
-from skincal.scene import ArmSpec, Scene
+from skincal.contacts.outcome import Contact, Outcome, PressPhase
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
+from skincal.model.scene import ArmSpec, Scene
 from skincal.session.actions import Action, Stamped
 from skincal.session.journal import Ending, Item, JournalFailure, JournalWriter, Note
 from skincal.session.session import Session
@@ -132,7 +133,7 @@ class Road:
         name, link_from_sensor = self._poses.current
         progress = self.session.corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name)
         if is_silent(detector.last_s, now_ns * 1e-9):
-            progress = replace(progress, phase=Phase.NO_DATA)
+            progress = replace(progress, phase=PressPhase.NO_DATA)
         times, wrench = self._intake.recent_wrench()
         return LiveView(
             wrench_s=times,

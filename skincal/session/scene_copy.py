@@ -7,8 +7,8 @@ import shutil
 import tomllib
 from pathlib import Path
 
-from skincal.errors import InputError
-from skincal.scene import Scene, load_scene
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene, load_scene
 
 SCENE_FILE = "scene.toml"
 SCENE_FOLDER = "scene"

@@ -16,12 +16,11 @@ import numpy as np
 
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome, Progress
-from skincal.errors import InputError
-from skincal.estimate.correction import UsedCorrection
-from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import LandmarkPoke, RigRequest
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Landmark, Scene
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
+from skincal.model.scene import Landmark, Scene
+from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.actions import (
     Action,
     AddLandmark,
@@ -40,11 +39,12 @@ from skincal.session.history import History, PokeStep, Step
 from skincal.session.known_points import KnownPoints
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.estimate.evidence import Evidence
     from skincal.files.calibration import Calibration
     from skincal.surface.mesh import Surface
+    from skincal.taxels.contact_table import Evidence
 
 MARKED = "marked by the operator"
 """Reason of a channel that the operator left out."""

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from skincal.contacts.outcome import Outcome, Progress
-from skincal.estimate.correction import UsedCorrection
-from skincal.estimate.result import Estimate, Method
-from skincal.readings import FloatArray, IntArray, LinkHealth
-from skincal.scene import Landmark
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.readings import LinkHealth
+from skincal.model.scene import Landmark
+from skincal.rig.correction import UsedCorrection
+from skincal.taxels.result import Estimate, Method
 
 
 @dataclass(frozen=True, slots=True)

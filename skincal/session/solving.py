@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.boards import Boards
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.modules import estimate_modules
-from skincal.estimate.result import PER_TAXEL, Estimate, Method
-from skincal.estimate.solve import estimate_from
-from skincal.readings import IntArray
-from skincal.scene import Scene
+from skincal.geometry.arrays import IntArray
+from skincal.methods import estimate_from
+from skincal.model.scene import Scene
+from skincal.modules.estimate import estimate_modules
+from skincal.modules.pose import ModuleModel
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
 if TYPE_CHECKING:
-    from skincal.estimate.evidence import Evidence
     from skincal.surface.mesh import Surface
+    from skincal.taxels.contact_table import Evidence
 
 MODULES_AT_ONCE, TAXELS_AT_ONCE = 4, 64
 """Solved between two looks at the clock: some 40 ms by the modules method, less where taxels are solved alone."""
@@ -46,11 +46,11 @@ class Solving:
         self.methods = tuple(one for one in methods_of(scene, surface) if methods is None or one in methods)
         layout = scene.skin.layout
         solved = layout is not None and Method.MODULES in self.methods
-        self.boards = Boards(layout, scene.skin.anchor, surface) if layout is not None and solved else None
+        self.boards = ModuleModel(layout, scene.skin.anchor, surface) if layout is not None and solved else None
         """The modules; None where their method is not solved."""
         self._noise, self._surface = scene.noise, surface
         self._alone = [method for method in self.methods if method in PER_TAXEL]
-        self._ledger = self._shown = Ledger()
+        self._ledger = self._shown = ContactTable()
         """What is solved from, and what the last answers were: the same but while some taxels wait."""
         self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
         self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
@@ -94,7 +94,7 @@ class Solving:
         parts = self._parts(sorted(self._channels), within_s)
         if len(parts) > 1 and self._ledger is self._shown:
             # What was known before is asked for until all is solved.
-            self._ledger = Ledger(kept(known))
+            self._ledger = ContactTable(kept(known))
         else:
             for poke in self._pokes:
                 self._ledger.drop(poke)

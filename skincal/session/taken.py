@@ -14,10 +14,10 @@ from typing import Any, cast
 import numpy as np
 
 from skincal.contacts.detector import Doubt
-from skincal.contacts.judge import Poke, StillMean
+from skincal.contacts.gates import FinishedPress, StillMean
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.contacts.tare import Tare
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
@@ -108,7 +108,7 @@ def _doubt(document: Mapping[str, Any] | None) -> Doubt | None:
     before = _tare(document["poke"]["before"])
     assert before is not None
     values |= {"before": before, "still": None if still is None else StillMean(**_values(still))}
-    return Doubt(Poke(**values), _tare(document["after"]))
+    return Doubt(FinishedPress(**values), _tare(document["after"]))
 
 
 def _tare(document: Mapping[str, Any] | None) -> Tare | None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from skincal.readings import LinkHealth, Loss
+from skincal.model.readings import LinkHealth, Loss
 
 
 @dataclass(frozen=True, slots=True)

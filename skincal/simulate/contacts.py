@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.simulate.noise import drift_step, slow_mean_sd
 from skincal.simulate.operator import Habits, aim, place, touches_beside
 from skincal.simulate.poke import Pokes, tangents

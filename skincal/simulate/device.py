@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray, Stream
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.readings import Stream
 from skincal.simulate.encode import About, Encoder, make_encoder
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.noise import WrenchNoise

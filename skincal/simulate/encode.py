@@ -12,8 +12,8 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
 
 CRC_START = 0xFFFF
 COBS_RUN = 254

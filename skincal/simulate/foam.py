@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

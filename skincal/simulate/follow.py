@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
 from skincal.simulate.landmarks import LandmarkHabits
 from skincal.simulate.operator import Action, Auto, Habits, Press, aim, press
 from skincal.simulate.orders import NoTarget, Order, TargetOrder, Wish

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.estimate.rig_fit import LandmarkPoke
-from skincal.readings import FloatArray
-from skincal.scene import Landmark
+from skincal.geometry.arrays import FloatArray
+from skincal.model.scene import Landmark
+from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.known_points import landmark_normals
 from skincal.simulate.contacts import pressed
 from skincal.simulate.poke import Pokes, cone_tilts, push_directions, tangents

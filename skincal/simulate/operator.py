@@ -13,8 +13,8 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
 from skincal.simulate.orders import Order, PokeOrder, PoseOrder
 from skincal.simulate.poke import Pokes, cone_tilts, join, push_directions, tangents
 from skincal.simulate.rig import Rig, Stance

@@ -11,8 +11,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
 
 NO_TAXEL = "-"
 """Stands for the channel of a target that is a place at which a taxel may be."""

@@ -12,7 +12,7 @@ import select
 import socket
 from typing import Protocol
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 PENDING_MAX = 1 << 20
 """Bytes. A TCP client that is this far behind is let go: about 20 s of 1 kHz wrenches."""

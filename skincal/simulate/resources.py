@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 
 # id: (x mm, y mm, angle deg) in the plane of the layout; first channel 12 id.
 FOREARM_MODULES: dict[int, tuple[float, float, float]] = {

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skincal.arm import inverse_pose
-from skincal.errors import InputError
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene
+from skincal.geometry.arm import inverse_pose
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene
+from skincal.model.skin import Anchor, Layout
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.foam import Foam, answer, felt_share
 from skincal.simulate.poke import Pokes, tip_axes
-from skincal.skin import Anchor, Layout
 from skincal.surface.lay import lay
 from skincal.surface.mesh import Surface
 from skincal.surface.nearest import nearest_points

@@ -26,7 +26,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from skincal.readings import FloatArray, Stream
+from skincal.geometry.arrays import FloatArray
+from skincal.model.readings import Stream
 
 WINDOW_S = 60.0
 """s. Points older than this no longer count: crystals wander with temperature over minutes."""

@@ -12,11 +12,11 @@ from typing import assert_never
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.readings import (
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.readings import (
     Batch,
     Chunk,
-    FloatArray,
     JointsBatch,
     LinkEvent,
     LinkHealth,

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
-from skincal.errors import InputError
-from skincal.readings import Stream
+from skincal.model.errors import InputError
+from skincal.model.readings import Stream
 
 DEFAULT_BAUD = 115200
 FILE_PREFIX = "file:"

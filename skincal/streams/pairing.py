@@ -14,7 +14,8 @@ from statistics import median
 
 import numpy as np
 
-from skincal.readings import FloatArray, Loss, Sample, WrenchBatch
+from skincal.geometry.arrays import FloatArray
+from skincal.model.readings import Loss, Sample, WrenchBatch
 from skincal.streams.ring import WrenchRing
 
 WAIT_S = 0.25

@@ -10,7 +10,7 @@ import math
 import time
 from pathlib import Path
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 from skincal.streams.formats.detect import Decoder
 from skincal.streams.links import FailureKind, LinkFailure, LinkSpec
 

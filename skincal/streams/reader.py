@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 
-from skincal.readings import Chunk, LinkEvent, LinkState
+from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.streams.links import FailureKind, Link, LinkFailure, LinkSpec, open_link
 
 READ_S = 0.1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 
 WRENCH_WIDTH = 6
 

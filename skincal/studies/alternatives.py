@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.solution import solve
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import NoiseSettings
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry.wrench import move_wrench
+from skincal.model.scene import NoiseSettings
 from skincal.studies.closed_form import closest_in_columns, closest_in_triangles
 from skincal.surface.mesh import Surface
 from skincal.surface.nearest import GRAZING, nearest_to_rows
-from skincal.wrench import move_wrench
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.solve import solve
 
 BLOCK = 2048
 """Triangles solved at once: their numbers stay in a core's cache. Measured: 1,000 and 16,000 are slower."""
@@ -50,7 +50,7 @@ class Systems:
 
 def systems(contacts: Sequence[Contact], channels: Iterable[int], noise: NoiseSettings) -> Systems:
     """Return the systems of those of `channels` that answered: what every alternative for the surface begins with."""
-    found = solve(Ledger(contacts).evidence(list(channels)), [], noise, None)
+    found = solve(ContactTable(contacts).evidence(list(channels)), [], noise, None)
     return Systems(found.evidence.channels.tolist(), found.factors.roots, found.factors.offsets, found.pushes)
 
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene, load_scene, resource
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import Scene, load_scene, resource
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.resources import forearm_point, torso_point, tube

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skincal.estimate.boards import Ground, InSpace, OnSurface, Poses, rotations
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import NoiseSettings
-from skincal.skin import KINDS
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import NoiseSettings
+from skincal.model.skin import KINDS
+from skincal.modules.pose import ModuleGround, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
 from skincal.studies.cases import TAXEL, Mesh, Sizes, arm_poses, cone, moved, sheet, unit
 from skincal.surface.mesh import make_surface
 
@@ -61,7 +61,7 @@ class BoardReadings:
 class Board:
     """Where a board lies, and what its maker says of its pads."""
 
-    at: Poses
+    at: ModulePoses
     """One pose; a triangle of the mesh, or -1."""
     mesh: Mesh | None = None
     mirror: bool = False
@@ -72,9 +72,11 @@ class Board:
         return KIND.pads * np.array([-1.0 if self.mirror else 1.0, 1.0])
 
     @property
-    def ground(self) -> Ground:
+    def ground(self) -> ModuleGround:
         """What it lies on."""
-        return InSpace() if self.mesh is None else OnSurface(make_surface(self.mesh.vertices, self.mesh.triangles))
+        return (
+            ModulesInSpace() if self.mesh is None else ModulesOnSurface(make_surface(self.mesh.vertices, self.mesh.triangles))
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,7 @@ class BoardCase:
     name: str
     readings: BoardReadings
     board: Board
-    start: Poses
+    start: ModulePoses
     """Where the search begins, one pose."""
     noise: NoiseSettings = field(default_factory=NoiseSettings)
     copies: int = 1
@@ -142,7 +144,7 @@ def press_board(
 def in_space(rng: np.random.Generator, mirror: bool = False, at: FloatArray = TAXEL) -> Board:
     """Return a board without a surface, in a general direction."""
     turn = arm_poses(rng, 1, 1.0)[0, :3, :3]
-    return Board(Poses(at[None].copy(), turn[None, :, 0], turn[None, :, 2], np.full(1, -1)), mirror=mirror)
+    return Board(ModulePoses(at[None].copy(), turn[None, :, 0], turn[None, :, 2], np.full(1, -1)), mirror=mirror)
 
 
 def on_sheet(
@@ -162,12 +164,12 @@ def on_sheet(
     middle = len(mesh.triangles) // 4 + sizes.grid // 4
     corners = mesh.corners[middle]
     x = unit(corners[1] - corners[0])
-    begin = Poses(np.array([[0.2, 0.5, 0.3]]) @ corners, x[None], surface.normals[middle][None], np.array([middle]))
+    begin = ModulePoses(np.array([[0.2, 0.5, 0.3]]) @ corners, x[None], surface.normals[middle][None], np.array([middle]))
     way = np.array([[0.0013 + aside, 0.0021, 0.01 * rng.uniform(-1.0, 1.0)]])
-    return Board(OnSurface(surface).moved(begin, way), mesh, mirror)
+    return Board(ModulesOnSurface(surface).moved(begin, way), mesh, mirror)
 
 
-def beside(rng: np.random.Generator, board: Board, shift: float = 0.002, turn: float = 0.1) -> Poses:
+def beside(rng: np.random.Generator, board: Board, shift: float = 0.002, turn: float = 0.1) -> ModulePoses:
     """Return a pose so far, metres and radians, from where the board lies."""
     ground = board.ground
     if ground.unknowns == 3:
@@ -177,7 +179,7 @@ def beside(rng: np.random.Generator, board: Board, shift: float = 0.002, turn: f
     axis = board.at.normals[0] + 0.33 * unit(rng.normal(size=3))
     turned = rotations(turn * unit(axis)[None])[0]
     at = board.at
-    return Poses(at.points + shift * unit(rng.normal(size=3)), at.x @ turned.T, at.normals @ turned.T, at.triangles)
+    return ModulePoses(at.points + shift * unit(rng.normal(size=3)), at.x @ turned.T, at.normals @ turned.T, at.triangles)
 
 
 def _case(

@@ -21,13 +21,13 @@ from decimal import Context, Decimal, localcontext
 
 import numpy as np
 
-from skincal.estimate.result import MISS_MAX, SD_MAX
-from skincal.estimate.touches import ACROSS, MIDDLE
-from skincal.scene import NoiseSettings
+from skincal.model.scene import NoiseSettings
+from skincal.modules.pose_fit import ACROSS, MIDDLE
 from skincal.studies.board_cases import BoardCase, BoardReadings
 from skincal.studies.board_ground import ExactGround, ExactPads, InPlane, OnMesh, Row
 from skincal.studies.cases import moved
 from skincal.studies.exact import CONTEXT, Vector, along, cross, distance, dot, minus, times, vector
+from skincal.taxels.result import MISS_MAX, SD_MAX
 
 _ZERO, _ONE = Decimal(0), Decimal(1)
 _OF_DRAWS = Context(prec=48, Emin=-999999, Emax=999999)

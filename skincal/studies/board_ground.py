@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Protocol, TypeAlias
 
-from skincal.estimate.boards import Poses
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.modules.pose import ModulePoses
 from skincal.studies.cases import Mesh
 from skincal.studies.exact import Triangle, Vector, along, cross, dot, minus, times, vector
 
@@ -57,7 +57,7 @@ class InPlane:
     flat: tuple[tuple[Decimal, Decimal], ...]
 
     @classmethod
-    def begin(cls, at: Poses, flat: FloatArray) -> InPlane:
+    def begin(cls, at: ModulePoses, flat: FloatArray) -> InPlane:
         """Return the board at one pose, its directions made orthonormal."""
         normal = unit(vector(at.normals[0]))
         return cls(vector(at.points[0]), unit(_beside(vector(at.x[0]), normal)), normal, _exact(flat))
@@ -157,7 +157,7 @@ class OnMesh:
     flat: tuple[tuple[Decimal, Decimal], ...]
 
     @classmethod
-    def begin(cls, at: Poses, flat: FloatArray, mesh: Mesh) -> OnMesh:
+    def begin(cls, at: ModulePoses, flat: FloatArray, mesh: Mesh) -> OnMesh:
         """Return the board at one pose, brought into the plane of its triangle."""
         exact, number = ExactMesh(mesh, neighbours_of(mesh)), int(at.triangles[0])
         (corner, _, _), normal, _ = exact.triangle(number)

@@ -15,17 +15,15 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.board_fit import whitened
-from skincal.estimate.board_start import start_of
-from skincal.estimate.boards import Boards, Pads, Poses
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Estimate, Method
-from skincal.estimate.solve import estimate_from, estimate_taxels
-from skincal.estimate.touches import Touches, find_touches
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
+from skincal.methods import estimate_from, estimate_taxels
+from skincal.modules.pose import ModuleModel, ModulePoses, Pads
+from skincal.modules.pose_fit import Touches, find_touches, start_of, whitened
 from skincal.studies import measures
 from skincal.studies.clock import Spread, sampled, timed
 from skincal.studies.measures import Cell, Positions, Row, positions_of
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Estimate, Method
 
 GENERAL: dict[str, Any] = {"method": "lm", "xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
 """Unknowns are metres: it stops where a step is a hundredth of a micrometre of a pose some centimetres away."""
@@ -57,7 +55,7 @@ def _general(cell: Cell) -> Row:
     return _beside(cell, boards, cell.row("modules-general", total, [found], part), found)
 
 
-def _beside(cell: Cell, boards: Boards, row: Row, found: Positions) -> Row:
+def _beside(cell: Cell, boards: ModuleModel, row: Row, found: Positions) -> Row:
     """Return the row with how far its answers lie from ours, every poke counting fully, and what it errs more than ours."""
     errors, noise = cell.bench.errors, cell.bench.scene.noise
 
@@ -71,13 +69,13 @@ def _beside(cell: Cell, boards: Boards, row: Row, found: Positions) -> Row:
     return {**row, "off_ours_m": max(off, default=None), "error_beside_ours_mm": 1e3 * float(more)}
 
 
-Begun = Mapping[int, tuple[Touches, Poses]]
+Begun = Mapping[int, tuple[Touches, ModulePoses]]
 """The pokes and the start of each module that can be solved."""
 
 
-def _begin(contacts: Sequence[Contact], boards: Boards, cell: Cell) -> Begun:
+def _begin(contacts: Sequence[Contact], boards: ModuleModel, cell: Cell) -> Begun:
     """Solve by the surface method, gather the pokes of each module and find where its search begins."""
-    ledger, noise = Ledger(contacts), cell.bench.scene.noise
+    ledger, noise = ContactTable(contacts), cell.bench.scene.noise
     others = [estimate_from(ledger, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
     return {
         module: begun
@@ -87,15 +85,15 @@ def _begin(contacts: Sequence[Contact], boards: Boards, cell: Cell) -> Begun:
 
 
 def _begin_one(
-    ledger: Ledger, boards: Boards, module: int, others: Sequence[Mapping[int, Estimate]], cell: Cell
-) -> tuple[Touches, Poses] | None:
+    ledger: ContactTable, boards: ModuleModel, module: int, others: Sequence[Mapping[int, Estimate]], cell: Cell
+) -> tuple[Touches, ModulePoses] | None:
     evidence = ledger.evidence(boards.channels_of([module]))
     pose = start_of(boards, module, others)
     touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, cell.bench.scene.noise, [module])
     return None if pose is None or len(touches.of) < 2 else (touches, pose)
 
 
-def _solved(begun: Begun, boards: Boards, module: int, cell: Cell) -> Positions:
+def _solved(begun: Begun, boards: ModuleModel, module: int, cell: Cell) -> Positions:
     """Return where a general solver puts a module's pads."""
     touches, start = begun[module]
     flat, of = boards.pads[module], np.zeros(len(boards.pads[module]), dtype=np.int64)

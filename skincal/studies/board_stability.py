@@ -15,21 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.board_fit import fit_boards
-from skincal.estimate.board_rows import Rows, bends_of, whitened
-from skincal.estimate.boards import Boards, Pads, Poses
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.modules import estimate_modules
-from skincal.estimate.touches import Touches, find_touches
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import NoiseSettings
-from skincal.skin import Anchor, Layout, Module
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import NoiseSettings
+from skincal.model.skin import Anchor, Layout, Module
+from skincal.modules.estimate import estimate_modules
+from skincal.modules.pose import ModuleModel, ModulePoses, Pads
+from skincal.modules.pose_fit import ModuleRows, Touches, bends_of, find_touches, fit_modules, whitened
 from skincal.studies import exact
 from skincal.studies.bar import bar, over_bar
 from skincal.studies.board_cases import KIND, PADS, BoardCase, BoardReadings
 from skincal.studies.board_exact import BoardTruth
 from skincal.studies.exact import NO_NUMBER
 from skincal.surface.mesh import Surface, make_surface
+from skincal.taxels.contact_table import ContactTable
 
 STEPS = 15
 """Of an alternative: more than the worst case needs."""
@@ -49,13 +47,13 @@ class Placed:
 class Told:
     """A case as the program has it."""
 
-    boards: Boards
-    ledger: Ledger
+    boards: ModuleModel
+    ledger: ContactTable
     touches: Touches
-    start: Poses
+    start: ModulePoses
     noise: NoiseSettings
 
-    def laid(self, pose: Poses) -> Pads:
+    def laid(self, pose: ModulePoses) -> Pads:
         """Return where the pads of the board at one pose lie."""
         return self.boards.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.boards.pads[0])
 
@@ -74,8 +72,8 @@ def told(case: BoardCase, readings: BoardReadings, surface: Surface | None) -> T
     at = case.start
     anchor = Anchor(np.zeros(2), at.points[0], at.x[0], at.normals[0])
     layout = Layout((Module(0, KIND, 0, np.zeros(2), 0.0, case.board.mirror),), PADS + 1)
-    boards = Boards(layout, anchor, surface)
-    ledger = Ledger(_contacts(readings))
+    boards = ModuleModel(layout, anchor, surface)
+    ledger = ContactTable(_contacts(readings))
     evidence = ledger.evidence(boards.channels_of([0]))
     touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, case.noise, [0])
     start = boards.plan(0)
@@ -97,7 +95,7 @@ def _contacts(readings: BoardReadings) -> list[Contact]:
 
 def shipped_board(one: Told) -> Placed:
     """Place the module as the program does; every poke counts fully."""
-    fitted = fit_boards(one.touches, one.boards, one.start, one.noise, doubting=False)
+    fitted = fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False)
     said = estimate_modules(one.ledger, one.boards, [0], one.noise, [], {}, doubting=False)
     return Placed(fitted.pads.points, np.array([said[channel].position is None for channel in range(PADS)]))
 
@@ -191,8 +189,8 @@ def by_differences(one: Told) -> FloatArray:
     return one.laid(ground.moved(one.start, np.asarray(found.x, dtype=np.float64)[None])).points
 
 
-def _rows_at_answer(one: Told) -> Rows:
-    fitted = fit_boards(one.touches, one.boards, one.start, one.noise, doubting=False)
+def _rows_at_answer(one: Told) -> ModuleRows:
+    fitted = fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False)
     return whitened(one.touches, fitted.pads, one.noise)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 
 TAXEL = np.array([0.031, -0.047, 0.083])
 """m, link frame: where a forearm's taxel may be."""

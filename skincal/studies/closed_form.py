@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 
 _AT_ONCE = 1 << 11
 """Triangles solved at once: their intermediate numbers, 1 MB, stay in the cache of a core."""

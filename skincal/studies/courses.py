@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Estimate, Method
-from skincal.guide.choose import directions
-from skincal.guide.guidance import Guidance, Phase
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.candidates import directions
+from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.guide import Guide
-from skincal.guide.settings import GuideSettings
-from skincal.readings import FloatArray, IntArray
+from skincal.guide.progress import GuideSettings
 from skincal.session.session import Session
 from skincal.simulate.rig import Rig
 from skincal.studies.poking import UNKNOWN, WAYS, Conditions, Part, Wish, poked
+from skincal.taxels.result import Estimate, Method
 
 FOLLOWED = ("diversity", "optimal", "guided")
 """Ways that follow what is measured: the taxel whose axes spread least; A-optimal without an end; ours."""
@@ -83,7 +83,7 @@ def run_course(part: Part, way: str, method: Method, conditions: Conditions, see
         last = session, guidance
         if guidance is not None and not np.isfinite(enough):
             given_up = len(guidance.given_up)
-            enough = float(count) if guidance.phase is Phase.ENOUGH else enough
+            enough = float(count) if guidance.phase is GuidePhase.ENOUGH else enough
         if count in at:
             errors = errors_of(session.snapshot().estimates[method], rig)
             rows.append((count, float(errors.mean()), float(np.percentile(errors, 95)), seconds))

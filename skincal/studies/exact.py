@@ -20,7 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.studies.cases import Case, Mesh, Readings, moved
 from skincal.surface.nearest import GRAZING
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import matplotlib as mpl
 from matplotlib import figure as mpl_figure
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 
 Figure: TypeAlias = Any
 """matplotlib.figure.Figure, whose type hints are too loose for strict checks."""

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skincal.estimate.result import Method
-from skincal.readings import FloatArray
+from skincal.geometry.arrays import FloatArray
 from skincal.studies.courses import FOLLOWED, Course, run_course
 from skincal.studies.poking import WAYS, Conditions, Part
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.studies.figure import Figure

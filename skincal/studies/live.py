@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import PER_TAXEL, Method
-from skincal.estimate.solve import estimate_taxels
+from skincal.methods import estimate_taxels
 from skincal.session.session import Session
 from skincal.studies.benches import Bench
 from skincal.studies.clock import Spread, at_rest, clock, timed
+from skincal.taxels.result import PER_TAXEL, Method
 
 TOUCHED = 7
 """Taxels that a poke touches: what a tip of 4 mm between pads 5 mm apart reaches at most."""

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.boards import Boards
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Estimate, Method
-from skincal.estimate.solve import average_over_poses, estimate_from, estimate_taxels
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.methods import average_over_poses, estimate_from, estimate_taxels
+from skincal.modules.pose import ModuleModel
 from skincal.studies import alternatives
 from skincal.studies.alternatives import Problems, Systems, problems
 from skincal.studies.benches import Bench
 from skincal.studies.clock import Spread, sampled, timed
 from skincal.surface.mesh import Surface
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Estimate, Method
 
 CHUNK = 25
 """Triangles of one timed piece of the paper's way: 0.5 ms by quadprog, far above what a clock's reading costs."""
@@ -107,12 +107,12 @@ class Cell:
         }
 
 
-def boards_of(cell: Cell) -> Boards:
+def boards_of(cell: Cell) -> ModuleModel:
     """Return the boards of a cell's part on its mesh."""
     skin = cell.bench.scene.skin
     if skin.layout is None:
         raise ValueError(f"{cell.bench.name} has no layout")
-    return Boards(skin.layout, skin.anchor, cell.surface)
+    return ModuleModel(skin.layout, skin.anchor, cell.surface)
 
 
 def positions_of(estimates: Mapping[int, Estimate]) -> Positions:
@@ -172,7 +172,7 @@ def shipped(cell: Cell, method: Method) -> Row:
 
 def _from_session(cell: Cell, method: Method) -> Spread:
     """Return the seconds of the same solve from what a session keeps of its contacts, without their way into it."""
-    ledger, noise = Ledger(cell.runs[0]), cell.bench.scene.noise
+    ledger, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
     return Spread.of(timed(lambda: estimate_from(ledger, cell.channels, [method], noise, cell.surface), cell.repeats)[0])
 
 

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skincal.estimate.result import Method
 from skincal.studies.paper_course import NAMES as COURSES
 from skincal.studies.paper_course import Course, errors_of, run_course, times_of
 from skincal.studies.paper_trials import LANDMARKS, MINUTES, Good, Safety, Spread, Trial, run_good, run_safety, run_trial
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.studies.figure import Figure

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method
 from skincal.session.session import Session
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.studies.clock import at_rest, clock
 from skincal.studies.paper_trials import FIRST_LANDMARK, LANDMARKS, Corrected, corrected, paper_session, part, solved, spread
+from skincal.taxels.result import Method
 
 CORRECTED = "modules_21"
 """Name of the modules method on a rig that 21 landmark pokes correct."""

@@ -10,18 +10,18 @@ from functools import lru_cache
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.boards import Boards
-from skincal.estimate.result import Estimate, Method
-from skincal.estimate.rig_fit import TOLD, LandmarkPoke, RigRequest, correct_rig
-from skincal.estimate.solve import estimate_taxels
-from skincal.readings import FloatArray
-from skincal.scene import Scene, load_scene, resource
+from skincal.geometry.arrays import FloatArray
+from skincal.methods import estimate_taxels
+from skincal.model.scene import Scene, load_scene, resource
+from skincal.modules.pose import ModuleModel
+from skincal.rig.correction_fit import TOLD, LandmarkPoke, RigRequest, correct_rig
 from skincal.simulate.contacts import CYCLE_S, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.operator import Habits, aim
 from skincal.simulate.rig import Rig
 from skincal.surface.mesh import Surface, load_surface
+from skincal.taxels.result import Estimate, Method
 
 SCENE = "icub-forearm"
 MINUTES: Mapping[str, float] = {"1": 13, "2": 5, "3": 4, "4": 7, "5": 7, "6": 7, "7": 7}
@@ -57,14 +57,14 @@ class Spread:
 
 
 @lru_cache(maxsize=1)
-def part() -> tuple[Scene, Surface, Boards]:
+def part() -> tuple[Scene, Surface, ModuleModel]:
     """Return the forearm, its mesh and its modules."""
     scene = load_scene(resource(f"scenes/{SCENE}/scene.toml"))
     layout = scene.skin.layout
     if scene.surface is None or layout is None:
         raise ValueError(f"{SCENE} has no surface or no layout")
     surface, _ = load_surface(scene.surface)
-    return scene, surface, Boards(layout, scene.skin.anchor, surface)
+    return scene, surface, ModuleModel(layout, scene.skin.anchor, surface)
 
 
 def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[Method, FloatArray]:

@@ -15,9 +15,9 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.guide.places import Plan, plan_from
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import Scene, load_scene, resource
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.places import PlannedPlaces, plan_from
+from skincal.model.scene import Scene, load_scene, resource
 from skincal.simulate.contacts import Tare, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
@@ -80,7 +80,7 @@ class Part:
         return load_surface(self.scene.surface)[0]
 
     @cached_property
-    def plan(self) -> Plan:
+    def plan(self) -> PlannedPlaces:
         """Where the layout puts the taxels."""
         layout = self.scene.skin.layout
         laid = None if layout is None else lay(layout, self.scene.skin.anchor, self.surface)

@@ -16,13 +16,13 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import PER_TAXEL, Method
 from skincal.studies import alternatives, board_measures, live, measures
 from skincal.studies.benches import Bench
 from skincal.studies.clock import CLOCK, timed
 from skincal.studies.measures import Cell, Row, Searches
 from skincal.studies.runtime_results import bars_of, growth_of, ratios_of, summary, told
 from skincal.surface.mesh import Surface, make_surface
+from skincal.taxels.result import PER_TAXEL, Method
 
 if TYPE_CHECKING:
     from skincal.studies.figure import Figure

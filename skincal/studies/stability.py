@@ -19,13 +19,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.evidence import across
-from skincal.estimate.ledger import gather
-from skincal.estimate.qr import factor
-from skincal.estimate.result import Method
-from skincal.estimate.solution import solve
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import NoiseSettings
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry.wrench import cross_matrix, move_wrench
+from skincal.model.scene import NoiseSettings
 from skincal.studies import exact
 from skincal.studies.bar import FACTOR, OF_SIZE, bar, over_bar
 from skincal.studies.board_cases import all_board_cases
@@ -36,7 +32,10 @@ from skincal.studies.exact import NO_NUMBER, Truth, Vector
 from skincal.surface.clean import heights
 from skincal.surface.mesh import Surface, make_surface
 from skincal.surface.nearest import nearest_to_rows
-from skincal.wrench import cross_matrix, move_wrench
+from skincal.taxels.contact_table import across, gather
+from skincal.taxels.least_squares import factor
+from skincal.taxels.result import Method
+from skincal.taxels.solve import solve
 
 if TYPE_CHECKING:
     from skincal.studies.figure import Axes, Figure

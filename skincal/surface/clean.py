@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.surface.edges import connected
 
 MERGE_DISTANCE = 1e-6

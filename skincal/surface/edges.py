@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
 from skincal.surface.ply import read_ply
 
 Mesh = tuple[FloatArray, IntArray]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray, IntArray
-from skincal.skin import Anchor, Layout
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
+from skincal.model.skin import Anchor, Layout
 from skincal.surface.mesh import Surface
 from skincal.surface.nearest import nearest_in_metric
 from skincal.surface.unfold import Footing

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.errors import InputError
-from skincal.readings import FloatArray, IntArray
-from skincal.scene import UNITS, SurfaceSpec
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
+from skincal.model.scene import UNITS, SurfaceSpec
 from skincal.surface.clean import MERGE_DISTANCE, SLIVER_RATIO, ZERO_HEIGHT, duplicate_triangles, heights, merge_vertices
 from skincal.surface.edges import find_edges, triangle_normals
 from skincal.surface.files import read_mesh

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.readings import FloatArray, IntArray
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.solver.machine import INTEGER, Call
 from skincal.surface.mesh import Surface
 from skincal.surface.resident import resident

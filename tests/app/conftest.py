@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QApplication
 from whole_window import Bench
 
 from app.link_server import LinkServer
-from skincal.scene import resource
+from skincal.model.scene import resource
 
 WAIT_S = 5.0
 """s. A thread that was told to stop has so long on a busy machine."""
@@ -76,7 +76,7 @@ def bench(qtbot, qapp, tmp_path):
 @pytest.fixture(scope="session")
 def recorded_once(tmp_path_factory):
     """A short session on the forearm, recorded without a window; opening it would write into it."""
-    from skincal.scene import load_scene
+    from skincal.model.scene import load_scene
     from skincal.simulate.faults import RigErrors
     from skincal.simulate.session import simulate_session
     from skincal.surface.mesh import load_surface

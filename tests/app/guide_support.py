@@ -10,13 +10,12 @@ from scene3d_support import laid
 from window_support import PLAN, SCENE, reading
 
 from app.opening import Part
-from skincal.contacts.outcome import Phase, Progress
-from skincal.estimate.result import Method
-from skincal.guide.coach import Coaching, coach, smooth
-from skincal.guide.done import Need
-from skincal.guide.guidance import Guidance, Target
-from skincal.guide.guidance import Phase as GuidePhase
+from skincal.contacts.outcome import PressPhase, Progress
+from skincal.guide.coaching import Coaching, coach, smooth
+from skincal.guide.guidance import Guidance, GuidePhase, Target
+from skincal.guide.progress import Need
 from skincal.session.snapshot import LiveView
+from skincal.taxels.result import Method
 
 TILT = float(np.radians(28.0))
 NEEDED = (Need.POKES, Need.ACCURACY)
@@ -66,7 +65,7 @@ def held(
     tilt: float,
     lean: Sequence[float] = TO_2,
     newtons: float = 8.0,
-    phase: Phase = Phase.PRESSING,
+    phase: PressPhase = PressPhase.PRESSING,
     aside: Sequence[float] = (0.0, 0.0, 0.0),
     landed: int | None = 3,
     asked: Target = ASKED,

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Outcome, Phase, Progress
-from skincal.estimate.result import Estimate, Method, State
-from skincal.scene import ContactSettings, NoiseSettings, Scene, SkinSpec
+from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress
+from skincal.model.scene import ContactSettings, NoiseSettings, Scene, SkinSpec
+from skincal.model.skin import KINDS, Layout, Module
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
-from skincal.skin import KINDS, Layout, Module
 from skincal.surface.lay import LaidSkin
 from skincal.surface.mesh import Surface, make_surface
+from skincal.taxels.result import Estimate, Method, State
 
 HALF = 0.04
 """m. The part is a box whose top face, at z = 0, carries the skin."""
@@ -83,7 +83,9 @@ def live(at: Sequence[float] | None = None, force: Sequence[float] = (0.0, 0.0, 
     """Nothing pressing, or a poke whose axis goes through `at`."""
     none = np.empty(0, dtype=np.int64)
     if at is None:
-        progress = Progress(Phase.READY, np.zeros(3), np.zeros(3), none, np.empty(0), 0.0)
+        progress = Progress(PressPhase.READY, np.zeros(3), np.zeros(3), none, np.empty(0), 0.0)
     else:
-        progress = Progress(Phase.PRESSING, np.array(force, dtype=float), np.array(at, dtype=float), none, np.empty(0), 0.5)
+        progress = Progress(
+            PressPhase.PRESSING, np.array(force, dtype=float), np.array(at, dtype=float), none, np.empty(0), 0.5
+        )
     return LiveView(np.empty(0), np.empty((0, 6)), np.zeros(24), 0.0, progress, (), 0)

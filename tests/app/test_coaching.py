@@ -15,10 +15,10 @@ from app.guide_words import Lean
 from app.guiding import Guiding
 from app.opening import Part
 from app.policies import NowMemory, Tone, now_line
-from skincal.contacts.outcome import Phase
-from skincal.estimate.result import Method
-from skincal.guide.coach import leeway
+from skincal.contacts.outcome import PressPhase
+from skincal.guide.coaching import leeway
 from skincal.session.session import Session
+from skincal.taxels.result import Method
 
 DEGREE, BETWEEN = "\N{DEGREE SIGN}", "  \N{MIDDLE DOT}  "
 TICK = 1 / 30
@@ -72,10 +72,10 @@ def test_a_push_within_ten_degrees_is_as_asked():
 def test_what_counts_is_told_nothing():
     line = Line()
     assert line.show(held(8.0), 1.0).headline.startswith("tilt")
-    now = line.show(held(8.0, phase=Phase.STILL, still=0.3))
+    now = line.show(held(8.0, phase=PressPhase.STILL, still=0.3))
     assert now.headline == "hold still", "at once"
-    assert line.show(held(8.0, phase=Phase.STILL, still=0.9), 2.0).headline == "hold still"
-    now = line.show(held(8.0, phase=Phase.HELD, still=1.0), 1.0)
+    assert line.show(held(8.0, phase=PressPhase.STILL, still=0.9), 2.0).headline == "hold still"
+    now = line.show(held(8.0, phase=PressPhase.HELD, still=1.0), 1.0)
     assert (now.tone, now.headline) == (Tone.GOOD, "enough, release")
     assert now.detail == f"aim 0.0 mm{BETWEEN}tilt 8{DEGREE} of 28{DEGREE}"
 
@@ -86,7 +86,7 @@ def test_the_hint_comes_back_only_where_the_hand_goes_on_moving():
     line.said.clear()
     # Still for a moment, then not, again and again: a hint would jump in and out.
     for _ in range(8):
-        line.show(held(8.0, phase=Phase.STILL, still=0.3), 0.1)
+        line.show(held(8.0, phase=PressPhase.STILL, still=0.3), 0.1)
         line.show(held(8.0), 0.1)
     assert set(line.said) == {"hold still"}
     assert line.show(held(8.0), 0.5).headline.startswith("tilt")
@@ -163,7 +163,7 @@ def test_without_a_target_the_line_says_what_it_always_said():
     line = Line(None)
     now = line.show(held(20.0), 1.0)
     assert (now.headline, now.detail) == ("hold still", "8.0 N, keep the tip where it is")
-    assert line.show(held(20.0, phase=Phase.HELD)).detail == "The still window is full."
+    assert line.show(held(20.0, phase=PressPhase.HELD)).detail == "The still window is full."
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_the_guide_of_the_window_compares_with_its_own_target_on_the_skin():
     assert told is not None
     assert told.away < 1e-9
     assert np.degrees(told.tilt) == pytest.approx(20.0)
-    assert guiding.coach(replace(view.progress, phase=Phase.READY)) is None
+    assert guiding.coach(replace(view.progress, phase=PressPhase.READY)) is None
     guiding.wanted = False
     assert guiding.coach(view.progress) is None
 

@@ -14,12 +14,11 @@ from app.guide_words import Lean, end_words, enough_words, lean_of, target_words
 from app.guiding import Guiding, plan_of
 from app.opening import Part
 from app.policies import SETTLE_S, NowMemory, Tone, now_line
-from skincal.contacts.outcome import Phase
-from skincal.estimate.result import Method
-from skincal.guide.done import Need
-from skincal.guide.guidance import Guidance
-from skincal.guide.guidance import Phase as GuidePhase
+from skincal.contacts.outcome import PressPhase
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.progress import Need
 from skincal.session.session import Session
+from skincal.taxels.result import Method
 
 TILT = float(np.radians(28.0))
 DEGREE, ARROW, BETWEEN = "\N{DEGREE SIGN}", "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE DOT}  "
@@ -71,12 +70,12 @@ def test_enough_names_how_many_meet_what():
     assert end_words(every, {4: "stuck"}).startswith(f"1 not used{BETWEEN}")
 
 
-def guided(says: Guidance | None, pokes=(), generation: int = 1, phase: Phase = Phase.READY, now_s: float = 100.0):
+def guided(says: Guidance | None, pokes=(), generation: int = 1, phase: PressPhase = PressPhase.READY, now_s: float = 100.0):
     at = session(generation, pokes=pokes)
-    return replace(frame(at, reading(phase, 8.0 if phase is Phase.PRESSING else 0.0), now_s), guidance=says)
+    return replace(frame(at, reading(phase, 8.0 if phase is PressPhase.PRESSING else 0.0), now_s), guidance=says)
 
 
-def settled(says: Guidance | None, phase: Phase = Phase.READY):
+def settled(says: Guidance | None, phase: PressPhase = PressPhase.READY):
     """What is said once the phase has lasted."""
     first = guided(says, phase=phase)
     _, memory = now_line(NowMemory.of(first.snapshot), first)
@@ -88,7 +87,7 @@ def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_
     now, _ = settled(guidance(asked))
     assert (now.tone, now.headline) == (Tone.GO, "poke 10-03 straight")
     assert now.detail == f"free method: depth 12.4 {ARROW} 6.1 mm{BETWEEN}0 of 24 done"
-    now, _ = settled(guidance(asked), Phase.TARING)
+    now, _ = settled(guidance(asked), PressPhase.TARING)
     assert (now.headline, now.detail) == ("keep hands off", "Taring.  Next: poke 10-03 straight")
     now, _ = settled(guidance(done=range(24)))
     assert (now.tone, now.headline) == (Tone.GOOD, "enough: 24 of 24 taxels meet 3 mm")
@@ -99,28 +98,28 @@ def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_
 @pytest.mark.parametrize(("peak", "said"), [(3, "accepted 10-03  11.2 N"), (5, "counted for 10-05  11.2 N")])
 def test_a_poke_on_another_taxel_counts_where_it_landed(peak, said):
     _, memory = settled(guidance(target(3)))
-    done = guided(guidance(target(7)), [touch(1, (peak,))], 2, Phase.TARING, 101.0)
+    done = guided(guidance(target(7)), [touch(1, (peak,))], 2, PressPhase.TARING, 101.0)
     now, memory = now_line(memory, done)
     assert (now.tone, now.headline) == (Tone.GOOD, said)
     assert now.detail.startswith("Next: poke 10-07"), "whoever is quick does not wait for the line to say it"
     assert ("10-03 was asked for" in now.detail) == (peak == 5)
     # The same poke with its last tare changes nothing of it, though something else is asked for by now.
-    now, memory = now_line(memory, guided(guidance(target(7)), [touch(1, (peak,))], 3, Phase.TARING, 101.5))
+    now, memory = now_line(memory, guided(guidance(target(7)), [touch(1, (peak,))], 3, PressPhase.TARING, 101.5))
     assert now.headline == said
     assert memory.asked == 7
 
 
 def test_a_rejection_is_a_rejection_whatever_was_asked():
     _, memory = settled(guidance(target(5)))
-    now, memory = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, Phase.TARING, 101.0))
+    now, memory = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.TARING, 101.0))
     assert (now.tone, now.headline) == (Tone.BAD, "rejected: slid 2.1 mm, at most 1.5 mm")
-    now, _ = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, Phase.PRESSING, 101.2))
+    now, _ = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.PRESSING, 101.2))
     assert now.headline == "hold still"
 
 
 def test_without_a_guide_every_accepted_poke_is_accepted():
     _, memory = settled(None)
-    now, _ = now_line(memory, guided(None, [touch(1, (5,))], 2, Phase.TARING, 101.0))
+    now, _ = now_line(memory, guided(None, [touch(1, (5,))], 2, PressPhase.TARING, 101.0))
     assert now.headline == "accepted 10-05  11.2 N"
 
 

@@ -14,11 +14,11 @@ from app.earcons import EDGE_S, LEVEL, LONGEST_S, RATE, Sound, samples_of
 from app.heard import ALARM_S, Ear, Heard, heard
 from app.policies import NowMemory, link_lines, now_line
 from app.running import Running
-from skincal.contacts.outcome import Phase, Reason
-from skincal.estimate.result import Method
-from skincal.readings import LinkState
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.model.readings import LinkState
+from skincal.taxels.result import Method
 
-READY, PRESSING, STILL, HELD = Phase.READY, Phase.PRESSING, Phase.STILL, Phase.HELD
+READY, PRESSING, STILL, HELD = PressPhase.READY, PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD
 
 
 def at(phase=READY, pokes=(), guided=None, now_s=100.0, lost=(), **changes):

@@ -18,14 +18,14 @@ from app.opening import Part
 from app.policies import NowMemory, Tone, allowed, now_line
 from app.running import Running
 from skincal.contacts.outcome import Reason, Rejection
-from skincal.estimate.result import Method
-from skincal.estimate.rig_gain import Gain
-from skincal.guide import landmarks as landmarks_module
-from skincal.guide.guidance import Phase as GuidePhase
-from skincal.guide.landmarks import LandmarkWish
-from skincal.scene import Landmark
+from skincal.guide import landmark_targets as landmarks_module
+from skincal.guide.guidance import GuidePhase
+from skincal.guide.landmark_targets import LandmarkTarget
+from skincal.model.scene import Landmark
+from skincal.rig.expected_gain import Gain
 from skincal.session.actions import AtLandmark
 from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.taxels.result import Method
 
 UP = np.array([0.0, 0.0, 1.0])
 CORNER, OTHER, SIDE = (
@@ -305,7 +305,7 @@ def test_it_is_said_what_to_do_which_of_how_many_it_is_and_what_it_is_worth():
     assert gain_words(asked.gain) == worth
     assert gain_words(replace(asked.gain, pokes=1)).endswith("after 1 poke")
     assert gain_words(None) == ""
-    assert landmark_words(LandmarkWish(CORNER, 2, 6)) == "landmark 3 of 6 in this arm pose"
+    assert landmark_words(LandmarkTarget(CORNER, 2, 6)) == "landmark 3 of 6 in this arm pose"
     assert why_words(asked, asked.target, ()) == f"landmark 1 of 6 in this arm pose{BETWEEN}{worth}"
 
 

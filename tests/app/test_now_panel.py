@@ -21,8 +21,8 @@ from app.scene3d.camera import PLAIN, Eye
 from app.theme import DARK, HEADLINE_PT, LIGHT
 from app.top_view import AROUND, TOOL, axes_on, top_view
 from app.words import verdict_words
-from skincal.contacts.outcome import Phase, Reason
-from skincal.estimate.result import Method
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.taxels.result import Method
 
 LEEWAY, DEGREE = float(np.radians(10.0)), "\N{DEGREE SIGN}"
 WORST = {
@@ -62,7 +62,7 @@ def every_headline() -> list[str]:
         for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
     ]
     said += ["waiting for wrench and skin and joints", "no device connected", "enough: 4200 of 4200 taxels meet 3 mm"]
-    for phase in Phase:
+    for phase in PressPhase:
         for force in (2.0, 8.0, 16.0):
             at = replace(frame(view=reading(phase, force)), guidance=says)
             said.append(now_line(NowMemory.of(at.snapshot), at)[0].headline)
@@ -230,7 +230,7 @@ def test_a_verdict_leaves_the_dial_to_the_next_target(panel):
     pressed(panel, held(28.0, landed=3))
     before = pixels(panel.dial)
     other = target(7)
-    at = replace(frame(session(2, pokes=[touch(1)]), reading(Phase.TARING)), guidance=guidance(other))
+    at = replace(frame(session(2, pokes=[touch(1)]), reading(PressPhase.TARING)), guidance=guidance(other))
     panel.show_frame(at)
     assert changed(before, pixels(panel.dial)) > 100
     assert panel.headline.text().startswith("accepted")

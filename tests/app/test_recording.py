@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from app.recording import Recording
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 from skincal.session import journal
 from skincal.session.actions import Exclude
 from skincal.session.replay import load, replay, resume

@@ -14,8 +14,8 @@ from whole_window import OPEN_MS
 
 from app.review_server import SKIN, ReviewServer
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.estimate.correction import RIG, Correction
-from skincal.scene import Scene, load_scene, resource
+from skincal.model.scene import Scene, load_scene, resource
+from skincal.rig.correction import RIG, Correction
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer

@@ -17,16 +17,16 @@ from app.rig_offers import LandmarkRow, landmark_rows, moved_words, offers_of, r
 from app.rigging import Rigging
 from app.running import Running
 from skincal.contacts.outcome import Reason
-from skincal.estimate.correction import FRAME, RIG, Correction, UsedCorrection
-from skincal.estimate.frame_doctor import FrameCorrection, FrameDiagnosis
-from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer
-from skincal.readings import FloatArray
-from skincal.scene import Landmark
+from skincal.geometry.arrays import FloatArray
+from skincal.model.scene import Landmark
+from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
 from skincal.session.actions import Uncorrect
 from skincal.session.corrections import correction_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Method
 
 CORNER, OTHER = (Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in (("corner", 0.03), ("other", -0.03)))
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -17,11 +17,11 @@ from app.scene3d.ground import Frame
 from app.scene3d.landmarks import MOST_NAMES, normals_of, poked_here
 from app.scene3d.picking import project, ray, seen_point
 from app.scene3d.probe import Canvas
-from skincal.estimate.result import Method
 from skincal.guide.guidance import Target
-from skincal.scene import Landmark
+from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.surface.mesh import make_surface
+from skincal.taxels.result import Method
 
 UP = np.array([0.0, 0.0, 1.0])
 HEAD = Landmark("head", np.array([0.020, -0.022, 0.0]), UP)

@@ -18,10 +18,10 @@ from app.scene3d import graphics
 from app.scene3d.entry import contact_point, entry_points
 from app.scene3d.looks import HUES, LIGHT, module_hues
 from app.scene3d.shading import shade
-from skincal.errors import InputError
-from skincal.estimate.result import Method
-from skincal.skin import KINDS, Layout, Module
+from skincal.model.errors import InputError
+from skincal.model.skin import KINDS, Layout, Module
 from skincal.surface.mesh import make_surface
+from skincal.taxels.result import Method
 
 
 def test_a_line_enters_a_ball_where_the_pencil_says():
@@ -160,7 +160,7 @@ from pathlib import Path
 sys.path[:0] = {path!r}
 from scene3d_support import box, estimate, laid, layout, scene, snapshot
 from app.scene3d.offscreen import picture
-from skincal.estimate.result import Method
+from skincal.taxels.result import Method
 plan = layout()
 session = snapshot(1, {{3: estimate(3, (-0.018, 0.02, 0.01))}})
 surface = box() if {surface} else None

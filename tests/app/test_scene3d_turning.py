@@ -24,9 +24,9 @@ from app.scene3d.turning import (
     turned_to,
     well_seen,
 )  # fmt: skip
-from skincal.contacts.outcome import Phase
-from skincal.estimate.result import Method
+from skincal.contacts.outcome import PressPhase
 from skincal.surface.mesh import make_surface
+from skincal.taxels.result import Method
 
 TICK = 1 / 30
 ASPECT = 1.5
@@ -183,7 +183,7 @@ class Turning:
         self.turner = Turner(TUBE, X)
         self.now_s = 100.0
         self.at = None
-        self.phase = Phase.READY
+        self.phase = PressPhase.READY
 
     def ask(self, degrees: float | None, along: float = 0.0) -> None:
         self.at = None
@@ -234,13 +234,13 @@ def test_a_target_that_is_well_seen_turns_nothing(turning):
     assert turning.run(1.0) == 0
 
 
-@pytest.mark.parametrize("phase", [Phase.PRESSING, Phase.STILL, Phase.HELD])
+@pytest.mark.parametrize("phase", [PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD])
 def test_the_camera_never_moves_in_contact(turning, phase):
     turning.phase = phase
     turning.ask(120)
     assert turning.run(2.0) == 0
     # After the release it does.
-    turning.phase = Phase.TARING
+    turning.phase = PressPhase.TARING
     assert turning.run(0.4) > 8
     assert turning.sees()
 
@@ -248,9 +248,9 @@ def test_the_camera_never_moves_in_contact(turning, phase):
 def test_a_poke_stops_a_turn_and_the_release_takes_it_up_again(turning):
     turning.ask(120)
     assert turning.run(0.2) > 3
-    turning.phase = Phase.PRESSING
+    turning.phase = PressPhase.PRESSING
     assert turning.run(1.0) == 0
-    turning.phase = Phase.READY
+    turning.phase = PressPhase.READY
     assert turning.run(0.45) > 3
     assert turning.sees()
 

@@ -20,8 +20,8 @@ from app.scene3d.ground import Frame
 from app.scene3d.looks import DARK, HUES, LIGHT
 from app.scene3d.probe import Canvas
 from app.scene3d.view import View3D
-from skincal.errors import InputError
-from skincal.estimate.result import Estimate, Method, State
+from skincal.model.errors import InputError
+from skincal.taxels.result import Estimate, Method, State
 
 PLAN = layout()
 KEPT: list[QMainWindow] = []

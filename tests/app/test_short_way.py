@@ -12,7 +12,7 @@ from window_support import PLAN, frame, session, slip, touch
 from app.guiding import plan_of
 from app.running import Running
 from app.short_way import ShortWay
-from skincal.estimate.result import Estimate, Method, State
+from skincal.taxels.result import Estimate, Method, State
 
 FIRST, SECOND = 3, 15
 """A taxel of each of the two modules."""

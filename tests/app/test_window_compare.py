@@ -39,14 +39,13 @@ from app.scene3d.looks import DARK as DARK_LOOK
 from app.scene3d.looks import LIGHT as LIGHT_LOOK
 from app.scene3d.looks import Tint
 from app.theme import DARK
-from skincal.estimate import board_mend
-from skincal.estimate.board_health import Misfit, MisfitKind
-from skincal.estimate.board_mend import Change, Mend
-from skincal.estimate.compare import ModuleDifference, Summary
-from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import RigAnswer
+from skincal.model.skin import Anchor
+from skincal.modules import health
+from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange
+from skincal.rig.correction_fit import RigAnswer
 from skincal.session.review import Review
-from skincal.skin import Anchor
+from skincal.taxels.differences import ModuleDifference, Summary
+from skincal.taxels.result import Method
 
 METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
 FREE, SURFACE = (Source(Origin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
@@ -171,7 +170,7 @@ def test_spacing_is_said_of_every_method_that_knows():
 
 def test_a_misfit_is_an_offer_with_a_sign():
     misfit = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
-    mend = Mend((misfit,), PLAN, (Change(17, mirror=True),), ("It is not known.",))
+    mend = LayoutMend((misfit,), PLAN, (ModuleChange(17, mirror=True),), ("It is not known.",))
     head, sentence, left = misfit_words(mend, 7, Method.SURFACE)
     assert head.startswith("\N{WARNING SIGN} 1 module not as planned (surface).")
     assert "Nothing is changed by itself" in head
@@ -180,7 +179,7 @@ def test_a_misfit_is_an_offer_with_a_sign():
     saved = saved_words(Path("folder") / "new.toml", mend)
     assert saved.startswith(f"The corrected layout is in {Path('folder') / 'new.toml'}, 1 module changed.")
     assert "skincal solve SESSION --layout FILE" in saved
-    right = Mend((), PLAN, (), ())
+    right = LayoutMend((), PLAN, (), ())
     assert misfit_words(right, 7, Method.FREE) == ("None of 7 modules looks mirrored, turned or swapped (free).",)
     assert misfit_words(right, 0, Method.FREE) == (), "of nothing that is known nothing is said"
 
@@ -377,7 +376,7 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     watch.follow(at(known(), generation=4))
     with pytest.raises(RuntimeError, match="of the boards"):
         queue.finish()
-    monkeypatch.setattr("app.board_watch.mend_boards", board_mend.mend_boards)
+    monkeypatch.setattr("app.board_watch.mend_boards", health.mend_modules)
     watch.follow(at(known(), generation=4))
     assert not queue.waiting, "not at every picture"
     watch.follow(at(known(), generation=5))

@@ -35,11 +35,11 @@ from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
 from app.panels.errors import ErrorsPanel
 from app.plan import Plan
 from app.theme import DARK, LIGHT
-from skincal.estimate.result import Method
 from skincal.files.reference import Origin, Reference
-from skincal.scene import resource
+from skincal.model.scene import resource
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorHistory, ErrorSeries, Recount, error_series
 from skincal.session.session import Session
+from skincal.taxels.result import Method
 
 BOTH = (Method.FREE, Method.SURFACE)
 
@@ -349,7 +349,7 @@ def test_a_panel_that_was_never_open_imports_no_plots():
     code = (
         "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]);"
         "from app.panels.errors import ErrorsPanel; from app.error_tracker import ErrorTracker;"
-        "from skincal.estimate.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
+        "from skincal.taxels.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
         "sys.exit('pyqtgraph' in sys.modules or panel._poll.isActive())"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -19,8 +19,8 @@ from app.scene3d import looks
 from app.scene3d.estimates import BLIND_REACH, EstimatesLayer
 from app.scene3d.ground import Frame, Ground
 from app.theme import DARK
-from skincal.estimate.ledger import gather
-from skincal.estimate.result import Estimate, Method, Rival, State
+from skincal.taxels.contact_table import gather
+from skincal.taxels.result import Estimate, Method, Rival, State
 
 BOTH = (Method.SURFACE, Method.FREE)
 

@@ -16,8 +16,8 @@ from app.plan import server_command
 from app.running import Running
 from app.wishes import wish_of
 from app.words import peak_channel
+from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
-from skincal.wrench import axis_point, move_wrench
 
 LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
 

@@ -26,9 +26,9 @@ from app.scene3d.probe import Canvas
 from app.scene3d.target import HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
 from app.theme import DARK, Choice
-from skincal.contacts.outcome import Phase
-from skincal.estimate.result import Method
+from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Target
+from skincal.taxels.result import Method
 
 TILT = float(np.radians(28.0))
 
@@ -225,7 +225,7 @@ def test_a_hand_ends_a_turn_of_the_view(view, move):
 
 
 def test_the_view_turns_neither_in_contact_nor_under_the_mouse_nor_where_it_is_switched_off(view):
-    at, pressing = session(1), reading(Phase.PRESSING, 8.0)
+    at, pressing = session(1), reading(PressPhase.PRESSING, 8.0)
     before = camera_of(view)
     ticks(view, at, 0.5, pressing)
     np.testing.assert_array_equal(camera_of(view), before)

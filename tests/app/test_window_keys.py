@@ -17,7 +17,7 @@ from app.dialogs.pedals import PedalsDialog
 from app.pedal import MODIFIERS, PEDALS, USED_BY_WIDGETS, Pedals, key_name, objection
 from app.plan import Plan
 from app.running import Running
-from skincal.estimate.result import Method
+from skincal.taxels.result import Method
 
 Key = Qt.Key
 

@@ -14,8 +14,8 @@ from whole_window import OPEN_MS, Bench
 
 from app.board_watch import BoardWatch
 from app.panels.compare import ComparePanel
-from skincal.scene import resource
-from skincal.skin import load_layout
+from skincal.model.scene import resource
+from skincal.model.skin import load_layout
 
 
 def test_the_corrected_layout_can_be_saved_only_while_there_is_one(qtbot):

@@ -25,13 +25,13 @@ from app.running import Running
 from app.scene3d.probe import best_canvas
 from app.theme import Choice
 from app.words import LinkLook
-from skincal.estimate.result import Method, State
 from skincal.journal.lock import SessionLock
-from skincal.readings import Stream
-from skincal.scene import load_scene, resource
+from skincal.model.readings import Stream
+from skincal.model.scene import load_scene, resource
 from skincal.session.journal import create_session
 from skincal.session.replay import replay
 from skincal.streams.links import LinkSpec
+from skincal.taxels.result import Method, State
 
 
 def known(snapshot) -> dict[tuple[Method, int], bytes]:

@@ -27,9 +27,9 @@ from app.panels.taxel_map import TaxelMap
 from app.policies import Mark, link_lines
 from app.theme import DARK, HUES, LIGHT, Choice, Colours, Theme, qpalette
 from app.workspace import RIGHT_PX
-from skincal.contacts.outcome import Phase, Reason
-from skincal.estimate.result import Method
-from skincal.readings import LinkState, Stream
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.model.readings import LinkState, Stream
+from skincal.taxels.result import Method
 
 BOTH = (Method.SURFACE, Method.FREE)
 
@@ -100,15 +100,15 @@ def test_the_theme_is_the_operators_or_the_desktops(qapp):
 def test_now_says_what_happens_and_the_ring_fills(qtbot):
     panel = shown(qtbot, NowPanel(), (700, 80))
     panel.begin(session())
-    panel.show_frame(frame(view=reading(Phase.PRESSING, 8.0, still=0.1)))
+    panel.show_frame(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
     assert panel.headline.text() == "hold still"
     little = pixels(panel.sign)
-    panel.show_frame(frame(view=reading(Phase.STILL, 8.0, still=0.9)))
+    panel.show_frame(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
     assert changed(little, pixels(panel.sign)) > 200
     gauge = pixels(panel.gauge)
-    panel.show_frame(frame(view=reading(Phase.STILL, 14.0, still=0.9)))
+    panel.show_frame(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
     assert changed(gauge, pixels(panel.gauge)) > 200
-    panel.show_frame(frame(session(2, pokes=[slip(1)]), reading(Phase.TARING)))
+    panel.show_frame(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
     assert panel.headline.text() == "rejected: slid 2.1 mm, at most 1.5 mm"
     bad = QColor(DARK.bad).getRgb()[:3]
     assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100

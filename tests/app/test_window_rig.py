@@ -16,15 +16,15 @@ from whole_window import OPEN_MS
 from app import controller, pace
 from app.plan import Plan
 from app.running import Running
-from skincal.contacts.outcome import Contact, Phase, Reason, Rejection
-from skincal.estimate.correction import RIG, Correction
-from skincal.estimate.result import Method
-from skincal.guide.landmarks import ASTRAY
+from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
+from skincal.guide.landmark_targets import ASTRAY
+from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.actions import SetPose, Undo
 from skincal.session.corrections import correct_action
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import Rig, RigErrors
+from skincal.taxels.result import Method
 
 Key = Qt.Key
 SHIFT = Qt.KeyboardModifier.ShiftModifier
@@ -41,7 +41,7 @@ class Poked:
 
         def ready(now_ns):
             view = live(now_ns)
-            return replace(view, progress=replace(view.progress, phase=Phase.READY), links=())
+            return replace(view, progress=replace(view.progress, phase=PressPhase.READY), links=())
 
         monkeypatch.setattr(road, "live", ready)
         bench.controller._set_running(Running.STREAMING)

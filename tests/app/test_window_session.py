@@ -24,10 +24,10 @@ from app.plan import Plan, server_command
 from app.running import Running
 from app.words import peak_channel
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method, State
 from skincal.files.reference import load_reference
-from skincal.guide.guidance import Phase
+from skincal.guide.guidance import GuidePhase
 from skincal.session.replay import replay
+from skincal.taxels.result import Method, State
 
 Key = Qt.Key
 ENOUGH_MS = 240_000
@@ -199,7 +199,7 @@ def follow_until_enough(keys: Keys) -> list[tuple[int, int]]:
         if keys.guidance.target is not None:
             asked[0] = keys.guidance.target.channel
         done.append(keys.guidance.done)
-        return keys.guidance.phase is Phase.ENOUGH
+        return keys.guidance.phase is GuidePhase.ENOUGH
 
     bench.until(enough, ENOUGH_MS)
     assert done[-1] == 8

@@ -18,9 +18,9 @@ from app.scene3d.camera import PLAIN, Eye
 from app.theme import DARK, LIGHT
 from app.top_view import AROUND_TAXEL, EDGE, GRAIN, sky_view
 from app.words import METHOD_NAMES
-from skincal.estimate.result import Method
-from skincal.guide.choose import directions
-from skincal.guide.sky import Sky
+from skincal.guide.candidates import directions
+from skincal.guide.progress import AxisDiversity
+from skincal.taxels.result import Method
 
 UP = np.array([0.0, 0.0, 1.0])
 USABLE = float(np.radians(28.0))
@@ -32,12 +32,14 @@ def push(tilt: float, azimuth: float) -> np.ndarray:
     return -np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
 
 
-def sky(pushes=(), own=None, trust=None, offsets=None, best: float | None = 90.0, beside=(0.0, 0.0, 0.0), spread=9.0) -> Sky:
+def sky(
+    pushes=(), own=None, trust=None, offsets=None, best: float | None = 90.0, beside=(0.0, 0.0, 0.0), spread=9.0
+) -> AxisDiversity:
     """Contacts; what is worth most is a push from `best` degrees, None where nothing is worth anything."""
     count = len(pushes)
     tried = directions(UP[None], USABLE)[0]
     worth = np.zeros(len(tried)) if best is None else 1e-3 * (1.2 + tried @ push(28.0, best))
-    return Sky(
+    return AxisDiversity(
         channel=3, normal=UP, pushes=np.array(pushes).reshape(-1, 3),
         offsets=np.zeros((count, 3)) if offsets is None else np.array(offsets, dtype=float),
         own=np.ones(count, dtype=bool) if own is None else np.array(own),
@@ -99,7 +101,7 @@ def panel(qtbot):
     return made
 
 
-def framed(says: Sky | None, selected=None, asked=3, method=Method.FREE, generation=1, **changes):
+def framed(says: AxisDiversity | None, selected=None, asked=3, method=Method.FREE, generation=1, **changes):
     asked_for = guidance(None if asked is None else target(asked), method=method)
     at = frame(session(generation), selected=selected, method=method)
     return replace(at, guidance=asked_for, sky=lambda _channel: says, **changes)

@@ -14,13 +14,12 @@ from app.dialogs.verdict import VerdictDialog
 from app.plan import Plan
 from app.rig_offers import Offer, used_words
 from app.verdict_words import check_words, done_words, figures, left_words, rig_state, sentence
-from skincal.estimate.correction import RIG, Correction, UsedCorrection
-from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import LandmarkPoke, RigAnswer
-from skincal.guide.check import Check
-from skincal.guide.done import Need, Why
-from skincal.guide.verdict import Left, Verdict
+from skincal.guide.progress import Need, Why
+from skincal.guide.verdict import Check, Left, Verdict
+from skincal.rig.correction import RIG, Correction, UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.session.review import Review
+from skincal.taxels.result import Method
 
 Key = Qt.Key
 UNUSED = Left(4, Why.DEAD, ())

@@ -45,9 +45,9 @@ from app.words import (
     verdict_detail,
     verdict_words,
 )
-from skincal.contacts.outcome import Phase, Reason
-from skincal.estimate.result import Estimate, Method, State
-from skincal.readings import LinkState, Stream
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.model.readings import LinkState, Stream
+from skincal.taxels.result import Estimate, Method, State
 
 
 @pytest.mark.parametrize(
@@ -153,36 +153,36 @@ def say(memory, at):
 
 
 def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke():
-    quiet = frame(session(1), reading(Phase.READY), 100.0)
+    quiet = frame(session(1), reading(PressPhase.READY), 100.0)
     memory = NowMemory.of(quiet.snapshot)
     _, memory = say(memory, quiet)
-    text, memory = say(memory, frame(session(1), reading(Phase.READY), 100.0 + SETTLE_S))
+    text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + SETTLE_S))
     assert text == "ready: poke"
     done = session(2, pokes=[slip(1)])
-    text, memory = say(memory, frame(done, reading(Phase.TARING), 101.0))
+    text, memory = say(memory, frame(done, reading(PressPhase.TARING), 101.0))
     assert text == "rejected: slid 2.1 mm, at most 1.5 mm"
-    text, memory = say(memory, frame(done, reading(Phase.READY), 101.0 + VERDICT_S - 0.01))
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S - 0.01))
     assert text.startswith("rejected")
-    text, _ = say(memory, frame(done, reading(Phase.PRESSING, 8.0), 101.5))
+    text, _ = say(memory, frame(done, reading(PressPhase.PRESSING, 8.0), 101.5))
     assert text == "hold still"
-    text, memory = say(memory, frame(done, reading(Phase.READY), 101.0 + VERDICT_S + 0.01))
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S + 0.01))
     assert text == "ready: poke"
 
 
 def test_a_poke_that_was_there_before_is_not_announced():
     old = session(1, pokes=[touch(1)])
-    text, _ = say(NowMemory.of(old), frame(old, reading(Phase.NO_DATA)))
+    text, _ = say(NowMemory.of(old), frame(old, reading(PressPhase.NO_DATA)))
     assert text == "waiting for data"
 
 
 def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_is():
     first = session(1, pokes=[touch(1)])
-    _, memory = say(NowMemory(), frame(first, reading(Phase.READY), 10.0))
+    _, memory = say(NowMemory(), frame(first, reading(PressPhase.READY), 10.0))
     again = session(2, pokes=[touch(1)])
-    text, memory = say(memory, frame(again, reading(Phase.READY), 10.0 + VERDICT_S + 1))
+    text, memory = say(memory, frame(again, reading(PressPhase.READY), 10.0 + VERDICT_S + 1))
     assert text == "ready: poke"
     turned = session(3, pokes=[slip(1, Reason.TARE_CHANGED, 1.4, 1.0, "N")])
-    text, memory = say(memory, frame(turned, reading(Phase.READY), 20.0))
+    text, memory = say(memory, frame(turned, reading(PressPhase.READY), 20.0))
     assert text == "rejected: tare changed: 1.4 N, at most 1.0 N"
 
 
@@ -190,7 +190,7 @@ def test_a_flicker_between_calm_phases_is_not_said():
     memory = NowMemory()
     said = []
     for i in range(40):
-        phase = Phase.READY if i % 10 else Phase.TARING
+        phase = PressPhase.READY if i % 10 else PressPhase.TARING
         text, memory = say(memory, frame(view=reading(phase), now_s=10.0 + 0.033 * i))
         said.append(text)
     assert "keep hands off" not in said
@@ -201,23 +201,23 @@ def test_what_is_said_while_pressing():
     def pressed(phase, force):
         return now_line(NowMemory(), frame(view=reading(phase, force)))[0]
 
-    assert pressed(Phase.PRESSING, 2.0).headline == "press harder"
-    assert pressed(Phase.PRESSING, 16.0).headline == "press less"
-    assert pressed(Phase.STILL, 8.0).headline == "hold still"
-    assert pressed(Phase.HELD, 8.0).headline == "enough, release"
+    assert pressed(PressPhase.PRESSING, 2.0).headline == "press harder"
+    assert pressed(PressPhase.PRESSING, 16.0).headline == "press less"
+    assert pressed(PressPhase.STILL, 8.0).headline == "hold still"
+    assert pressed(PressPhase.HELD, 8.0).headline == "enough, release"
 
 
 def test_trouble_goes_before_phases():
     lost = link_lines([link(state=LinkState.LOST, text="/dev/x vanished; plug it in.")], 0)
-    now, _ = now_line(NowMemory(), frame(view=reading(Phase.READY), links=lost))
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY), links=lost))
     assert (now.tone, now.headline, now.detail) == (Tone.BAD, "lost wrench", "/dev/x vanished; plug it in.")
-    paused, _ = now_line(NowMemory(), frame(view=reading(Phase.PRESSING, 5.0), running=Running.PAUSED))
+    paused, _ = now_line(NowMemory(), frame(view=reading(PressPhase.PRESSING, 5.0), running=Running.PAUSED))
     assert paused.headline == "paused"
     fresh = session(2, pokes=[touch(1)])
-    now, _ = now_line(NowMemory(), frame(fresh, reading(Phase.READY), links=lost))
+    now, _ = now_line(NowMemory(), frame(fresh, reading(PressPhase.READY), links=lost))
     assert now.headline == "lost wrench"
     waiting = link_lines([link(last_host_ns=0), link("skin")], round(100.1e9))
-    now, _ = now_line(NowMemory(), frame(view=reading(Phase.NO_DATA), links=waiting))
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA), links=waiting))
     assert now.headline == "waiting for wrench"
 
 

@@ -15,7 +15,7 @@ from app.sound import Player
 from app.theme import Choice, Theme
 from app.window import Window
 from skincal.contacts.outcome import Contact
-from skincal.scene import resource
+from skincal.model.scene import resource
 
 POKE_MS = 60_000
 """A poke takes about three seconds; a busy machine gets twenty times as long."""

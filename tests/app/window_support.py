@@ -14,12 +14,12 @@ from app.display_units import ChannelNames
 from app.frame import Frame
 from app.running import Running
 from app.words import LinkWords
-from skincal.arm import Arm, DhLink
-from skincal.contacts.outcome import Contact, Phase, Progress, Reason, Rejection
-from skincal.estimate.result import Estimate, Method
-from skincal.readings import LinkHealth, LinkState, Loss, Stream
-from skincal.scene import ArmSpec, Scene
+from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
+from skincal.geometry.arm import Arm, DhLink
+from skincal.model.readings import LinkHealth, LinkState, Loss, Stream
+from skincal.model.scene import ArmSpec, Scene
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
+from skincal.taxels.result import Estimate, Method
 
 PLAN = layout()
 NAMES = ChannelNames(PLAN)
@@ -62,7 +62,7 @@ def session(
     return replace(base, pokes=records, dead=dead or {}, can_undo=undo)
 
 
-def reading(phase: Phase = Phase.READY, force: float = 0.0, still: float = 0.0, **changes: object) -> LiveView:
+def reading(phase: PressPhase = PressPhase.READY, force: float = 0.0, still: float = 0.0, **changes: object) -> LiveView:
     """A live view in a phase."""
     progress = Progress(phase, np.array([0.0, 0.0, -force]), np.zeros(3), np.empty(0, np.int64), np.empty(0), still)
     return replace(live(), progress=progress, **changes)

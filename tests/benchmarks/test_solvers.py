@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import pytest
 
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Method
-from skincal.estimate.solve import estimate_from, estimate_taxels
-from skincal.scene import resource
+from skincal.methods import estimate_from, estimate_taxels
+from skincal.model.scene import resource
 from skincal.session.replay import load
 from skincal.studies import alternatives, live
 from skincal.studies.benches import SHAPES, Bench
 from skincal.surface.mesh import make_surface
 from skincal.surface.nearest import nearest_to_rows
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Method
 from tests.skincal.test_session_scale import write_pokes
 
 PER_TAXEL = 12
@@ -59,7 +59,7 @@ def test_a_poke_of_seven_taxels_in_a_session(benchmark, forearm, forearm_contact
 
 
 def test_seven_taxels_solved_by_both_methods(benchmark, forearm, forearm_contacts):
-    ledger = Ledger(forearm_contacts)
+    ledger = ContactTable(forearm_contacts)
     channels = live.touching(forearm, forearm_contacts[0]).channels.tolist()
     found = benchmark(estimate_from, ledger, channels, BOTH, forearm.scene.noise, forearm.surface)
     assert len(found[Method.SURFACE]) == live.TOUCHED
@@ -80,7 +80,7 @@ def test_the_whole_body_from_its_contacts(benchmark, torso, torso_contacts, meth
 
 @pytest.mark.parametrize("method", BOTH)
 def test_the_whole_body_from_a_sessions_ledger(benchmark, torso, torso_contacts, method):
-    told = (Ledger(torso_contacts), torso.channels, [method], torso.scene.noise, torso.surface)
+    told = (ContactTable(torso_contacts), torso.channels, [method], torso.scene.noise, torso.surface)
     found = benchmark.pedantic(estimate_from, told, rounds=3, warmup_rounds=1)
     assert len(found[method]) == 4200
 

@@ -1,6 +1,6 @@
 """One method at a time, as most tests want it."""
 
-from skincal.estimate.solve import estimate_taxels
+from skincal.methods import estimate_taxels
 
 
 def solve(contacts, channels, method, noise, surface, dead=None, boards=None):

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Estimate, Method, State
 from skincal.files.calibration import Calibration
-from skincal.readings import FloatArray
-from skincal.scene import Scene, load_scene
+from skincal.geometry.arrays import FloatArray
+from skincal.model.scene import Scene, load_scene
+from skincal.taxels.result import Estimate, Method, State
 
 CHANNELS = 48
 RADIUS = 0.040

@@ -10,12 +10,13 @@ import numpy as np
 
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import Outcome
-from skincal.estimate.result import Estimate
-from skincal.readings import Chunk, FloatArray, LinkEvent, LinkState, Sample, Stream
-from skincal.scene import ArmSpec, ContactSettings, NoiseSettings, Scene, SkinSpec, load_scene
+from skincal.geometry.arrays import FloatArray
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream
+from skincal.model.scene import ArmSpec, ContactSettings, NoiseSettings, Scene, SkinSpec, load_scene
+from skincal.model.skin import KINDS, Layout, Module
 from skincal.session.snapshot import Snapshot
-from skincal.skin import KINDS, Layout, Module
 from skincal.streams.links import LinkSpec
+from skincal.taxels.result import Estimate
 
 PERIOD_S = 0.02
 

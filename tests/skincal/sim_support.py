@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from skincal.scene import Scene, load_scene, resource
+from skincal.model.scene import Scene, load_scene, resource
 from skincal.simulate.rig import Rig, RigErrors
 from skincal.surface.mesh import Surface, load_surface
 

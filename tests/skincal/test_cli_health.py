@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skincal.cli import main
-from skincal.scene import resource
+from skincal.model.scene import resource
 
 
 def sample(folder: Path, file: str, old: str, new: str) -> Path:

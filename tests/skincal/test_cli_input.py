@@ -11,8 +11,8 @@ import pytest
 
 from skincal.cli import main
 from skincal.cli.fresh import new_folder
-from skincal.errors import InputError
 from skincal.files.icub import read_icub
+from skincal.model.errors import InputError
 
 SCENE = ["--scene", "flat-patch"]
 CHANNELS = 64
@@ -102,7 +102,7 @@ def test_a_recording_of_no_length_is_refused(run, tmp_path, option):
 
 def test_a_link_that_is_open_and_silent_is_told_once_and_when_it_sends_again():
     from skincal.cli.record import Silence
-    from skincal.readings import SILENT_S, Chunk, LinkEvent, LinkState
+    from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState
 
     silent_ns = round(SILENT_S * 1e9)
     silence = Silence()
@@ -120,7 +120,7 @@ def test_a_link_that_is_open_and_silent_is_told_once_and_when_it_sends_again():
 
 
 def test_one_address_for_several_streams_is_one_board():
-    from skincal.readings import Stream
+    from skincal.model.readings import Stream
     from skincal.streams.links import describe_links
 
     wrench, skin, joints = Stream.WRENCH, Stream.SKIN, Stream.JOINTS

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.estimate.result import Method
 from skincal.files.json_file import read_json
-from skincal.scene import load_scene, resource
-from skincal.skin import load_layout
+from skincal.model.scene import load_scene, resource
+from skincal.model.skin import load_layout
+from skincal.taxels.result import Method
 from tests.skincal.test_cli_health import sample
 
 SAMPLE = resource("sessions/sample")

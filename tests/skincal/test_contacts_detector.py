@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from skincal.arm import Arm, DhLink
 from skincal.contacts.detector import ContactDetector
-from skincal.contacts.outcome import Contact, Phase, Reason, Rejection
-from skincal.scene import ArmSpec, ContactSettings
+from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
+from skincal.geometry.arm import Arm, DhLink
+from skincal.model.scene import ArmSpec, ContactSettings
 from tests.skincal.poke_script import PERIOD_S, Script, outcome_key, small_scene, some_pokes
 
 FORCE = np.array([1.0, 2.0, -8.0])
@@ -95,7 +95,7 @@ def test_the_outcome_comes_with_the_first_sample_below_the_release_force():
             break
     assert release is not None
     assert release < 0.6
-    assert detector.progress(np.eye(4)).phase is Phase.READY
+    assert detector.progress(np.eye(4)).phase is PressPhase.READY
 
 
 def test_noise_about_the_release_force_neither_ends_nor_begins_a_poke():
@@ -315,7 +315,7 @@ def test_something_leaning_at_the_start_keeps_it_taring_until_it_leaves():
     for _ in range(300):
         script.step(np.array([0, 0, -5.0, 0, 0, 0]), {3: 50.0})
     assert not script.run(detector)
-    assert detector.progress(np.eye(4)).phase is Phase.TARING
+    assert detector.progress(np.eye(4)).phase is PressPhase.TARING
     script.samples.clear()
     script.force_noise = 0.01
     assert isinstance(only(script.quiet(1.0).press(FORCE, POINT, ANSWERS).quiet().run(detector)), Contact)
@@ -352,7 +352,7 @@ def test_a_force_that_never_falls_is_tared_away_after_ten_seconds():
     detector = ContactDetector(script.scene)
     found = only(script.run(detector))
     assert found.reason is Reason.NO_TARE
-    assert detector.progress(np.eye(4)).phase is Phase.READY
+    assert detector.progress(np.eye(4)).phase is PressPhase.READY
     script.samples.clear()
     outcomes = script.press(FORCE, POINT, ANSWERS).quiet().run(detector)
     assert [type(one) for one in outcomes] == [Contact, Contact]
@@ -379,7 +379,7 @@ def test_a_reset_ends_the_poke_in_progress_and_settles_those_that_wait():
         (2, Rejection, True),
     ]
     assert outcomes[0].reason is Reason.READINGS_LOST
-    assert detector.progress(None).phase is Phase.NO_DATA
+    assert detector.progress(None).phase is PressPhase.NO_DATA
     script.samples.clear()
     assert only(script.quiet().press(FORCE, POINT, ANSWERS).quiet().run(detector)).poke == 3
 
@@ -393,7 +393,15 @@ def test_phases_follow_the_poke():
         phase = detector.progress(np.eye(4)).phase
         if phase is not seen[-1]:
             seen.append(phase)
-    assert seen == [Phase.NO_DATA, Phase.TARING, Phase.READY, Phase.PRESSING, Phase.STILL, Phase.HELD, Phase.READY]
+    assert seen == [
+        PressPhase.NO_DATA,
+        PressPhase.TARING,
+        PressPhase.READY,
+        PressPhase.PRESSING,
+        PressPhase.STILL,
+        PressPhase.HELD,
+        PressPhase.READY,
+    ]
 
 
 def test_progress_gives_the_axis_in_the_link_frame():
@@ -420,7 +428,7 @@ def test_a_slower_device_is_followed():
     script.run(detector)
     for sample in slow:
         detector.feed(sample, np.eye(4), "")
-    assert detector.progress(np.eye(4)).phase is Phase.READY
+    assert detector.progress(np.eye(4)).phase is PressPhase.READY
 
 
 @pytest.mark.parametrize("bad", [3, 7])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.gates import widest_gap
-from skincal.contacts.stillness import axis_travel, force_spread, still_share
+from skincal.contacts.press import axis_travel, force_spread, still_share
 
 
 def test_the_widest_gap_is_that_between_two_groups():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from skincal.contacts.tare import Tare, TareKeeper, is_quiet, robust_level, window_length, wrench_baseline
-from skincal.readings import Sample
-from skincal.scene import ContactSettings
+from skincal.model.readings import Sample
+from skincal.model.scene import ContactSettings
 from tests.skincal.poke_script import PERIOD_S
 
 

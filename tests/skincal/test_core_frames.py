@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.arm import Arm, DhLink, inverse_pose
-from skincal.skin import KINDS, Layout, Module
-from skincal.wrench import axis_point, cross_matrix, move_wrench, pitch
+from skincal.geometry.arm import Arm, DhLink, inverse_pose
+from skincal.geometry.wrench import axis_point, cross_matrix, move_wrench, pitch
+from skincal.model.skin import KINDS, Layout, Module
 
 V1 = Arm(
     (3, 4),

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
-from skincal.scene import load_scene
+from skincal.model.errors import InputError
+from skincal.model.scene import load_scene
 
 GOOD = """
 name = "bench"

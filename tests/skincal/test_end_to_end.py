@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.estimate.result import Method, State
 from skincal.files.icub import read_icub
 from skincal.files.reference import error_summary, read_reference
-from skincal.readings import Loss
-from skincal.scene import load_scene, resource
+from skincal.model.readings import Loss
+from skincal.model.scene import load_scene, resource
 from skincal.session.road import Road
 from skincal.simulate.device import DeviceSettings
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
 from skincal.simulate.session import simulate_session
 from skincal.surface.mesh import load_surface
+from skincal.taxels.result import Method, State
 
 PATCH = resource("scenes/flat-patch/scene.toml")
 FOREARM = resource("scenes/icub-forearm/scene.toml")

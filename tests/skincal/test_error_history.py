@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
-from skincal.errors import InputError
-from skincal.estimate.result import Method
 from skincal.files.reference import Origin, error_summary, find_truth, load_reference, plan_reference
-from skincal.scene import resource
+from skincal.model.errors import InputError
+from skincal.model.scene import resource
 from skincal.session.actions import Exclude, MarkDead, Restore, Revive, Undo
 from skincal.session.error_history import (
     MAX,
@@ -31,6 +30,7 @@ from skincal.session.error_history import (
 )
 from skincal.session.replay import load
 from skincal.session.session import Session
+from skincal.taxels.result import Method
 
 POKES = 14
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skincal.estimate.board_check import foretold_squares
-from skincal.estimate.board_fit import fit_boards
-from skincal.estimate.boards import Boards
-from skincal.estimate.clouds import board_clouds
-from skincal.estimate.ledger import Ledger
+from skincal.modules.estimate import predicted_squares
+from skincal.modules.pose import ModuleModel
+from skincal.modules.pose_fit import fit_modules
+from skincal.rig.correction_fit import module_groups
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
+from skincal.taxels.contact_table import ContactTable
 from tests.skincal.sim_support import make_rig
 
 
@@ -24,9 +24,9 @@ def poked(seed=1, rounds=4):
 
 
 def fitted(rig, contacts, surface=True, doubting=True):
-    boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface if surface else None)
-    clouds = board_clouds(Ledger(contacts), boards, {}, rig.scene.noise, rig.channels.tolist())
-    return clouds.touches, fit_boards(clouds.touches, boards, clouds.poses, rig.scene.noise, doubting)
+    boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface if surface else None)
+    clouds = module_groups(ContactTable(contacts), boards, {}, rig.scene.noise, rig.channels.tolist())
+    return clouds.touches, fit_modules(clouds.touches, boards, clouds.poses, rig.scene.noise, doubting)
 
 
 def solved_without(rig, contacts, poke, touches, at, surface):
@@ -55,7 +55,7 @@ def test_a_poke_left_out_is_as_far_off_as_where_its_module_is_solved_without_it(
     touches, found = fitted(rig, contacts, surface, doubting=False)
     some = np.arange(0, len(touches.of), 31)
     pokes = touches.evidence.pokes[touches.rows[some]].tolist()
-    told = foretold_squares(touches, found, rig.scene.noise, some)
+    told = predicted_squares(touches, found, rig.scene.noise, some)
     anew = [solved_without(rig, contacts, *each, surface) for each in zip(pokes, [touches] * len(pokes), some, strict=True)]
     assert len(anew) >= 8
     np.testing.assert_allclose(np.sqrt(told), np.sqrt(anew), rtol=0.03, atol=0.03)
@@ -67,7 +67,7 @@ def test_what_is_left_out_is_chi_squared():
     for seed in range(1, 5):
         rig, contacts = poked(seed)
         touches, found = fitted(rig, contacts)
-        squares = foretold_squares(touches, found, rig.scene.noise, np.arange(len(touches.of)))
+        squares = predicted_squares(touches, found, rig.scene.noise, np.arange(len(touches.of)))
         assert np.isfinite(squares).all()
         inside.append(np.mean(squares <= stats.chi2.ppf(0.95, 2)))
         median.append(np.median(squares) / stats.chi2.ppf(0.5, 2))
@@ -82,9 +82,9 @@ def test_too_few_others_tell_nothing():
     own = [one for one in contacts if (layout.module_of[one.channels] == first).all()]
     for count, known in ((1, 0), (2, 0), (3, 1), (12, 12)):
         touches, found = fitted(rig, own[:count])
-        squares = foretold_squares(touches, found, rig.scene.noise, np.arange(count))
+        squares = predicted_squares(touches, found, rig.scene.noise, np.arange(count))
         assert known <= np.isfinite(squares).sum() <= known * count
-    assert len(foretold_squares(touches, found, rig.scene.noise, np.empty(0, dtype=np.int64))) == 0
+    assert len(predicted_squares(touches, found, rig.scene.noise, np.empty(0, dtype=np.int64))) == 0
 
 
 def test_a_poke_that_is_not_trusted_is_judged_by_those_that_are():
@@ -95,4 +95,4 @@ def test_a_poke_that_is_not_trusted_is_judged_by_those_that_are():
     touches, found = fitted(rig, [wrong if one.poke == wrong.poke else one for one in contacts])
     at = np.flatnonzero(touches.evidence.pokes[touches.rows] == wrong.poke)
     assert found.trust[at] == 0.0
-    assert foretold_squares(touches, found, rig.scene.noise, at)[0] > 50.0
+    assert predicted_squares(touches, found, rig.scene.noise, at)[0] > 50.0

@@ -6,13 +6,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from skincal.estimate.board_health import MisfitKind, find_misfits, spacing_ratio
-from skincal.estimate.boards import Boards
-from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.solve import estimate_taxels
+from skincal.methods import estimate_taxels
+from skincal.model.skin import Layout
+from skincal.modules.health import MisfitKind, find_misfits, spacing_ratio
+from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
-from skincal.skin import Layout
+from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig
 
 
@@ -21,7 +21,7 @@ def poked(seed, errors="noise"):
     rng = np.random.default_rng(seed)
     rig = make_rig(RigErrors.paper() if errors == "paper" else RigErrors.noise(), seed)
     contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
-    boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
     found = estimate_taxels(
         contacts,
         rig.channels.tolist(),
@@ -37,7 +37,7 @@ def planned(rig, change):
     """The boards of a layout with some modules planned otherwise than they are."""
     layout = rig.scene.skin.layout
     modules = tuple(change(index, module) for index, module in enumerate(layout.modules))
-    return Boards(Layout(modules, layout.width), rig.scene.skin.anchor, rig.surface)
+    return ModuleModel(Layout(modules, layout.width), rig.scene.skin.anchor, rig.surface)
 
 
 CASES = [("noise", 1), ("noise", 2), ("paper", 1), ("paper", 3)]

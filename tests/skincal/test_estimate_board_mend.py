@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.estimate.board_health import Misfit, MisfitKind, _meant, find_misfits
-from skincal.estimate.board_mend import Change, changes_of, mend_boards, mend_layout
-from skincal.estimate.boards import Boards
-from skincal.estimate.result import Method
-from skincal.estimate.solve import estimate_taxels
+from skincal.methods import estimate_taxels
+from skincal.model.skin import KINDS, Layout, Module, ModuleKind
+from skincal.modules.health import Misfit, MisfitKind, ModuleChange, _meant, changes_of, find_misfits, mend_layout, mend_modules
+from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
-from skincal.skin import KINDS, Layout, Module, ModuleKind
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 from tests.skincal.test_estimate_board_health import poked
 
@@ -82,9 +81,9 @@ def taxels(rig, found, seed, sd=0.0015):
 def check_mended(rig, layout, estimates):
     """Put a layout right and compare it with the rig's own."""
     scene = rig.scene
-    boards = Boards(layout, scene.skin.anchor, rig.surface)
+    boards = ModuleModel(layout, scene.skin.anchor, rig.surface)
     assert find_misfits(boards, estimates), "the damage is seen"
-    mend = mend_boards(boards, estimates)
+    mend = mend_modules(boards, estimates)
     assert mend.left == ()
     assert find_misfits(boards.replanned(mend.layout), estimates) == ()
     np.testing.assert_allclose(mend.layout.places, scene.skin.layout.places, atol=OFF)
@@ -117,7 +116,7 @@ def test_with_the_papers_rig_errors_a_ring_closes_where_one_end_is_less_sure():
     for seed in range(1, 7):
         rig, found = poked(seed, "paper")
         layout = DAMAGES["cycle"](rig.scene.skin.layout)
-        mend = mend_boards(Boards(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
+        mend = mend_modules(ModuleModel(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
         assert mend.misfits
         closed += np.array_equal(mend.layout.module_of, rig.scene.skin.layout.module_of)
     assert closed >= 5, "measured: nine of ten"
@@ -126,7 +125,7 @@ def test_with_the_papers_rig_errors_a_ring_closes_where_one_end_is_less_sure():
 def test_a_layout_that_is_right_is_left_as_it_is():
     rig, found = poked(1)
     layout = rig.scene.skin.layout
-    mend = mend_boards(Boards(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
+    mend = mend_modules(ModuleModel(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
     assert (mend.layout, mend.changes, mend.left) == (layout, (), ())
 
 
@@ -156,15 +155,15 @@ def test_of_two_modules_the_turned_one_is_named_and_not_the_other():
     rig, found = poked(1)
     layout = rig.scene.skin.layout
     two = Layout(layout.modules[:2], layout.width)
-    boards = Boards(damaged(two, m1=turned(120)), rig.scene.skin.anchor, rig.surface)
+    boards = ModuleModel(damaged(two, m1=turned(120)), rig.scene.skin.anchor, rig.surface)
     (said,) = find_misfits(boards, found[Method.SURFACE])
     assert (said.module, said.kind) == (layout.modules[1].id, MisfitKind.TURNED)
 
 
 def test_pokes_of_a_wrong_layout_are_solved_as_well_as_those_of_the_right_one_once_it_is_put_right():
     rig, found = poked(2)
-    wrong = Boards(several(rig.scene.skin.layout), rig.scene.skin.anchor, rig.surface)
-    right = wrong.replanned(mend_boards(wrong, found[Method.SURFACE]).layout)
+    wrong = ModuleModel(several(rig.scene.skin.layout), rig.scene.skin.anchor, rig.surface)
+    right = wrong.replanned(mend_modules(wrong, found[Method.SURFACE]).layout)
     rng = np.random.default_rng(2)
     make = make_rig(RigErrors.noise(), 2)
     contacts = simulate_contacts(make, unguided(make, 3, rng), rng)
@@ -179,7 +178,7 @@ def test_pokes_of_a_wrong_layout_are_solved_as_well_as_those_of_the_right_one_on
         off = [one.position - place for one, place in zip(solved.values(), rig.places, strict=True) if one.position is not None]
         return float(np.mean(np.linalg.norm(off, axis=1)))
 
-    planned = error(Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface))
+    planned = error(ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface))
     error(wrong)
     assert known.count(False) == 12, "the search of a module that is planned as its mirror image does not settle: it is blind"
     assert error(right) == pytest.approx(planned, abs=1e-4)
@@ -194,10 +193,10 @@ def test_a_swap_with_a_module_that_is_not_known_is_not_put_right():
     layout = rig.scene.skin.layout
     unseen = set(layout.modules[5].channels.tolist())
     estimates = {channel: one for channel, one in found[Method.SURFACE].items() if channel not in unseen}
-    boards = Boards(exchanged(layout, 1, 5), rig.scene.skin.anchor, rig.surface)
+    boards = ModuleModel(exchanged(layout, 1, 5), rig.scene.skin.anchor, rig.surface)
     (said,) = find_misfits(boards, estimates)
     assert said.kind is MisfitKind.SWAPPED
-    mend = mend_boards(boards, estimates)
+    mend = mend_modules(boards, estimates)
     assert (mend.layout, mend.changes) == (boards.layout, ())
     (why,) = mend.left
     assert why.startswith(f"Module {said.module} lies where module {said.other} is planned")
@@ -253,10 +252,10 @@ def test_a_module_that_lies_beside_its_place_however_it_is_turned_is_left():
 
 def test_a_correction_that_lies_no_nearer_is_none(monkeypatch):
     rig, found = poked(1)
-    boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
     wrong = Misfit(28, MisfitKind.TURNED, 0.01, 0.001, turn=float(np.radians(120.0)))
-    monkeypatch.setattr("skincal.estimate.board_mend.find_misfits", lambda *_: (wrong,))
-    mend = mend_boards(boards, found[Method.SURFACE])
+    monkeypatch.setattr("skincal.modules.health.find_misfits", lambda *_: (wrong,))
+    mend = mend_modules(boards, found[Method.SURFACE])
     assert (mend.layout, mend.changes) == (boards.layout, ())
     assert mend.left[0].startswith("Module 28 does not lie as planned, but no change of the layout lies nearer to its taxels")
 
@@ -277,10 +276,10 @@ def test_a_turn_is_meant_that_lays_the_board_on_itself_or_one_in_steps(seen, str
 
 
 def test_a_change_says_what_the_file_is_to_say():
-    assert Change(17, angle=float(np.radians(-60.0)), mirror=True).words == "module 17: angle_deg = -60, mirror = true"
-    assert Change(17, first_channel=204).keys == {"first_channel": 204}
-    assert Change(17, angle=0.1).keys == {"angle_deg": pytest.approx(5.72958, abs=1e-5)}
-    assert Change(17).keys == {}
+    assert ModuleChange(17, angle=float(np.radians(-60.0)), mirror=True).words == "module 17: angle_deg = -60, mirror = true"
+    assert ModuleChange(17, first_channel=204).keys == {"first_channel": 204}
+    assert ModuleChange(17, angle=0.1).keys == {"angle_deg": pytest.approx(5.72958, abs=1e-5)}
+    assert ModuleChange(17).keys == {}
 
 
 @pytest.mark.parametrize(("angle", "turn", "then"), [(-180, 120, -60), (120, 120, -120), (-60, -120, 180), (0, 180, 180)])

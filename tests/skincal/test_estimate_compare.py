@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skincal.estimate.board_health import neighbours_of
-from skincal.estimate.compare import compare_modules, differences, places_of, summarise, worst_rows
-from skincal.estimate.result import Estimate, Method, State
-from skincal.scene import load_scene, resource
-from skincal.skin import KINDS, Layout, Module
+from skincal.model.scene import load_scene, resource
+from skincal.model.skin import KINDS, Layout, Module
+from skincal.modules.health import neighbours_of
+from skincal.taxels.differences import compare_modules, differences, places_of, summarise, worst_rows
+from skincal.taxels.result import Estimate, Method, State
 
 SCENE = load_scene(resource("scenes/icub-forearm/scene.toml"))
 LAYOUT = SCENE.skin.layout

@@ -12,10 +12,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from skincal.estimate.result import PER_TAXEL, Method, State
-from skincal.estimate.solve import estimate_taxels
+from skincal.methods import estimate_taxels
 from skincal.simulate.contacts import recipe, simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
+from skincal.taxels.result import PER_TAXEL, Method, State
 from tests.skincal.sim_support import make_rig
 
 LONG = bool(os.environ.get("SKINCAL_LONG"))

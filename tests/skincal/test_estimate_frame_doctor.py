@@ -6,11 +6,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from skincal.estimate.boards import rotations
-from skincal.estimate.correction import FRAME, RIG, Correction
-from skincal.estimate.frame_doctor import GRAVITY, FrameCorrection, diagnose
-from skincal.estimate.rig import RigPrior
-from skincal.estimate.rig_fit import RigAnswer
+from skincal.modules.pose import rotations
+from skincal.rig.correction import FRAME, RIG, Correction, RigPrior
+from skincal.rig.correction_fit import RigAnswer
+from skincal.rig.frame_check import GRAVITY, FrameCorrection, diagnose
 from skincal.session.corrections import offered
 from skincal.session.known_points import landmark_normals
 from skincal.simulate.landmarks import poke_landmarks

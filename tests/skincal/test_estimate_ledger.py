@@ -4,9 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.evidence import Evidence
-from skincal.estimate.ledger import Ledger, gather
-from skincal.wrench import axis_point, move_wrench, pitch
+from skincal.geometry.wrench import axis_point, move_wrench, pitch
+from skincal.taxels.contact_table import ContactTable, Evidence, gather
 
 
 def contact(number: int, seed: int, channels=None, pose: str = "") -> Contact:
@@ -68,7 +67,7 @@ def test_evidence_of_a_taxel_does_not_depend_on_which_others_are_asked_for():
     order=st.randoms(use_true_random=False),
 )
 def test_what_is_in_a_ledger_counts_and_neither_order_nor_what_was_taken_out(steps, order):
-    ledger, kept = Ledger(), {}
+    ledger, kept = ContactTable(), {}
     for number, seed, drops in steps:
         if drops:
             ledger.drop(number)
@@ -83,7 +82,7 @@ def test_what_is_in_a_ledger_counts_and_neither_order_nor_what_was_taken_out(ste
 
 def test_a_ledger_forgets_what_was_replaced():
     """Every poke is told twice: rows must not pile up."""
-    ledger = Ledger()
+    ledger = ContactTable()
     contacts = [contact(number, number) for number in range(1, 1001)]
     for one in contacts:
         ledger.add([one])
@@ -99,7 +98,7 @@ def test_equal_contacts_are_all_kept():
 
 
 def test_a_bad_contact_is_refused_and_nothing_is_taken():
-    ledger = Ledger([contact(1, 1, channels=[0])])
+    ledger = ContactTable([contact(1, 1, channels=[0])])
     bad = contact(2, 2, channels=[0])
     bad.force[0] = np.nan
     with pytest.raises(ValueError, match="poke 2"):

@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.board_fit import whitened
-from skincal.estimate.boards import LEVER, Boards, InSpace, OnSurface, Poses, rotations
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.modules import estimate_modules
-from skincal.estimate.result import Method, State
-from skincal.estimate.solve import estimate_taxels
-from skincal.estimate.touches import find_touches, offset_squares
-from skincal.scene import NoiseSettings
+from skincal.methods import estimate_taxels
+from skincal.model.scene import NoiseSettings
+from skincal.modules.estimate import estimate_modules
+from skincal.modules.pose import LEVER, ModuleModel, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
+from skincal.modules.pose_fit import find_touches, offset_squares, whitened
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
 from skincal.surface.mesh import make_surface
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Method, State
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 NOISE = NoiseSettings()
@@ -29,7 +28,7 @@ MODULES = [Method.MODULES]
 @lru_cache
 def boards_of(name="icub-forearm", surface=True):
     scene, mesh = scene_and_surface(name)
-    return Boards(scene.skin.layout, scene.skin.anchor, mesh if surface else None)
+    return ModuleModel(scene.skin.layout, scene.skin.anchor, mesh if surface else None)
 
 
 def moved_poses(boards, rng, shift=0.003, turn=0.1):
@@ -87,7 +86,7 @@ def press(boards, poses, rng, pokes, modules=None, tilt=0.4, noise=0.0):
 
 def modules(contacts, boards, channels=None, **options):
     scene_channels = boards.layout.channels if channels is None else channels
-    surface = boards.ground.surface if isinstance(boards.ground, OnSurface) else None
+    surface = boards.ground.surface if isinstance(boards.ground, ModulesOnSurface) else None
     return estimate_taxels(contacts, scene_channels, MODULES, NOISE, surface, boards=boards, **options)[Method.MODULES]
 
 
@@ -142,7 +141,7 @@ def test_rows_fall_with_the_step_that_their_slopes_tell(rng):
     boards = boards_of(surface=False)
     poses = moved_poses(boards, rng)
     contacts = press(boards, poses, rng, 20, modules=[1])
-    ledger = Ledger(contacts)
+    ledger = ContactTable(contacts)
     evidence = ledger.evidence(boards.channels_of([1]))
     touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [1])
     start = boards.plan(1)
@@ -172,8 +171,10 @@ def test_a_rigid_motion_of_everything_moves_the_estimates_with_it(rng):
     )
     surface = make_surface(rig.surface.vertices @ motion[:3, :3].T + motion[:3, 3], rig.surface.triangles)
     for mesh, moved_mesh in ((rig.surface, surface), (None, None)):
-        here = modules(contacts, Boards(rig.scene.skin.layout, anchor, mesh))
-        moved = modules([turned(contact, motion) for contact in contacts], Boards(rig.scene.skin.layout, there, moved_mesh))
+        here = modules(contacts, ModuleModel(rig.scene.skin.layout, anchor, mesh))
+        moved = modules(
+            [turned(contact, motion) for contact in contacts], ModuleModel(rig.scene.skin.layout, there, moved_mesh)
+        )
         for channel, one in here.items():
             expected = motion[:3, :3] @ one.position + motion[:3, 3]
             np.testing.assert_allclose(moved[channel].position, expected, rtol=0, atol=2e-5)
@@ -339,14 +340,14 @@ def test_a_dead_taxel_stays_dead_and_its_module_lives(rng):
 def test_errors_of_arm_poses_that_are_told_make_the_ellipses_larger():
     rig, contacts = good_rig(1)
     known = replace(rig.scene.noise, pose_turn=0.02, pose_shift=0.002)
-    ledger, surface = Ledger(contacts), [{}]
+    ledger, surface = ContactTable(contacts), [{}]
     plain, told = (estimate_modules(ledger, boards_of(), range(7), noise, surface, {}) for noise in (rig.scene.noise, known))
     assert all(told[channel].rms > 2e-3 + plain[channel].rms for channel in plain)
 
 
 def test_grounds_know_how_many_unknowns_a_board_has():
-    assert (OnSurface.unknowns, InSpace.unknowns) == (3, 6)
-    assert isinstance(boards_of("flat-patch").plan(0), Poses)
+    assert (ModulesOnSurface.unknowns, ModulesInSpace.unknowns) == (3, 6)
+    assert isinstance(boards_of("flat-patch").plan(0), ModulePoses)
 
 
 def test_contacts_are_off_the_middle_of_the_pads_that_answer_by_what_is_said():
@@ -381,7 +382,7 @@ def test_a_poke_between_two_modules_counts_for_the_one_that_answers_more_and_for
     here, there = (int(boards.layout.modules[module].channels[0]) for module in (0, 1))
     channels = np.sort([here, there])
     responses = np.where(channels == here, 100.0, 100.0 * other)
-    ledger = Ledger([replace(contact, channels=channels, responses=responses)])
+    ledger = ContactTable([replace(contact, channels=channels, responses=responses)])
     evidence = ledger.evidence(boards.channels_of([0, 1]))
     touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [0, 1])
     assert touches.boards.tolist() == ([0 if other < 1.0 else 1] if counts else [])

@@ -7,15 +7,15 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from skincal.estimate.boards import Boards, rotations
-from skincal.estimate.result import Method
-from skincal.estimate.rig import Readings, RigPrior, RigState, rig_rows
-from skincal.estimate.rig_fit import FEWEST, RigRequest, correct_rig
-from skincal.estimate.solve import estimate_taxels
-from skincal.scene import NoiseSettings
+from skincal.methods import estimate_taxels
+from skincal.model.scene import NoiseSettings
+from skincal.modules.pose import ModuleModel, rotations
+from skincal.rig.correction import RigPrior, RigReadings, RigState, rig_rows
+from skincal.rig.correction_fit import FEWEST, RigRequest, correct_rig
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import RigErrors
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = 3
@@ -28,7 +28,7 @@ def some_rows(rng):
     wrenches = np.column_stack([rng.normal(0, 6, (6, 3)), rng.normal(0, 1, (6, 3))])
     scales = PRIOR.scales(POSES)
     state = RigState.at_prior(POSES).moved(2.0 * rng.standard_normal(len(scales)), scales)
-    return Readings(wrenches, rng.integers(0, POSES, 6), told), state, rng.normal(0, 0.1, (6, 3)), scales
+    return RigReadings(wrenches, rng.integers(0, POSES, 6), told), state, rng.normal(0, 0.1, (6, 3)), scales
 
 
 # Noise of the moment alone is the same everywhere, so that rows change as r does.
@@ -86,7 +86,7 @@ def trial(seed, errors, pokes, per_pose, off=None):
 
 
 def mean_error(rig, contacts, method=Method.MODULES):
-    boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
     found = estimate_taxels(contacts, rig.channels.tolist(), [method], rig.scene.noise, rig.surface, boards=boards)[method]
     off = [one.position - rig.places[row] for row, one in enumerate(found.values()) if one.position is not None]
     return 1e3 * float(np.mean(np.linalg.norm(off, axis=1)))

@@ -5,15 +5,15 @@ import time
 import numpy as np
 import pytest
 
-from skincal.estimate.boards import Boards, rotations
-from skincal.estimate.result import Method
-from skincal.estimate.rig import RigPrior
-from skincal.estimate.rig_fit import FEWEST, LandmarkPoke, RigRequest, correct_rig
-from skincal.estimate.rig_gain import PlannedPoke, expected_error
-from skincal.estimate.solve import estimate_taxels
+from skincal.methods import estimate_taxels
+from skincal.modules.pose import ModuleModel, rotations
+from skincal.rig.correction import RigPrior
+from skincal.rig.correction_fit import FEWEST, LandmarkPoke, RigRequest, correct_rig
+from skincal.rig.expected_gain import PlannedPoke, expected_error
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import RigErrors
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 
 PRIOR = RigPrior()
@@ -106,7 +106,7 @@ def measured_errors(seed):
         contacts += simulate_contacts(rig, unguided(rig, 1, rng), rng, pose, first_poke=len(contacts) * 2 + 1)
     pokes = poke_landmarks(rig, rig.scene.landmarks, 3, rng, 10_001)
     answer = correct_rig(RigRequest(rig.scene, rig.surface, contacts, pokes))
-    boards = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
     squares = []
     for some in (contacts, [answer.correction.corrected(one) for one in contacts]):
         found = estimate_taxels(some, rig.channels.tolist(), [Method.MODULES], rig.scene.noise, rig.surface, boards=boards)

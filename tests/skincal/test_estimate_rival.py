@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method, State
-from skincal.estimate.solution import RIVAL_ODDS
-from skincal.scene import NoiseSettings
+from skincal.model.scene import NoiseSettings
 from skincal.surface.mesh import make_surface
+from skincal.taxels.result import Method, State
+from skincal.taxels.solve import RIVAL_ODDS
 from tests.skincal.estimate_support import solve
 
 NOISE = NoiseSettings()

@@ -13,15 +13,15 @@ import pytest
 
 from skincal.contacts.gates import widest_gap
 from skincal.contacts.outcome import Contact
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import PER_TAXEL, Method
-from skincal.estimate.solution import solve
-from skincal.estimate.solve import estimate_taxels
-from skincal.scene import NoiseSettings
+from skincal.geometry.wrench import pitch
+from skincal.methods import estimate_taxels
+from skincal.model.scene import NoiseSettings
 from skincal.simulate.contacts import recipe, simulate_contacts, unguided
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
-from skincal.wrench import pitch
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import PER_TAXEL, Method
+from skincal.taxels.solve import solve
 from tests.skincal.sim_support import make_rig
 
 LONG = bool(os.environ.get("SKINCAL_LONG"))
@@ -123,7 +123,7 @@ def test_clean_pokes_count_fully_and_lose_no_accuracy(guided):
 
 def trust_of(own, guided, seed, twice=False, preset="noise"):
     rig, contacts = session(own, guided, seed, twice, preset)
-    return trust(Ledger(contacts).evidence(rig.channels.tolist()), rig.scene.noise)
+    return trust(ContactTable(contacts).evidence(rig.channels.tolist()), rig.scene.noise)
 
 
 def test_a_rig_with_a_wrong_matrix_and_wrong_poses_keeps_its_pokes():
@@ -136,7 +136,7 @@ def test_a_rig_with_a_wrong_matrix_and_wrong_poses_keeps_its_pokes():
             for i, pose in enumerate(list(rig.stances)[:3])
             for contact in simulate_contacts(rig, unguided(rig, 4, np.random.default_rng(i)), np.random.default_rng(i), pose)
         ]
-        found = trust(Ledger(several).evidence(rig.channels.tolist()), rig.scene.noise)
+        found = trust(ContactTable(several).evidence(rig.channels.tolist()), rig.scene.noise)
         assert np.mean(found) > 0.95
 
 
@@ -161,7 +161,7 @@ def bundle(rng, count, wrong=(), off=0.02):
 @pytest.mark.parametrize("count", [5, 8, 20, 100])
 def test_one_far_axis_does_not_count_and_the_others_do(count, rng):
     _, contacts = bundle(rng, count, wrong=(2,))
-    evidence = Ledger(contacts).evidence([0])
+    evidence = ContactTable(contacts).evidence([0])
     found = dict(zip(evidence.pokes.tolist(), trust(evidence, NOISE).tolist(), strict=True))
     assert found.pop(2) < 0.05
     assert set(found.values()) == {1.0}
@@ -172,7 +172,7 @@ def test_a_torque_counts_as_a_miss(rng):
     _, contacts = bundle(rng, 10)
     bad = contacts[4]
     contacts[4] = replace(bad, moment=bad.moment + 0.020 * bad.force)
-    evidence = Ledger(contacts).evidence([0])
+    evidence = ContactTable(contacts).evidence([0])
     found = trust(evidence, NOISE)
     assert found[evidence.pokes == 5] < 0.05
     assert (found[evidence.pokes != 5] == 1.0).all()
@@ -181,7 +181,7 @@ def test_a_torque_counts_as_a_miss(rng):
 @pytest.mark.parametrize("count", range(1, FEWEST))
 def test_of_few_contacts_none_is_doubted(count, rng):
     _, contacts = bundle(rng, count, wrong=(1,), off=0.2)
-    assert (trust(Ledger(contacts).evidence([0]), NOISE) == 1.0).all()
+    assert (trust(ContactTable(contacts).evidence([0]), NOISE) == 1.0).all()
 
 
 @pytest.mark.parametrize("count", [8, 12, 30])
@@ -194,32 +194,32 @@ def test_a_miss_of_nought_does_not_take_the_rigs_own_spread_away(count, rng):
         straight = np.array([0.0, 0.0, -8.0])
         exact = replace(bad[0], force=straight, moment=np.cross([0.03, 0.02, 0.1], straight))
         assert float(pitch(exact.force, exact.moment)) == 0.0
-        doubted.append(np.sum(trust(Ledger([exact, *bad[1:]]).evidence([0]), NOISE) < 1.0))
+        doubted.append(np.sum(trust(ContactTable([exact, *bad[1:]]).evidence([0]), NOISE) < 1.0))
     # Measured 0.3 to 0.6; 4 to 20 where a mean of logarithms takes the nought as it is.
     assert np.mean(doubted) < 1.5
 
 
 def test_trust_is_the_taxels_own_whatever_else_is_asked_and_in_whatever_order(rng):
     rig, contacts = session(10, False, 1, True)
-    everything = Ledger(contacts).evidence(rig.channels.tolist())
+    everything = ContactTable(contacts).evidence(rig.channels.tolist())
     found = trust(everything, NOISE)
     assert 0 < np.sum(found < 1) < 0.2 * len(found)
-    shuffled = Ledger([contacts[i] for i in rng.permutation(len(contacts))]).evidence(rig.channels.tolist())
+    shuffled = ContactTable([contacts[i] for i in rng.permutation(len(contacts))]).evidence(rig.channels.tolist())
     assert (trust(shuffled, NOISE) == found).all()
     for i, channel in list(enumerate(everything.channels.tolist()))[::9]:
-        alone = Ledger(contacts).evidence([channel])
+        alone = ContactTable(contacts).evidence([channel])
         assert (trust(alone, NOISE) == found[everything.starts[i] : everything.starts[i + 1]]).all()
 
 
 def test_trust_does_not_depend_on_frame_or_unit(rng):
     _, contacts = bundle(rng, 30, wrong=(3, 9), off=0.012)
-    evidence = Ledger(contacts).evidence([0])
+    evidence = ContactTable(contacts).evidence([0])
     by_poke = dict(zip(evidence.pokes.tolist(), trust(evidence, NOISE).tolist(), strict=True))
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, [0.3, -0.2, 0.5]
-    moved = Ledger([replace(contact, link_from_sensor=pose) for contact in contacts]).evidence([0])
+    moved = ContactTable([replace(contact, link_from_sensor=pose) for contact in contacts]).evidence([0])
     for poke, value in zip(moved.pokes.tolist(), trust(moved, NOISE).tolist(), strict=True):
         assert value == pytest.approx(by_poke[poke], abs=1e-9)
 
@@ -230,7 +230,7 @@ def test_extreme_numbers_leave_a_trust_from_0_to_1(rng):
         contacts = [replace(one, force=size * one.force, moment=size * one.moment) for one in contacts]
         same = [replace(contacts[0], poke=number) for number in range(1, 9)]
         for chosen in (contacts, same):
-            found = trust(Ledger(chosen).evidence([0]), NOISE)
+            found = trust(ContactTable(chosen).evidence([0]), NOISE)
             assert ((found >= 0) & (found <= 1)).all()
 
 
@@ -306,7 +306,7 @@ def test_where_hardly_a_contact_would_be_left_all_count(seed):
         torque = rng.choice([0, 1e-4, 1e-2, 0.3]) * rng.normal()
         moment = np.cross(np.array([0.03, 0.02, 0.1]) + off, force) + torque * force / 8.0
         contacts.append(Contact(number, 0, 1, force, moment, np.array([0]), np.array([50.0]), np.eye(4), "", 0.0, True))
-    assert (trust(Ledger(contacts).evidence([0]), NOISE) == 1.0).all()
+    assert (trust(ContactTable(contacts).evidence([0]), NOISE) == 1.0).all()
     one = estimate_taxels(contacts, [0], [Method.FREE], NOISE, None)[Method.FREE][0]
     assert one.doubted == {}
     assert np.isfinite(one.normal).all()

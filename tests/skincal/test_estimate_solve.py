@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from skincal.arm import inverse_pose
 from skincal.contacts.outcome import Contact
-from skincal.estimate.ledger import gather
-from skincal.estimate.result import PER_TAXEL, Method, State
-from skincal.estimate.solution import solve as solve_evidence
-from skincal.estimate.solve import average_over_poses
-from skincal.scene import NoiseSettings
+from skincal.geometry.arm import inverse_pose
+from skincal.methods import average_over_poses
+from skincal.model.scene import NoiseSettings
 from skincal.surface.mesh import Surface, make_surface
+from skincal.taxels.contact_table import gather
+from skincal.taxels.result import PER_TAXEL, Method, State
+from skincal.taxels.solve import solve as solve_evidence
 from tests.skincal.estimate_support import solve
 
 NOISE = NoiseSettings()

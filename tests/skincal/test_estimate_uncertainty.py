@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.evidence import across
-from skincal.estimate.ledger import gather
-from skincal.estimate.qr import factor
-from skincal.estimate.result import SD_MAX, Method, State
-from skincal.estimate.solution import solve as solve_evidence
-from skincal.scene import NoiseSettings
+from skincal.geometry.wrench import cross_matrix
+from skincal.model.scene import NoiseSettings
 from skincal.surface.mesh import make_surface
-from skincal.wrench import cross_matrix
+from skincal.taxels.contact_table import across, gather
+from skincal.taxels.least_squares import factor
+from skincal.taxels.result import SD_MAX, Method, State
+from skincal.taxels.solve import solve as solve_evidence
 from tests.skincal.estimate_support import solve
 
 NOISE = NoiseSettings()

@@ -3,9 +3,9 @@ import re
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
-from skincal.files.csv_log import read_csv
-from skincal.readings import Loss
+from skincal.files.importers.csv_log import read_csv
+from skincal.model.errors import InputError
+from skincal.model.readings import Loss
 from skincal.streams.formats import make_format
 
 TIMES = [0.5, 0.51, 0.52, 0.53]

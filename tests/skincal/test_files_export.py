@@ -10,16 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
-from skincal.estimate.boards import Boards
-from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.solve import estimate_taxels
 from skincal.files.atomic import write_atomically
 from skincal.files.export import write_calibration
 from skincal.files.icub import read_icub
 from skincal.files.json_file import CONTACT_UNITS, NOISE_UNITS, json_text, read_json
-from skincal.scene import ContactSettings, NoiseSettings
+from skincal.methods import estimate_taxels
+from skincal.model.errors import InputError
+from skincal.model.scene import ContactSettings, NoiseSettings
+from skincal.modules.pose import ModuleModel
 from skincal.surface.mesh import load_surface
+from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.files_support import Part, make_calibration, make_contacts, make_part
 
 
@@ -70,7 +70,7 @@ def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
     channels, dead = [0, 1, 2, 3, 5], {3: "always on"}
     used = [contact for contact in contacts if contact.poke not in (4, 11)]
     assert scene.skin.layout is not None
-    boards = Boards(scene.skin.layout, scene.skin.anchor, surface)
+    boards = ModuleModel(scene.skin.layout, scene.skin.anchor, surface)
     solved = estimate_taxels(used, channels, list(Method), scene.noise, surface, dead, boards=boards)
     estimates = {method: tuple(found.values()) for method, found in solved.items()}
     assert any(e.state is State.ESTIMATED for e in estimates[Method.FREE])

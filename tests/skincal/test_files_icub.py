@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.errors import InputError
-from skincal.estimate.result import Method
 from skincal.files.icub import NO_TAXEL, THERMAL_PAD, icub_text, parse_icub, read_icub, representatives, skin_part
-from skincal.files.text import list_channels
+from skincal.model.errors import InputError, list_channels
+from skincal.taxels.result import Method
 from tests.skincal.files_support import CHANNELS, Part, make_calibration, make_part
 
 ROW = "0.01 0.02 0.03 0 0 1\n"

@@ -6,11 +6,11 @@ import tomllib
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
-from skincal.estimate.board_mend import Change, Mend, changes_of
 from skincal.files.layout_file import corrected_text, write_layout
-from skincal.scene import resource
-from skincal.skin import Layout, Module, load_layout
+from skincal.model.errors import InputError
+from skincal.model.scene import resource
+from skincal.model.skin import Layout, Module, load_layout
+from skincal.modules.health import LayoutMend, ModuleChange, changes_of
 
 TEXT = """\
 # My skin.
@@ -47,9 +47,9 @@ normal = [0, 0, 1]
 # The end.
 """
 CHANGES = (
-    Change(3, angle=float(np.radians(60.0)), mirror=True, first_channel=0),
-    Change(4, angle=float(np.radians(12.5)), first_channel=2),
-    Change(5, mirror=True),
+    ModuleChange(3, angle=float(np.radians(60.0)), mirror=True, first_channel=0),
+    ModuleChange(4, angle=float(np.radians(12.5)), first_channel=2),
+    ModuleChange(5, mirror=True),
 )
 
 
@@ -83,7 +83,7 @@ def test_without_a_change_not_a_byte_differs():
     for name in ("icub-forearm", "flat-patch", "whole-body"):
         text = resource(f"scenes/{name}/modules.toml").read_text(encoding="utf-8")
         assert corrected_text(text, ()) == text
-        assert tomllib.loads(corrected_text(text, (Change(1, mirror=True),)))["modules"]
+        assert tomllib.loads(corrected_text(text, (ModuleChange(1, mirror=True),)))["modules"]
 
 
 def test_ends_of_line_stay_as_they_are():
@@ -94,7 +94,7 @@ def test_ends_of_line_stay_as_they_are():
 
 def test_modules_in_a_list_of_inline_tables_are_changed_too():
     text = 'modules = [{id = 3, kind = "triangle_12", first_channel = 0}, # one\n  {id = 4, mirror = true}]\n'
-    done = corrected_text(text, (Change(3, mirror=True), Change(4, mirror=False)))
+    done = corrected_text(text, (ModuleChange(3, mirror=True), ModuleChange(4, mirror=False)))
     assert "# one" in done
     assert [table["mirror"] for table in tomllib.loads(done)["modules"]] == [True, False]
 
@@ -106,11 +106,11 @@ def layout(tmp_path):
     return load_layout(path, 6)
 
 
-def mended(layout: Layout, **of_first) -> Mend:
+def mended(layout: Layout, **of_first) -> LayoutMend:
     one, *others = layout.modules
     values = {name: getattr(one, name) for name in ("id", "kind", "first_channel", "place", "angle", "mirror", "anchor")}
     after = Layout((Module(**(values | of_first)), *others), layout.width, layout.path, layout.text)
-    return Mend((), after, changes_of(layout, after), ())
+    return LayoutMend((), after, changes_of(layout, after), ())
 
 
 def test_the_file_that_is_written_is_the_layout_that_was_meant(layout, tmp_path):
@@ -140,10 +140,10 @@ def test_the_file_that_was_read_is_never_written(layout, tmp_path):
 
 def test_what_would_be_read_otherwise_is_not_written(layout, tmp_path):
     meant = mended(layout, mirror=True)
-    silent = Mend((), meant.layout, (Change(3, angle=1.0),), ())
+    silent = LayoutMend((), meant.layout, (ModuleChange(3, angle=1.0),), ())
     with pytest.raises(InputError, match=r"module 3 would not be read as it was meant; change the layout by hand: first_chann"):
         write_layout(layout, silent, tmp_path / "new.toml")
-    short = Mend((), Layout(layout.modules[:2], layout.width), (), ())
+    short = LayoutMend((), Layout(layout.modules[:2], layout.width), (), ())
     with pytest.raises(InputError, match="3 modules would be read; 2 were expected"):
         write_layout(layout, short, tmp_path / "new.toml")
     assert not (tmp_path / "new.toml").exists()

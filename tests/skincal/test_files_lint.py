@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.estimate.result import Method
 from skincal.files.export import write_calibration
 from skincal.files.lint import lint
+from skincal.taxels.result import Method
 from tests.skincal.files_support import Part, make_calibration, make_part
 
 

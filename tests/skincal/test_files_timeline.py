@@ -3,12 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.errors import InputError
-from skincal.files.timeline import START_NS, TOGETHER_LINES, Line, agree, check_overlap, merged, scan
+from skincal.files.importers.recorded_lines import START_NS, TOGETHER_LINES, RecordedLine, agree, check_overlap, merged, scan
+from skincal.model.errors import InputError
 
 
 def lines(stamps):
-    return lambda: (Line(stamp, f"{index}\n".encode()) for index, stamp in enumerate(stamps))
+    return lambda: (RecordedLine(stamp, f"{index}\n".encode()) for index, stamp in enumerate(stamps))
 
 
 def play(**files):

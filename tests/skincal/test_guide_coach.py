@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skincal.contacts.outcome import Phase, Progress
-from skincal.guide.coach import FELT, KEPT, Coaching, coach, smooth
+from skincal.contacts.outcome import PressPhase, Progress
+from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.guide.coaching import FELT, KEPT, Coaching, coach, smooth
 from skincal.guide.guidance import Target
-from skincal.wrench import axis_point, move_wrench
 
 SOME_WAY = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 """A rotation."""
@@ -26,7 +26,7 @@ def asked(push, place=(0.0, 0.0, 0.0), turn=None) -> Target:
     return Target(7, place, normal, turn @ push, float(np.arccos(-push[2])), 0.01, 0.005)
 
 
-def pressing(tip, push, newtons=8.0, turn=None, channels=(7,), responses=(60.0,), phase=Phase.PRESSING) -> Progress:
+def pressing(tip, push, newtons=8.0, turn=None, channels=(7,), responses=(60.0,), phase=PressPhase.PRESSING) -> Progress:
     """What the sensor says of a tip that pushes: wrench in a frame of its own, carried into the link frame."""
     turn = np.eye(3) if turn is None else turn
     pose = np.eye(4)
@@ -115,7 +115,7 @@ def test_who_answers_most_is_where_it_landed():
     assert none.landed is None
 
 
-@pytest.mark.parametrize("phase", [Phase.NO_DATA, Phase.TARING, Phase.READY])
+@pytest.mark.parametrize("phase", [PressPhase.NO_DATA, PressPhase.TARING, PressPhase.READY])
 def test_nothing_is_said_while_nothing_presses(phase):
     target = asked(tool(0.0, 0.0))
     assert seen_of(pressing((0, 0, 0), tool(0, 0), phase=phase), target, np.zeros(3)) is None
@@ -125,8 +125,8 @@ def test_nothing_is_said_while_nothing_presses(phase):
     "progress",
     [
         pressing((0, 0, 0), tool(0, 0), newtons=0.95 * FELT),
-        Progress(Phase.PRESSING, np.zeros(3), np.zeros(3), np.empty(0, np.int64), np.empty(0), 0.0),
-        Progress(Phase.PRESSING, np.full(3, np.nan), np.full(3, np.nan), np.empty(0, np.int64), np.empty(0), 0.0),
+        Progress(PressPhase.PRESSING, np.zeros(3), np.zeros(3), np.empty(0, np.int64), np.empty(0), 0.0),
+        Progress(PressPhase.PRESSING, np.full(3, np.nan), np.full(3, np.nan), np.empty(0, np.int64), np.empty(0), 0.0),
         pressing((0, 0, 0), tool(80.0, 0.0)),
         pressing((0, 0, 0), -tool(10.0, 0.0)),
     ],
@@ -167,4 +167,4 @@ def test_what_is_felt_follows_within_a_few_readings_and_a_weak_force_counts_litt
         assert seen is not None
         weak = KEPT**reading
         assert seen.away == pytest.approx(0.004 * weak / (weak + 9.0 * (1.0 - weak)))
-    assert smooth(felt, pressing((0, 0, 0), tool(0, 0), phase=Phase.TARING)) is None, "the next poke begins anew"
+    assert smooth(felt, pressing((0, 0, 0), tool(0, 0), phase=PressPhase.TARING)) is None, "the next poke begins anew"

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.solution import solve
-from skincal.guide import choose
-from skincal.guide.done import Facts, Need, needs
+from skincal.guide import candidates
 from skincal.guide.knowledge import Knowledge, diversity, offset_square
-from skincal.guide.places import Plan, believed
-from skincal.guide.settings import GuideSettings
-from skincal.scene import NoiseSettings
+from skincal.guide.places import PlannedPlaces, believed
+from skincal.guide.progress import Facts, GuideSettings, Need, needs
+from skincal.model.scene import NoiseSettings
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.solve import solve
 from tests.skincal.test_estimate_uncertainty import pokes, sensor_pose
 
 NOISE = NoiseSettings(radius=1e9)
@@ -24,7 +23,7 @@ SETTINGS = GuideSettings()
 
 def told(count=8, weights=(1.0, 0.8, 0.4), tilt=0.5, seed=1):
     contacts = pokes(np.random.default_rng(seed), count, TAXEL, NORMAL, sensor_pose(), NOISE, tilt, weights)
-    return contacts, Ledger(contacts).evidence([0])
+    return contacts, ContactTable(contacts).evidence([0])
 
 
 def knowledge(evidence, in_plane=False, unknown=1e9):
@@ -66,7 +65,7 @@ def test_how_far_the_last_own_poke_moved_a_taxel_is_what_solving_without_it_says
     contacts, evidence = told(9)
     last = max(evidence.pokes[evidence.weights == 1.0].tolist())
     whole, without = (
-        solve(Ledger(some).evidence([0]), [], NOISE, None, doubting=False).factors
+        solve(ContactTable(some).evidence([0]), [], NOISE, None, doubting=False).factors
         for some in (contacts, [one for one in contacts if one.poke != last])
     )
     if in_plane:
@@ -102,7 +101,7 @@ def test_contacts_that_are_all_doubted_wholly_tell_nothing():
 
 def test_what_is_taken_away_leaves_no_trace():
     _, evidence = told()
-    know, empty = knowledge(evidence), Ledger().evidence([0])
+    know, empty = knowledge(evidence), ContactTable().evidence([0])
     know.renew([0], empty, TAXEL[None], TAXEL[None], NORMAL[None], {})
     fresh = Knowledge(np.array([0]), NOISE, 1e9, False)
     for name in ("information", "diversity", "own", "contacts", "beside", "moved"):
@@ -113,7 +112,7 @@ def grid(side=5, step=0.005):
     x, y = np.meshgrid(step * np.arange(side), step * np.arange(side), indexing="ij")
     places = np.stack([x.ravel(), y.ravel(), np.zeros(side * side)], axis=1)
     normals = np.tile([0.0, 0.0, 1.0], (side * side, 1))
-    return Plan(np.arange(side * side), places, normals, np.zeros(side * side, dtype=np.int64))
+    return PlannedPlaces(np.arange(side * side), places, normals, np.zeros(side * side, dtype=np.int64))
 
 
 def known(channel, place, sd):
@@ -149,12 +148,12 @@ def test_a_single_rough_estimate_does_not_carry_the_skin_away():
 
 def test_neighbours_are_the_nearest_within_reach():
     plan = grid()
-    found = choose.find_neighbours(plan.places, 0.005, NOISE)
+    found = candidates.find_answering(plan.places, 0.005, NOISE)
     apart = np.linalg.norm(plan.places[:, None] - plan.places, axis=2)
     for row in range(25):
         own = found.rows[row][found.weights[row] > 0]
         assert own[0] == row
-        assert set(own[1:]) <= set(np.flatnonzero((apart[row] <= choose.REACHED * 0.005) & (apart[row] > 0)))
+        assert set(own[1:]) <= set(np.flatnonzero((apart[row] <= candidates.REACHED * 0.005) & (apart[row] > 0)))
         assert len(own) == 1 + ((apart[row] < 0.0051) & (apart[row] > 0)).sum()
     assert found.weights[12, 1] == pytest.approx(np.exp(-((0.005 / (2 * NOISE.reach)) ** 2)))
 
@@ -169,7 +168,7 @@ def test_pairs_are_those_of_looking_at_all(rng, reach, flat):
     line = np.arange(1100)[:, None] * [reach, 0.0, 0.0] - 0.3
     far_off = np.concatenate([scattered[:50], [[-1e12, 1e12, 1e12]]])
     for places in (scattered, steps, line, far_off, scattered[:1], scattered[:0], np.ones((3, 3))):
-        one, other, apart = choose._pairs(places, reach)
+        one, other, apart = candidates._pairs(places, reach)
         found = dict(zip(map(frozenset, zip(one.tolist(), other.tolist(), strict=True)), apart.tolist(), strict=True))
         assert len(found) == len(one)
         far = np.sqrt(np.sum((places[:, None] - places) ** 2, axis=2))
@@ -181,8 +180,8 @@ def test_pairs_are_those_of_looking_at_all(rng, reach, flat):
 
 def state(information, in_plane=False, wanted=0.0):
     plan = grid()
-    return choose.State(
-        plan.places, choose.directions(plan.normals, SETTINGS.usable_tilt), choose.find_neighbours(plan.places, 0.005, NOISE),
+    return candidates.ChoiceState(
+        plan.places, candidates.directions(plan.normals, SETTINGS.usable_tilt), candidates.find_answering(plan.places, 0.005, NOISE),
         information, plan.normals, np.array([0.0, 0.0, -0.18]), wanted, in_plane, np.ones(25), np.zeros(25),
     )  # fmt: skip
 
@@ -193,23 +192,23 @@ def test_a_gain_is_by_how_much_the_predicted_errors_fall():
     information = np.array([a @ a.T + 1e3 * np.eye(3) for a in 400 * rng.normal(size=(25, 3, 3))])
     here = state(information)
     rows = np.array([6, 12])
-    found = choose.gains(here, rows, NOISE, 0.3)
+    found = candidates.gains(here, rows, NOISE, 0.3)
     for row, gain in zip(rows, found, strict=True):
-        for push in range(choose.TRIES):
+        for push in range(candidates.TRIES):
             e = np.linalg.svd(here.pushes[row, push][None])[2][1:]
             expected = 0.0
             for place, (other, weight) in enumerate(zip(here.neighbours.rows[row], here.neighbours.weights[row], strict=True)):
                 if weight == 0:
                     continue
                 q = here.places[other] - here.sensor
-                less = NOISE.force / choose.FORCE * np.array([-e[1] @ q, e[0] @ q])
-                even = (NOISE.moment / choose.FORCE) ** 2 + (NOISE.force / choose.FORCE) ** 2 * q @ q
+                less = NOISE.force / candidates.FORCE * np.array([-e[1] @ q, e[0] @ q])
+                even = (NOISE.moment / candidates.FORCE) ** 2 + (NOISE.force / candidates.FORCE) ** 2 * q @ q
                 noise = (even + offset_square(np.array([weight]), NOISE)[0]) * np.eye(2) - np.outer(less, less)
                 after = information[other] + weight * e.T @ np.linalg.inv(noise) @ e
                 lower = np.sqrt(np.trace(np.linalg.inv(information[other]))) - np.sqrt(np.trace(np.linalg.inv(after)))
                 expected += lower * (1.0 if place == 0 else 0.3)
             assert gain[push] == pytest.approx(expected, rel=1e-9)
-    before, after = choose.foretold(here, 6, 4, NOISE)
+    before, after = candidates.predicted(here, 6, 4, NOISE)
     assert before == pytest.approx(np.sqrt(np.trace(np.linalg.inv(information[6]))))
     assert after < before
 
@@ -217,10 +216,10 @@ def test_a_gain_is_by_how_much_the_predicted_errors_fall():
 def test_what_is_known_but_for_its_depth_wants_tilt_and_on_a_surface_it_does_not():
     flat = np.diag([1e6, 1e6, 1e4])
     information = np.tile(flat, (25, 1, 1))
-    free = choose.gains(state(information), np.array([12]), NOISE, 0.0)[0]
+    free = candidates.gains(state(information), np.array([12]), NOISE, 0.0)[0]
     assert free[0] < 0.2 * free.max(), "along the normal"
-    assert free.argmax() > choose.AZIMUTHS, "the largest tilt"
-    held = choose.gains(state(information, in_plane=True), np.array([12]), NOISE, 0.0)[0]
+    assert free.argmax() > candidates.AZIMUTHS, "the largest tilt"
+    held = candidates.gains(state(information, in_plane=True), np.array([12]), NOISE, 0.0)[0]
     assert held[0] > 0.95 * held.max()
 
 

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.estimate.result import Method
-from skincal.estimate.rig_gain import Gain
-from skincal.guide import landmarks as landmarks_module
-from skincal.guide.guidance import Guidance, Phase
-from skincal.guide.landmarks import A_POSE, ASTRAY, LandmarkRound, LandmarkWish, rig_moves, was_there
+from skincal.guide import landmark_targets as landmarks_module
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.landmark_targets import A_POSE, ASTRAY, LandmarkRound, LandmarkTarget, rig_moves, was_there
 from skincal.guide.places import believed, plan_from
-from skincal.scene import Landmark
+from skincal.model.scene import Landmark
+from skincal.rig.expected_gain import Gain
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import RigErrors
 from skincal.surface.lay import lay
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 
 FAR, MIDDLE, NEAR = (
@@ -174,17 +174,17 @@ def of_skin(**changes):
     """What a guide of the skin says of two taxels."""
     two = np.arange(2)
     made = Guidance(
-        method=Method.FREE, phase=Phase.SWEEP, target=None, channels=two, places=np.zeros((2, 3)), rms=np.zeros(2),
+        method=Method.FREE, phase=GuidePhase.SWEEP, target=None, channels=two, places=np.zeros((2, 3)), rms=np.zeros(2),
         diversity=np.zeros(2), own=two, needs=((), ()), given_up={}, usable_tilt=0.5, pokes_left=20, seconds_left=50.0,
     )  # fmt: skip
     return replace(made, **changes)
 
 
 def test_a_landmark_goes_before_the_skin_and_the_rest_stays_as_it_is():
-    skin, wish, normal = of_skin(), LandmarkWish(FAR, 2, 6), np.array([0.0, 0.6, 0.8])
+    skin, wish, normal = of_skin(), LandmarkTarget(FAR, 2, 6), np.array([0.0, 0.6, 0.8])
     gain = Gain(0.0071, 0.0025, 4)
     asked = skin.before_skin(wish, normal, gain)
-    assert (asked.phase, asked.landmark, asked.gain) == (Phase.LANDMARKS, wish, gain)
+    assert (asked.phase, asked.landmark, asked.gain) == (GuidePhase.LANDMARKS, wish, gain)
     assert (asked.target.landmark, asked.target.channel, asked.target.tilt) == ("far", None, 0.0)
     np.testing.assert_array_equal(asked.target.place, FAR.place)
     np.testing.assert_array_equal(asked.target.normal, normal)
@@ -192,14 +192,14 @@ def test_a_landmark_goes_before_the_skin_and_the_rest_stays_as_it_is():
     assert asked.pokes_left == 24
     assert asked.seconds_left == pytest.approx(60.0), "at the pace of the skin"
     assert (asked.needs, asked.method, asked.done) == (skin.needs, skin.method, 2)
-    assert (skin.phase, skin.landmark, skin.pokes_left) == (Phase.SWEEP, None, 20)
+    assert (skin.phase, skin.landmark, skin.pokes_left) == (GuidePhase.SWEEP, None, 20)
 
 
 def test_where_nobody_knows_the_pace_nobody_foretells_the_time():
-    wish = LandmarkWish(FAR, 5, 6)
+    wish = LandmarkTarget(FAR, 5, 6)
     assert of_skin(seconds_left=None).before_skin(wish, np.array([1.0, 0, 0]), None).seconds_left is None
-    enough = of_skin(pokes_left=0, seconds_left=0.0, phase=Phase.ENOUGH).before_skin(wish, np.array([1.0, 0, 0]), None)
-    assert (enough.pokes_left, enough.seconds_left, enough.phase) == (1, 0.0, Phase.LANDMARKS)
+    enough = of_skin(pokes_left=0, seconds_left=0.0, phase=GuidePhase.ENOUGH).before_skin(wish, np.array([1.0, 0, 0]), None)
+    assert (enough.pokes_left, enough.seconds_left, enough.phase) == (1, 0.0, GuidePhase.LANDMARKS)
 
 
 def bad_rig(errors, seed):

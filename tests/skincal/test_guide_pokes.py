@@ -6,20 +6,19 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.estimate.result import Estimate, Method, State
-from skincal.guide import choose
-from skincal.guide.cover import ASTRAY, SPACING, Cover, spread
-from skincal.guide.done import Why
-from skincal.guide.guidance import Phase
+from skincal.guide import candidates
+from skincal.guide.candidates import ASTRAY, SPACING, Cover, spread
+from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.places import SPACING as TAXELS_APART
 from skincal.guide.places import unplaced
-from skincal.guide.pokes import Axis, axis_of
-from skincal.guide.settings import GuideSettings
+from skincal.guide.poke_history import PokeAxis, axis_of
+from skincal.guide.progress import GuideSettings, Why
 from skincal.session.actions import Exclude, Restore
 from skincal.session.session import Session
 from skincal.studies.poking import Conditions, Part, Wish, poked
 from skincal.surface.nearest import nearest_points
+from skincal.taxels.result import Estimate, Method, State
 
 STEADY = Conditions(aim=0.0, hand=0.0)
 PART = Part()
@@ -69,8 +68,8 @@ class Bench:
 
 def edge_channel():
     """The taxel whose neighbours lie most on one side."""
-    neighbours = choose.find_neighbours(PART.plan.places, PART.spacing, PART.scene.noise)
-    pulls = choose.pulls(PART.plan.places, neighbours)
+    neighbours = candidates.find_answering(PART.plan.places, PART.spacing, PART.scene.noise)
+    pulls = candidates.pulls(PART.plan.places, neighbours)
     return int(PART.plan.channels[np.linalg.norm(pulls, axis=1).argmax()])
 
 
@@ -209,7 +208,7 @@ def test_a_cover_goes_around_what_answered_and_then_where_nobody_poked():
     first = cover.next(None)
 
     def straight(index):
-        return Axis(-cover.normals[index], cover.places[index])
+        return PokeAxis(-cover.normals[index], cover.places[index])
 
     cover.poked(1, straight(first), answered=False)
     cover.keep({1})
@@ -340,8 +339,8 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
                 poke, 0.0, 1.0, Reason.NO_TAXEL, 0.0, 1.0, "", np.empty(0, dtype=np.int64), True,
                 force, np.cross(pokes.points[0], force), np.eye(4),
             )  # fmt: skip
-    assert phases[0] is Phase.COVER
-    assert phases[-1] in (Phase.OWN, Phase.SWEEP)
+    assert phases[0] is GuidePhase.COVER
+    assert phases[-1] in (GuidePhase.OWN, GuidePhase.SWEEP)
     assert set(guidance.channels.tolist()) <= seen
     assert len(seen) > 70
     assert all(isinstance(one, Contact) for one in contacts.values())

@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from skincal.estimate.result import Method
-from skincal.guide.guidance import Phase
+from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import SKIPPED, Guide
 from skincal.session.actions import Exclude, MarkDead, Restore
 from skincal.session.session import Session
 from skincal.studies.courses import errors_of, looks, run_course
 from skincal.studies.poking import WAYS, Conditions, Part, Wish, poked
+from skincal.taxels.result import Method
 
 
 @cache
@@ -60,7 +60,7 @@ def after(pokes, method=Method.FREE):
 def test_the_first_target_stands_on_the_part_and_says_what_it_gains():
     guidance = Followed().guidance
     target = guidance.target
-    assert guidance.phase is Phase.SWEEP
+    assert guidance.phase is GuidePhase.SWEEP
     assert guidance.done == 0
     row = int(np.flatnonzero(guidance.channels == target.channel)[0])
     np.testing.assert_array_equal(target.place, part().plan.places[row])
@@ -83,7 +83,7 @@ def test_ninety_pokes_bring_the_free_method_to_five_millimetres():
 
 def test_on_a_surface_nobody_is_asked_for_again_before_all_had_their_turn():
     followed, had = Followed(Method.SURFACE), set()
-    assert followed.guidance.phase is Phase.OWN
+    assert followed.guidance.phase is GuidePhase.OWN
     while True:
         own = zip(followed.guidance.channels.tolist(), followed.guidance.own.tolist(), strict=True)
         waiting = {channel for channel, count in own if count == 0} - had
@@ -195,7 +195,7 @@ def test_where_everything_is_done_it_says_so():
     easy = Guide(part().plan, part().scene.noise, Method.SURFACE, part().spacing)
     easy._renew_needs = lambda *_: easy._needs.__setitem__(slice(None), [()] * 84)
     guidance = easy.update(followed.contacts, estimates, followed.session.evidence)
-    assert guidance.phase is Phase.ENOUGH
+    assert guidance.phase is GuidePhase.ENOUGH
     assert guidance.target is None
     assert guidance.done == 84
 
@@ -282,10 +282,10 @@ def test_a_side_that_was_skipped_is_worth_nothing():
 def test_modules_are_enough_after_few_pokes_each_and_the_guide_goes_from_one_to_the_next():
     followed = Followed(Method.MODULES)
     for _ in range(60):
-        if followed.guidance.phase is Phase.ENOUGH:
+        if followed.guidance.phase is GuidePhase.ENOUGH:
             break
         followed.poke()
-    assert followed.guidance.phase is Phase.ENOUGH
+    assert followed.guidance.phase is GuidePhase.ENOUGH
     assert followed.guidance.done == 84
     # Four pokes for each of the seven modules, and a few that fell on a neighbour.
     assert 28 <= len(followed.contacts) <= 34

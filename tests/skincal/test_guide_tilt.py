@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from skincal.guide.settings import GuideSettings
-from skincal.guide.tilt import ANGLES, HITS, LEAST, MARGIN, PRIOR, SLIDES, STEP, Tilt
+from skincal.guide.progress import ANGLES, HITS, LEAST, MARGIN, PRIOR, SLIDES, STEP, GuideSettings, Tilt
 
 SETTINGS = GuideSettings()
 

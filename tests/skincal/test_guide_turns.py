@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skincal.guide.turns import Turns
+from skincal.guide.progress import Turns
 
 LINE = np.arange(6)[:, None] * [0.005, 0.0, 0.0]
 

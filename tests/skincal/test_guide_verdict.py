@@ -8,22 +8,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skincal.estimate.boards import Boards
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Estimate, Method, State
-from skincal.estimate.solve import estimate_taxels
-from skincal.guide.check import INSIDE, ONE_IN, Check, check, held_out
-from skincal.guide.done import Need, Tried, Why, given_up
 from skincal.guide.guide import Guide
-from skincal.guide.left import PAUSE_S, pace, pokes_left, worked
 from skincal.guide.places import unplaced
-from skincal.guide.settings import GuideSettings
-from skincal.guide.verdict import verdict_of
-from skincal.scene import NoiseSettings
+from skincal.guide.progress import PAUSE_S, GuideSettings, Need, Tried, Why, given_up, pace, pokes_left, worked
+from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
+from skincal.methods import estimate_taxels
+from skincal.model.scene import NoiseSettings
+from skincal.modules.pose import ModuleModel
 from skincal.session.actions import MarkDead
 from skincal.session.session import Session
 from skincal.studies.courses import errors_of
 from skincal.studies.poking import Conditions, Part, poked, tilt_recipe
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Estimate, Method, State
 
 SETTINGS = GuideSettings()
 TRIED = Tried(own=5, contacts=9, unanswered=0, shut=False, tilt=SETTINGS.usable_tilt)
@@ -73,7 +70,7 @@ def poked_session(pokes=240, seed=1, conditions=None):
 def checked(method=Method.FREE, surface=None, noise=None, **which):
     session, _ = poked_session(**which)
     surface, noise = surface or part().surface, noise or part().scene.noise
-    boards = Boards(part().scene.skin.layout, part().scene.skin.anchor, surface)
+    boards = ModuleModel(part().scene.skin.layout, part().scene.skin.anchor, surface)
     estimates = session.snapshot().estimates[method]
     return check(session.contacts, session.channels, session.evidence, method, noise, surface, boards, estimates)
 
@@ -100,7 +97,7 @@ def test_it_is_foretold_by_what_all_the_other_pokes_say_and_nothing_else(method)
         estimate = estimate_taxels(others, [channel], [method], noise, part().surface)[method][channel]
         if estimate.position is None:
             continue
-        told = Ledger([one for one in session.contacts if one.poke == poke]).evidence([channel])
+        told = ContactTable([one for one in session.contacts if one.poke == poke]).evidence([channel])
         u, lever, size = told.directions[0], estimate.position - told.sensors[0], told.forces[0]
         force = noise.force / size
         spread = (noise.moment / size) ** 2 * np.eye(3) + force**2 * (lever @ lever * np.eye(3) - np.outer(lever, lever))

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.errors import InputError
-from skincal.readings import Chunk
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk
 from skincal.session.journal import JournalWriter, create_session, open_next_segment
 from skincal.session.log import read_session
 from skincal.session.replay import replay, resume

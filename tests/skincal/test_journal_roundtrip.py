@@ -10,8 +10,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from skincal.errors import InputError
-from skincal.readings import Chunk, LinkEvent, LinkState, Sample
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample
 from skincal.session import cdr
 from skincal.session.actions import Exclude, MarkDead, Stamped, Undo
 from skincal.session.journal import JournalWriter, create_session
@@ -86,7 +86,7 @@ def test_files_that_lie_elsewhere_are_copied_and_named_anew(scene, tmp_path):
     path = folder / "deep" / "scene.toml"
     text = scene.text.replace('"modules.toml"', '"../modules.toml"')
     path.write_text(text + f"[surface]\nmesh = '{mesh}'\nunit = \"mm\"\n")
-    from skincal.scene import load_scene
+    from skincal.model.scene import load_scene
 
     create_session(tmp_path / "s", load_scene(path), LINKS).close()
     copied = read_session(tmp_path / "s").scene

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skincal.arm import Arm, DhLink
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.errors import InputError
-from skincal.estimate.result import Method, State
-from skincal.scene import ArmSpec
+from skincal.geometry.arm import Arm, DhLink
+from skincal.model.errors import InputError
+from skincal.model.scene import ArmSpec
 from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo, from_json, to_json
 from skincal.session.session import Session
+from skincal.taxels.result import Method, State
 from tests.skincal.poke_script import outcome_key, same_estimates, small_scene, some_pokes
 
 NUMBERS = st.integers(1, 9)

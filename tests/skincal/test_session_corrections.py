@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.contacts.outcome import Contact, Phase, Progress, Reason, Rejection
-from skincal.errors import InputError
-from skincal.estimate.correction import FRAME, RIG, Correction, frame_correction
-from skincal.estimate.frame_doctor import diagnose
-from skincal.estimate.result import Method
-from skincal.estimate.rig_fit import RigRequest, correct_rig
-from skincal.estimate.solve import estimate_taxels
+from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.files.calibration import LandmarkCheck, landmark_check
 from skincal.files.export import write_calibration
 from skincal.files.json_file import read_json
-from skincal.readings import Chunk
+from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.methods import estimate_taxels
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk
+from skincal.rig.correction import FRAME, RIG, Correction, frame_correction
+from skincal.rig.correction_fit import RigRequest, correct_rig
+from skincal.rig.frame_check import diagnose
 from skincal.session.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.session.corrections import correct_action
 from skincal.session.journal import create_session
@@ -28,7 +28,7 @@ from skincal.session.taken import Taken
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import RigErrors
-from skincal.wrench import axis_point, move_wrench
+from skincal.taxels.result import Method
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene
 from tests.skincal.sim_support import make_rig
 
@@ -220,7 +220,7 @@ def test_what_is_felt_now_is_corrected_as_its_poke_will_be(bad):
     session.add(told)
     force, moment = move_wrench(told.link_from_sensor, told.force, told.moment)
     nobody = np.empty(0)
-    felt = Progress(Phase.PRESSING, force, axis_point(force, moment), nobody.astype(np.int64), nobody, 0.0)
+    felt = Progress(PressPhase.PRESSING, force, axis_point(force, moment), nobody.astype(np.int64), nobody, 0.0)
     true = session.corrected_progress(felt, told.link_from_sensor, told.pose)
     poke = next(one.outcome for one in session.snapshot().pokes if one.outcome.poke == 7)
     force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)

@@ -11,11 +11,11 @@ from mcap.reader import make_reader
 
 from skincal.cli import main
 from skincal.contacts.detector import ContactDetector, Doubt, Known
-from skincal.contacts.judge import Poke, StillMean
+from skincal.contacts.gates import FinishedPress, StillMean
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.contacts.tare import Tare
-from skincal.readings import Chunk, Loss, Stream
-from skincal.scene import load_scene
+from skincal.model.readings import Chunk, Loss, Stream
+from skincal.model.scene import load_scene
 from skincal.session import cdr, journal, log, segment
 from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
 from skincal.session.journal import JournalWriter, create_session, open_next_segment
@@ -377,7 +377,7 @@ ODD = np.array([0.1, -0.0, 5e-324, 1.7976931348623157e308, math.nan, math.inf, -
 def odd_outcomes():
     tare = Tare(1 / 3, 0.1, 0.2, ODD[:6], np.arange(3.0))
     still = StillMean(0.1, 0.2, 0.15, ODD[:6], np.eye(4) / 3, "up", math.inf, math.nan)
-    poke = Poke(7, 0.1, 0.2, 0.02, 8.1, 0, 0.0, 0.0, tare, still, np.array([3, 9]), np.array([1 / 3, 2.0]))
+    poke = FinishedPress(7, 0.1, 0.2, 0.02, 8.1, 0, 0.0, 0.0, tare, still, np.array([3, 9]), np.array([1 / 3, 2.0]))
     contact = Contact(
         7, 0.1, 1 / 3, ODD[:3], ODD[3:6], np.array([3, 9]), ODD[:2], np.eye(4) / 3, 'a "pose"\n', math.nan, final=False
     )

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from skincal.cli import main
-from skincal.errors import InputError
 from skincal.journal.lock import LOCK_NAME, SessionLock, writer_of
+from skincal.model.errors import InputError
 from skincal.session.journal import create_session, open_next_segment
 from skincal.session.replay import load, replay, resume
 from skincal.session.road import Road
@@ -41,7 +41,7 @@ print(len(road.session.contacts), flush=True)
 OPENER = """
 import sys
 from pathlib import Path
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 from skincal.session.replay import resume
 try:
     resume(Path(sys.argv[1]))

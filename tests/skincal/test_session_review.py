@@ -12,11 +12,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.correction import FRAME, RIG, Correction
-from skincal.estimate.frame_doctor import diagnose
-from skincal.estimate.rig_fit import correct_rig
-from skincal.estimate.solve import estimate_taxels
-from skincal.scene import SurfaceSpec
+from skincal.methods import estimate_taxels
+from skincal.model.scene import SurfaceSpec
+from skincal.rig.correction import FRAME, RIG, Correction
+from skincal.rig.correction_fit import correct_rig
+from skincal.rig.frame_check import diagnose
 from skincal.session import review_process
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Uncorrect, Undo
 from skincal.session.corrections import correct_action

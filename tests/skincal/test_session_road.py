@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from skincal.arm import Arm, DhLink
-from skincal.contacts.outcome import Contact, Phase, Reason
-from skincal.errors import InputError
-from skincal.readings import Chunk, LinkEvent, LinkState, Loss, Stream
-from skincal.scene import ArmSpec
+from skincal.contacts.outcome import Contact, PressPhase, Reason
+from skincal.geometry.arm import Arm, DhLink
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
+from skincal.model.scene import ArmSpec
 from skincal.session.actions import SetPose
 from skincal.session.road import Road
 from skincal.streams.links import LinkSpec
@@ -64,13 +64,13 @@ def test_the_live_view_shows_what_the_devices_say():
     road = played(items[:-12])
     now = items[-12].host_ns
     live = road.live(now)
-    assert live.progress.phase is Phase.HELD
+    assert live.progress.phase is PressPhase.HELD
     assert live.skin[3] == pytest.approx(80.0, abs=0.01)
     assert live.wrench_s[-1] - live.wrench_s[0] == pytest.approx(1.6, abs=0.2)
     np.testing.assert_allclose(live.wrench[0], [3.0, -2.0, 20.0, 0.1, -0.3, 0.05])
     assert [link.state for link in live.links] == [LinkState.OPEN, LinkState.OPEN]
-    assert road.live(now + 1_500_000_000).progress.phase is Phase.HELD
-    assert road.live(now + 2_100_000_000).progress.phase is Phase.NO_DATA
+    assert road.live(now + 1_500_000_000).progress.phase is PressPhase.HELD
+    assert road.live(now + 2_100_000_000).progress.phase is PressPhase.NO_DATA
 
 
 def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():

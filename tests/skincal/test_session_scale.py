@@ -12,8 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.estimate.result import Estimate, Method, State
-from skincal.readings import Chunk
+from skincal.model.readings import Chunk
 from skincal.session import solving as solving_module
 from skincal.session.actions import Exclude, Restore, Undo
 from skincal.session.closing import survey
@@ -21,6 +20,7 @@ from skincal.session.journal import Ending, create_session
 from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.session.taken import Taken, taken_to_json
+from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.poke_script import LINKS, outcome_key, same_estimates, small_scene, write_scene
 
 TAXELS = 24

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
-from skincal.estimate.correction import RIG, Correction
-from skincal.estimate.result import Method
+from skincal.model.errors import InputError
+from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.actions import Exclude, MarkDead, Undo
 from skincal.session.corrections import correct_action
@@ -16,6 +15,7 @@ from skincal.session.session import Session
 from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
+from skincal.taxels.result import Method
 from tests.skincal.poke_script import same_estimates
 from tests.skincal.sim_support import make_rig
 

@@ -6,8 +6,8 @@ from cobs import cobs as reference_cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.errors import InputError
-from skincal.readings import Loss, Stream
+from skincal.model.errors import InputError
+from skincal.model.readings import Loss, Stream
 from skincal.simulate.device import DeviceSettings, Timeline, timeline
 from skincal.simulate.encode import About, Skb, Skt, cobs, make_encoder
 from skincal.simulate.operator import Auto, Habits, Move, Press, Told

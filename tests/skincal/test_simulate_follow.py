@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Reason
-from skincal.errors import InputError
-from skincal.estimate.result import Method
+from skincal.geometry.wrench import move_wrench
 from skincal.guide.guide import Guide
 from skincal.guide.places import plan_from
-from skincal.readings import Chunk, LinkEvent, LinkState
-from skincal.scene import Landmark
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState
+from skincal.model.scene import Landmark
 from skincal.session.known_points import poke_at
 from skincal.session.road import Road
 from skincal.simulate.device import Timeline
@@ -23,7 +23,7 @@ from skincal.simulate.rig import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.surface.lay import lay
 from skincal.surface.nearest import nearest_points
-from skincal.wrench import move_wrench
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 
 FOLLOWS = replace(Habits.careful(), ignores=0.0)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
+from skincal.model.errors import InputError
 from skincal.simulate.operator import Auto, Habits, Move, Press, Told, press
 from skincal.simulate.orders import PokeOrder, PoseOrder, read_order
 from skincal.simulate.poke import push_directions, tangents

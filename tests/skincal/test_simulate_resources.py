@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from skincal.scene import resource
+from skincal.model.scene import resource
 from skincal.simulate.resources import write_flat_patch, write_forearm, write_whole_body
 from skincal.surface.lay import lay
 from tests.skincal.sim_support import scene_and_surface

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import serial
 
-from skincal.readings import Stream
+from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceSettings, Timeline
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet

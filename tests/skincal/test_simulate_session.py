@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import Method
-from skincal.readings import Chunk
+from skincal.model.readings import Chunk
 from skincal.session.log import read_session
 from skincal.simulate.device import DeviceSettings
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
 from skincal.simulate.session import simulate_session
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import scene_and_surface
 
 QUICK = DeviceSettings(wrench_hz=500.0)

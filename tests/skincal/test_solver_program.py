@@ -12,10 +12,8 @@ import pytest
 import wasmtime
 from surface_support import KINDS, random_metrics, same, soup, together, tube
 
-from skincal.estimate import solution
-from skincal.estimate.boards import Boards
-from skincal.estimate.result import Method
-from skincal.estimate.solve import estimate_taxels
+from skincal.methods import estimate_taxels
+from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
 from skincal.solver import machine as solver_machine
@@ -23,6 +21,8 @@ from skincal.solver.machine import PROGRAM, Machine
 from skincal.surface import resident, tree
 from skincal.surface.mesh import make_surface
 from skincal.surface.nearest import GRAZING, nearest_to_rows
+from skincal.taxels import solve
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 from tools import solver
 
@@ -92,7 +92,7 @@ def answers():
         yield from (found.points.tobytes(), found.triangles.tobytes(), found.values.tobytes())
     rig = make_rig(RigErrors.paper(), 1)
     whole = make_surface(rig.surface.vertices, rig.surface.triangles)
-    layout = Boards(rig.scene.skin.layout, rig.scene.skin.anchor, whole)
+    layout = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, whole)
     contacts = [one for pose in rig.stances for one in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
     for method in estimate_taxels(
         contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, boards=layout
@@ -130,7 +130,7 @@ def test_a_number_that_stands_in_both_languages_is_the_same(name, here):
 
 def test_both_languages_mean_the_same_tables():
     machine = Machine()
-    assert machine.told("answer_size") == solution.ANSWER.itemsize
+    assert machine.told("answer_size") == solve.ANSWER.itemsize
     assert machine.told("surface_size") == ctypes.sizeof(resident.Layout)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from skincal.readings import Stream
+from skincal.model.readings import Stream
 from skincal.streams.clock import BEHIND_S, WINDOW_S, HullClock, IndexClock, Stamper, supporting_line
 
 SETTLED_S = 10.0

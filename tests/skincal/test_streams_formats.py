@@ -14,8 +14,8 @@ from cobs import cobs as reference_cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skincal.errors import InputError
-from skincal.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.model.errors import InputError
+from skincal.model.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
 from skincal.streams.formats import NAMES, cobs, make_format
 from skincal.streams.formats.collector import DeviceTime, Sequence
 from skincal.streams.formats.skb import Skb

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from cobs import cobs as reference_cobs
 
-from skincal.errors import InputError
-from skincal.readings import Chunk, LinkEvent, LinkState, Loss, Stream, WrenchBatch
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream, WrenchBatch
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 from skincal.streams.pairing import INTERPOLATE_S, RING_READINGS, WAIT_S, Pairing

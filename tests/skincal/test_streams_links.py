@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import serial
 
-from skincal.errors import InputError
-from skincal.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams import links
 from skincal.streams.links import (
     Address,

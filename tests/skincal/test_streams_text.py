@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skincal.readings import Loss, Stream
+from skincal.model.readings import Loss, Stream
 from skincal.streams.formats.detect import TEXT_AFTER_BYTES, TEXT_AFTER_NS, Decoder
 from skincal.streams.formats.text import Text
 

@@ -7,9 +7,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from skincal.estimate import board_fit
-from skincal.estimate.board_rows import bends_of, whitened
-from skincal.estimate.qr import factor, triangle
+from skincal.modules import pose_fit
+from skincal.modules.pose_fit import bends_of, whitened
 from skincal.studies import board_exact, board_stability, exact
 from skincal.studies.board_cases import PADS, all_board_cases, in_space, on_sheet
 from skincal.studies.board_exact import find_board_truth
@@ -18,6 +17,7 @@ from skincal.studies.board_stability import compare_board, judge_board, shipped_
 from skincal.studies.cases import Sizes
 from skincal.surface.mesh import make_surface
 from skincal.surface.unfold import Footing
+from skincal.taxels.least_squares import factor, triangle
 
 TINY = Sizes(contacts=7, grid=6, many=300)
 CASES = {case.name: case for case in all_board_cases(TINY)}
@@ -139,7 +139,7 @@ def ground_walks(board):
 def test_the_bends_are_how_the_slopes_times_misses_change_beside_the_slopes_themselves():
     for name in ("module, 7 arm poses", "module on a sheet, 7 arm poses"):
         one = told(CASES[name], CASES[name].readings, surface_of(CASES[name]))
-        pose = board_fit.fit_boards(one.touches, one.boards, one.start, one.noise, doubting=False).poses
+        pose = pose_fit.fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False).poses
         ground = one.boards.ground
 
         def pull(move, one=one, ground=ground, pose=pose):
@@ -231,7 +231,7 @@ def test_a_method_that_follows_the_numbers_of_the_pokes_is_caught():
 
 
 def test_a_search_that_ends_at_a_nanometre_is_caught(monkeypatch):
-    monkeypatch.setattr(board_fit, "DONE", 1e-9)
+    monkeypatch.setattr(pose_fit, "DONE", 1e-9)
     name = "module, 7 arm poses"
     record = judge_board(CASES[name], truth_of(name), shipped_board)
     assert record["error_over_bound"] > 10

@@ -10,9 +10,7 @@ from functools import lru_cache, partial
 import numpy as np
 import pytest
 
-from skincal.estimate.ledger import Ledger
-from skincal.estimate.result import Method
-from skincal.estimate.solve import estimate_from, estimate_taxels
+from skincal.methods import estimate_from, estimate_taxels
 from skincal.studies import alternatives, live, runtime
 from skincal.studies.benches import SHAPES, Bench
 from skincal.studies.clock import Spread, at_rest, sampled, timed
@@ -21,6 +19,8 @@ from skincal.studies.figure import write_figure
 from skincal.studies.measures import positions_of
 from skincal.studies.runtime_results import bars_of, main_rows, summary, time_words
 from skincal.surface.nearest import nearest_points, nearest_to_rows
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Method
 from tests.skincal.studies_support import FOREARM, TINY, tiny
 
 
@@ -282,7 +282,7 @@ def test_the_search_tree_is_many_times_faster_than_every_triangle():
 def test_a_solve_with_its_uncertainty_costs_about_what_bare_least_squares_do():
     """Fails on gross loss only: measured about equal."""
     forearm = bench()
-    ledger = Ledger(poked())
+    ledger = ContactTable(poked())
     rows = alternatives.stacked(poked(), forearm.channels)
     ours = best_of(5, lambda: estimate_from(ledger, forearm.channels, [Method.FREE], forearm.scene.noise, forearm.surface))
     assert ours < 10 * best_of(5, lambda: alternatives.by_lstsq(rows))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.estimate.result import PER_TAXEL
 from skincal.session.actions import Exclude, Restore, Undo
 from skincal.session.session import Session
 from skincal.studies import exact, stability
@@ -17,6 +16,7 @@ from skincal.studies.board_cases import all_board_cases
 from skincal.studies.cases import Case, Readings, Sizes, all_cases, arm_poses, cone, moved, press, sheet, unit
 from skincal.studies.stability import ALTERNATIVES, Found, judge, shipped
 from skincal.surface.mesh import make_surface
+from skincal.taxels.result import PER_TAXEL
 from tests.skincal.poke_script import same_estimates, small_scene
 
 TINY = Sizes(contacts=6, grid=4, many=300)

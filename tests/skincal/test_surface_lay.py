@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
-from skincal.skin import KINDS, Anchor, Layout, Module, ModuleKind
+from skincal.model.errors import InputError
+from skincal.model.skin import KINDS, Anchor, Layout, Module, ModuleKind
 from skincal.surface.lay import lay, subdivided
 from skincal.surface.mesh import Surface, make_surface
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skincal.errors import InputError
-from skincal.scene import SurfaceSpec
+from skincal.model.errors import InputError
+from skincal.model.scene import SurfaceSpec
 from skincal.surface.files import read_mesh
 from skincal.surface.mesh import FindingKind, load_surface
 

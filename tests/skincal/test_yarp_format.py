@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.errors import InputError
-from skincal.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.model.errors import InputError
+from skincal.model.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
 from skincal.streams.formats import make_format
 from skincal.streams.formats.yarp import BottleError, Yarp, YarpTxRx, parse_bottle
 

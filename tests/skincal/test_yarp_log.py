@@ -4,10 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skincal.errors import InputError
-from skincal.files.timeline import START_NS
-from skincal.files.yarp import read_yarp
-from skincal.readings import Loss, Stream
+from skincal.files.importers.recorded_lines import START_NS
+from skincal.files.importers.yarp_log import read_yarp
+from skincal.model.errors import InputError
+from skincal.model.readings import Loss, Stream
 from skincal.streams.formats import make_format
 from skincal.streams.formats.yarp import LINE_MAX
 from skincal.streams.intake import Intake
@@ -173,7 +173,7 @@ def test_a_log_of_a_sender_without_times_and_of_nothing_else_is_refused(tmp_path
 def test_lines_that_travel_together_give_the_samples_of_lines_alone(tmp_path, monkeypatch):
     folders = recording(tmp_path, rates=(500, 50, 100), info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.002)
     samples = samples_of(folders)
-    monkeypatch.setattr("skincal.files.timeline.TOGETHER_LINES", 1)
+    monkeypatch.setattr("skincal.files.importers.recorded_lines.TOGETHER_LINES", 1)
     alone = samples_of(folders)
     # The last frames differ: they wait for a wrench, and nothing comes any more.
     assert len(alone) - 3 <= len(samples) <= len(alone)

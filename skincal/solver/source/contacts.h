@@ -5,7 +5,7 @@
  *
  *     |u x p + m/|f||^2 = (e_1.(p - a))^2 + (e_2.(p - a))^2 + pitch^2,
  *
- * so each contact gives two rows; `skincal/estimate/evidence.py` says why not three.
+ * so each contact gives two rows; `skincal/taxels/contact_table.py` says why not three.
  */
 #ifndef CONTACTS_H
 #define CONTACTS_H
@@ -29,7 +29,7 @@ typedef struct {
     double *square;           /* s^2: how far the contact is beside the taxel, in each direction in the skin's plane, metres^2 */
 } Contacts;
 
-/* Standard deviations, N, N m and metres; `NoiseSettings` of `skincal/scene.py`. */
+/* Standard deviations, N, N m and metres; `NoiseSettings` of `skincal/model/scene.py`. */
 typedef struct { double force, moment, contact, reach, radius, pose_turn, pose_shift; } Noise;
 
 INLINE Vec column(const double *const c[3], int i) { return vec(c[0][i], c[1][i], c[2][i]); }

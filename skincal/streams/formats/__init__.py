@@ -11,8 +11,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import ClassVar, Protocol, cast
 
-from skincal.errors import InputError
-from skincal.readings import Batch, Loss, Stream
+from skincal.model.errors import InputError
+from skincal.model.readings import Batch, Loss, Stream
 
 AUTO = "auto"
 

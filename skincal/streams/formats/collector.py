@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.readings import Batch, JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.model.readings import Batch, JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
 
 SEQ_MODULUS = 1 << 16
 """The counters of SKT/1 and SKB/1 are 16 bits wide."""
@@ -137,7 +137,7 @@ class Collector:
         ----------
         seq : unwrapped number, or `NO_SEQ`
         device_s : device's clock, seconds, or NaN
-        values : one reading, in the units of `skincal.readings`
+        values : one reading, in the units of `skincal.model.readings`
         status : `SATURATED_BIT` and `INVALID_BIT`
         """
         pending = self._pending.get(stream)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from skincal.readings import Batch, Loss, Stream
+from skincal.model.readings import Batch, Loss, Stream
 from skincal.streams.formats import AUTO, Format, make_format
 from skincal.streams.formats.skb import Skb
 from skincal.streams.formats.skt import Skt

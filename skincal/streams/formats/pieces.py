@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from typing import ClassVar
 
-from skincal.readings import Batch, Loss, Stream
+from skincal.model.readings import Batch, Loss, Stream
 from skincal.streams.formats.collector import Collector
 
 

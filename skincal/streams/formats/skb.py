@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from skincal.readings import Loss, Stream
+from skincal.model.readings import Loss, Stream
 from skincal.streams.formats import cobs
 from skincal.streams.formats.collector import DeviceTime, Sequence
 from skincal.streams.formats.header import header_problem, parse_header

@@ -18,7 +18,7 @@ import binascii
 import math
 from typing import ClassVar
 
-from skincal.readings import Loss, Stream
+from skincal.model.readings import Loss, Stream
 from skincal.streams.formats.collector import SEQ_MODULUS, TIME_MODULUS_US, WRENCH_WIDTH, DeviceTime, Sequence
 from skincal.streams.formats.header import header_problem, parse_header
 from skincal.streams.formats.pieces import PieceFormat

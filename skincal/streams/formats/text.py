@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
-from skincal.readings import Loss, Stream
+from skincal.model.readings import Loss, Stream
 from skincal.streams.formats.collector import NO_SEQ, TIME_MODULUS_US, Collector
 from skincal.streams.formats.pieces import PieceFormat
 

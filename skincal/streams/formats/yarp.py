@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from math import isfinite, radians
 from typing import TypeAlias
 
-from skincal.errors import InputError
-from skincal.readings import Loss, Stream
+from skincal.model.errors import InputError
+from skincal.model.readings import Loss, Stream
 from skincal.streams.formats.pieces import PieceFormat
 
 Item: TypeAlias = "float | str | list[Item]"
@@ -256,6 +256,6 @@ class YarpRx(YarpTxRx):
 
 
 class Csv(Yarp):
-    """Decode rows of a CSV file, of which an import has made lines of a log with one stamp (`skincal.files.csv_log`)."""
+    """Decode rows of a CSV file, of which an import has made lines of a log with one stamp (`skincal.files.importers.csv_log`)."""
 
     name = "CSV"

@@ -1,1 +1,0 @@
-"""Taxel positions from contacts: evidence per taxel, the free and the surface method, uncertainty."""

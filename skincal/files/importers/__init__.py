@@ -1,0 +1,1 @@
+"""Recordings of other programs as the chunks of a session."""

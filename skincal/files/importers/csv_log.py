@@ -1,0 +1,251 @@
+"""Recordings as CSV files, one each for wrench, skin and joints, as the chunks of a session.
+
+With a header, columns are found by name, in any order and case:
+
+    time     `t`, `time`, `stamp` or `timestamp`, with `_s`, `_ms`, `_us` or `_ns`; seconds where no unit is named
+    number   `seq`, `index`, `counter` or `frame`: optional
+    wrench   `fx fy fz` (N) and `mx my mz` or `tx ty tz` (N m, or N mm with `_nmm`)
+    skin     every other column; `t0 t1 ...` in the order of their numbers
+    joints   every other column, each with `_deg` or `_rad`
+
+Without a header, the first column is the time in seconds and the others follow in this order; joints are degrees. Fields
+are separated by comma, semicolon (then a comma is a decimal point), tab or spaces.
+
+Each row becomes the line `<number> <seconds> <values>` of a YARP log, joints in degrees, which is the plainest form of the
+same content that a decoder reads; the session's journal holds these lines.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, agree, check_overlap, merged, scan
+from skincal.model.errors import InputError, plural
+from skincal.model.readings import Chunk, Stream
+from skincal.streams.formats.yarp import STAMP_MAX
+from skincal.streams.links import LinkSpec
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
+_TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
+_NUMBER = re.compile(r"seq|index|counter|frame")
+_AXIS = re.compile(r"([fmt])([xyz])(?:[ _]*[\[(]?(n|nm|nmm|n\.m|n\*m|n\.mm)[\])]?)?")
+_NUMBERED = re.compile(r"\D*(\d+)")
+_JOINT = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
+_MILLI = ("nmm", "n.mm")
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Which fields of a row are what, and what turns them into seconds and the values of a log line."""
+
+    width: int
+    """Fields of a row."""
+    time: int
+    to_s: float
+    number: int | None
+    values: tuple[int, ...]
+    factors: tuple[float, ...]
+    finding: str = ""
+
+
+@dataclass(slots=True)
+class _Skipped:
+    """Rows that have no time and so no place."""
+
+    rows: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """One CSV file and how its rows are read."""
+
+    name: str
+    stream: Stream
+    path: Path
+    separator: str | None
+    header: bool
+    columns: _Columns
+
+    @property
+    def link(self) -> LinkSpec:
+        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), "csv")
+
+    def lines(self, skipped: _Skipped | None = None) -> Iterator[RecordedLine]:
+        """Give each row with its time; count the rows that have none."""
+        rows = _rows(self.path, self.separator)
+        if self.header:
+            next(rows, None)
+        for index, row in enumerate(rows):
+            line = _line(index, row, self.columns)
+            if line is not None:
+                yield line
+            elif skipped is not None:
+                skipped.rows += 1
+
+
+def read_csv(
+    wrench: Path, skin: Path, joints: Path | None = None
+) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
+    """Read the CSV files of one recording: links, chunks merged by time, and sentences on what was found.
+
+    Returns
+    -------
+    Links named `wrench`, `skin` and `joints`; chunks of whole lines; findings.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
+    """
+    places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
+    tables = [_open_table(stream, path) for stream, path in places.items()]
+    findings: list[str] = []
+    timelines: list[RecordedTimes] = []
+    for table in tables:
+        skipped = _Skipped()
+        timeline = scan(table.name, (line.stamp for line in table.lines(skipped)))
+        if not timeline.lines:
+            raise InputError(
+                f"{table.path}: no row with a time was found; expected a row a reading, its time and its values. A time "
+                "that is not in seconds needs its unit in its name, such as t_ms or t_ns."
+            )
+        timelines.append(timeline)
+        findings += timeline.sentences()
+        if table.columns.finding:
+            findings.append(f"{table.name}: {table.columns.finding}")
+        if skipped.rows:
+            findings.append(f"{table.name}: {plural(skipped.rows, 'row')} without a time: left out.")
+    check_overlap(timelines)
+    joints_alone = [table.name for table in tables if table.stream is Stream.JOINTS]
+    chunks = merged(agree(timelines), [table.lines for table in tables], joints_alone)
+    return tuple(table.link for table in tables), chunks, tuple(findings)
+
+
+def _rows(path: Path, separator: str | None) -> Iterator[list[str]]:
+    """Give the fields of each row, in quotes or not; empty lines and lines that begin with # are left out."""
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            for text in file:
+                line = text.strip(" \r\n") if separator == "\t" else text.strip()
+                if line and not line.startswith("#"):
+                    fields = line.split(separator)
+                    yield [field.strip(" \t\"'") for field in fields]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
+
+
+def _open_table(stream: Stream, path: Path) -> _Table:
+    first = next(_rows(path, "\n"), None)
+    if first is None:
+        raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
+    if "\ufffd" in first[0] or not first[0].replace("\t", " ").isprintable():
+        raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
+    separator = next((mark for mark in (";", "\t", ",") if mark in first[0]), None)
+    row = next(_rows(path, separator))
+    header = any(_to_float(field) is None for field in row if field)
+    if header:
+        columns = _named_columns(stream, [name.lower() for name in row], path)
+    else:
+        columns = _columns_by_place(stream, len(row), path)
+    return _Table(stream.value, stream, path, separator, header, columns)
+
+
+def _to_float(field: str) -> float | None:
+    if "_" in field:
+        return None
+    try:
+        return float(field.replace(",", "."))
+    except ValueError:
+        return None
+
+
+def _columns_by_place(stream: Stream, width: int, path: Path) -> _Columns:
+    if width < 2 or (stream is Stream.WRENCH and width != 7):
+        expected = "time fx fy fz mx my mz" if stream is Stream.WRENCH else "the time and at least one value"
+        raise InputError(f"{path}: has {plural(width, 'column')} and no header; expected {expected}.")
+    values = tuple(range(1, width))
+    degrees = ", joints degrees" if stream is Stream.JOINTS else ""
+    return _Columns(
+        width, 0, 1.0, None, values, (1.0,) * len(values), f"no header: the first column was read as seconds{degrees}."
+    )
+
+
+def _named_columns(stream: Stream, names: list[str], path: Path) -> _Columns:
+    time = next((index for index, name in enumerate(names) if _TIME.fullmatch(name)), None)
+    if time is None:
+        seen = ", ".join(names[:8])
+        raise InputError(f"{path}: no column is the time; seen {seen}; expected one named t_s, t_ms, t_us or t_ns.")
+    found = _TIME.fullmatch(names[time])
+    unit = found.group(1) if found else None
+    number = next((index for index, name in enumerate(names) if _NUMBER.fullmatch(name)), None)
+    others = [index for index, name in enumerate(names) if name and index not in (time, number)]
+    values, factors = _VALUE_COLUMNS[stream](names, others, path)
+    finding = "" if unit else f"the time column {names[time]!r} names no unit and was read as seconds."
+    return _Columns(len(names), time, TIME_UNITS[unit or "s"], number, values, factors, finding)
+
+
+def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    at: dict[str, int] = {}
+    factor: dict[str, float] = {}
+    for index in others:
+        found = _AXIS.fullmatch(names[index])
+        if found is not None:
+            axis = ("f" if found.group(1) == "f" else "m") + found.group(2)
+            at[axis] = index
+            factor[axis] = 1e-3 if found.group(3) in _MILLI else 1.0
+    lacking = [axis for axis in WRENCH_AXES if axis not in at]
+    if lacking:
+        raise InputError(f"{path}: columns {', '.join(lacking)} are missing; expected fx fy fz mx my mz, in N and N m.")
+    return tuple(at[axis] for axis in WRENCH_AXES), tuple(factor[axis] for axis in WRENCH_AXES)
+
+
+def _skin_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    if not others:
+        raise InputError(f"{path}: no column besides the time; expected one a channel, such as t0, t1, ...")
+    numbers = {index: int(found.group(1)) for index in others if (found := _NUMBERED.fullmatch(names[index])) is not None}
+    if len(set(numbers.values())) == len(others):
+        others = sorted(others, key=numbers.__getitem__)
+    return tuple(others), (1.0,) * len(others)
+
+
+def _joint_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    factors: list[float] = []
+    for index in others:
+        found = _JOINT.fullmatch(names[index])
+        if found is None:
+            raise InputError(f"{path}: column {names[index]!r} names no unit; expected names such as j0_deg or j0_rad.")
+        factors.append(1.0 if found.group(1) == "deg" else math.degrees(1.0))
+    if not others:
+        raise InputError(f"{path}: no column besides the time; expected one a joint, such as j0_deg, j1_deg, ...")
+    return tuple(others), tuple(factors)
+
+
+_VALUE_COLUMNS = {Stream.WRENCH: _wrench_columns, Stream.SKIN: _skin_columns, Stream.JOINTS: _joint_columns}
+
+
+def _line(index: int, row: list[str], columns: _Columns) -> RecordedLine | None:
+    """Return a row as a log line; None where it has no time. A row of another width keeps it, so that it is counted."""
+    stamp = _to_float(row[columns.time]) if columns.time < len(row) else None
+    if stamp is None or not abs(stamp * columns.to_s) <= STAMP_MAX:
+        return None
+    number = _to_float(row[columns.number]) if columns.number is not None and columns.number < len(row) else None
+    seconds = stamp * columns.to_s
+    values = [_value(row, at, factor) for at, factor in zip(columns.values, columns.factors, strict=True)]
+    values += ["nan"] * (len(row) - columns.width)
+    line = f"{index if number is None or not math.isfinite(number) else int(number)} {seconds:.9f} {' '.join(values)}\n"
+    return RecordedLine(seconds, line.encode("ascii", "replace"))
+
+
+def _value(row: list[str], at: int, factor: float) -> str:
+    if at >= len(row):
+        return ""
+    if not row[at]:
+        return "nan"
+    value = _to_float(row[at])
+    # What is no number goes on as it is: the decoder counts it.
+    return repr(value * factor) if value is not None else row[at].replace(" ", "?")

@@ -1,0 +1,337 @@
+"""Recorded lines with their stamps, put on one clock and merged, so that a recording plays as a live rig would.
+
+Stamps of a recording jump: a clock is set back, messages come out of order, a program hangs. Each file is read twice: first
+`scan` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of one
+clock that never runs backwards. Neither holds more than a line of each file.
+
+- A stamp a little before the one before it (`OUT_OF_ORDER`) is a message that came late: it is placed at the time of the
+  one before it, and its own stamp, which stands in its line, says when it was taken.
+- A stamp far before it is a clock set back: from there on the file is shifted so that it goes on one interval later.
+  Two files whose clocks were set back by the same amount share one shift, so that they stay paired.
+- A stamp far off that is right again within `ASTRAY_LINES` was written wrong (a flipped bit): its lines are placed at the time
+  of the one before, and nothing is shifted.
+- A gap stays a gap.
+
+Neighbouring lines of a file travel in one chunk, since a chunk costs more than a line. Their stamps stand in the lines, so a
+chunk's time is only that of its last line.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import TypeAlias
+
+from skincal.model.errors import InputError, plural
+from skincal.model.readings import Chunk
+
+OUT_OF_ORDER = 0.5
+"""s. A message on a network is not later than this; a clock that is set back usually goes farther."""
+GAP_INTERVALS = 5.0
+"""A pause of more than this many intervals is a gap..."""
+GAP_MIN = 0.1
+"""s. ...if it is also longer than this: a poke's still window is 0.3 s."""
+SHARED_JUMP = 0.2
+"""s. Two clocks set back by amounts this near were one clock: the amount is known to within an interval of each file."""
+ASTRAY_LINES = 3
+"""Lines. A clock that was set stays set; a stamp that was written wrong is right again after so many."""
+SPAN_MAX = 1e8
+"""s. Three years: a recording that is longer has a clock that leapt."""
+TOGETHER = 0.05
+"""s. Lines of so long travel in one chunk: a fifth of the time that a skin frame waits for its wrench."""
+TOGETHER_LINES = 64
+"""Lines of one chunk, whatever their stamps say: a bound for memory."""
+FIRST_INTERVALS = 500
+"""Intervals from which the usual interval is taken: 5 s at 100 Hz."""
+START_NS = 1_000_000_000
+"""ns. Where a recording begins on the host's clock; 0 means never there."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedLine:
+    """One line of a recording."""
+
+    stamp: float
+    """seconds, of any clock."""
+    data: bytes
+    """As the decoder takes it, with its line end."""
+
+
+Lines: TypeAlias = Callable[[], Iterator[RecordedLine]]
+"""Opens a file and gives its lines; it is called twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A clock set back."""
+
+    line: int
+    """Index of the first line after it."""
+    back: float
+    """s. How far the stamps after it are shifted forward."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTimes:
+    """What a first reading of a file tells."""
+
+    name: str
+    lines: int
+    first: float
+    """s. Lowest of the stamps, shifted."""
+    last: float
+    interval: float
+    """s. Usual time from line to line; 0 where there is none."""
+    gaps: int
+    longest_gap: float
+    out_of_order: int
+    jumps: tuple[Jump, ...]
+    astray: frozenset[int] = frozenset()
+    """Indices of lines whose stamps were written wrong."""
+
+    def sentences(self) -> list[str]:
+        """Say what was found."""
+        rate = f", {1 / self.interval:.4g} a second" if self.interval else ""
+        found = [f"{self.name}: {plural(self.lines, 'line')} in {self.last - self.first:.1f} s{rate}."]
+        if self.gaps:
+            found.append(f"{self.name}: {plural(self.gaps, 'gap')} in time, the longest {self.longest_gap:.2f} s.")
+        if self.out_of_order:
+            found.append(
+                f"{self.name}: {plural(self.out_of_order, 'stamp')} before the one before it; kept in the file's order."
+            )
+        if self.astray:
+            found.append(
+                f"{self.name}: {plural(len(self.astray), 'stamp')} far from those around; placed with the line before."
+            )
+        if self.jumps:
+            amounts = ", ".join(f"{jump.back:.3f} s" for jump in self.jumps[:3]) + (", ..." if len(self.jumps) > 3 else "")
+            found.append(
+                f"{self.name}: the clock was set back {plural(len(self.jumps), 'time')} ({amounts}); "
+                "the lines after it follow on without a break, but a poke that it cuts may be wrong."
+            )
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Leap:
+    """A stamp far from the one before it, until it is sure whether the clock was set or the stamp written wrong."""
+
+    line: int
+    highest: float
+    shift: float
+    pause: float
+    """s. What passed if the clock is right; 0 where it went back."""
+    jump: Jump | None
+
+
+class _Scan:
+    """Gathers a file's timeline stamp by stamp."""
+
+    def __init__(self) -> None:
+        self.lines = 0
+        self.first = self.latest = 0.0
+        self.shift = 0.0
+        self.highest = 0.0
+        """Highest stamp since the clock was set back last."""
+        self.leap: _Leap | None = None
+        self.intervals: list[float] = []
+        self.pauses: list[float] = []
+        """Long ones, kept back until the usual interval is known."""
+        self.limit = GAP_MIN
+        self.gaps = 0
+        self.longest = 0.0
+        self.out_of_order = 0
+        self.jumps: list[Jump] = []
+        self.astray: set[int] = set()
+
+    def add(self, stamp: float) -> None:
+        if self.lines == 0:
+            self.first = self.latest = self.highest = stamp
+        elif abs(stamp - self.highest) > OUT_OF_ORDER:
+            self._far(stamp)
+        elif stamp < self.highest:
+            self.out_of_order += 1
+        else:
+            self._pause(stamp - self.highest)
+            self.highest = stamp
+        self.latest = self.highest + self.shift
+        self.lines += 1
+        if self.leap is not None and self.lines - self.leap.line > ASTRAY_LINES:
+            self._settle()
+
+    def _far(self, stamp: float) -> None:
+        """Take a stamp far from the one before it: back where the clock was before a leap, or a leap of its own."""
+        leap = self.leap
+        if leap is not None and abs(stamp - leap.highest) <= OUT_OF_ORDER:
+            self.astray.update(range(leap.line, self.lines))
+            self.highest, self.shift, self.leap = max(leap.highest, stamp), leap.shift, None
+            return
+        self._settle()
+        pause = max(stamp - self.highest, 0.0)
+        jump = None if pause else Jump(self.lines, self.latest + self.usual() - (stamp + self.shift))
+        self.leap = _Leap(self.lines, self.highest, self.shift, pause, jump)
+        self.highest = stamp
+        self.shift += 0.0 if jump is None else jump.back
+
+    def _settle(self) -> None:
+        """Believe the leap, if there is one."""
+        leap, self.leap = self.leap, None
+        if leap is None:
+            return
+        if leap.jump is None:
+            self._pause(leap.pause)
+        else:
+            self.jumps.append(leap.jump)
+
+    def usual(self) -> float:
+        return median(self.intervals) if self.intervals else 0.0
+
+    def _pause(self, pause: float) -> None:
+        if len(self.intervals) < FIRST_INTERVALS:
+            self.intervals.append(pause)
+            if len(self.intervals) == FIRST_INTERVALS:
+                self.limit = max(GAP_MIN, GAP_INTERVALS * self.usual())
+            if pause > GAP_MIN:
+                self.pauses.append(pause)
+        elif pause > self.limit:
+            self._gap(pause)
+
+    def _gap(self, pause: float) -> None:
+        self.gaps += 1
+        self.longest = max(self.longest, pause)
+
+    def timeline(self, name: str) -> RecordedTimes:
+        if self.leap is not None and self.leap.pause > SPAN_MAX:
+            # The last lines of the file: nothing after them can tell, but no recording pauses for years.
+            self.astray.update(range(self.leap.line, self.lines))
+            self.latest, self.leap = self.leap.highest + self.leap.shift, None
+        self._settle()
+        usual = self.usual()
+        for pause in self.pauses:
+            if pause > max(GAP_MIN, GAP_INTERVALS * usual):
+                self._gap(pause)
+        return RecordedTimes(
+            name,
+            self.lines,
+            self.first,
+            self.latest,
+            usual,
+            self.gaps,
+            self.longest,
+            self.out_of_order,
+            tuple(self.jumps),
+            frozenset(self.astray),
+        )
+
+
+def scan(name: str, stamps: Iterable[float]) -> RecordedTimes:
+    """Return the timeline of a file's stamps, in seconds."""
+    found = _Scan()
+    for stamp in stamps:
+        found.add(stamp)
+    return found.timeline(name)
+
+
+def agree(timelines: Sequence[RecordedTimes]) -> tuple[RecordedTimes, ...]:
+    """Give jumps of the same amount in several files the same shift, that of the first file."""
+    known: list[float] = []
+    agreed: list[RecordedTimes] = []
+    for timeline in timelines:
+        jumps = tuple(replace(jump, back=_nearest(jump.back, known)) for jump in timeline.jumps)
+        known += [jump.back for jump in jumps if jump.back not in known]
+        agreed.append(replace(timeline, jumps=jumps))
+    return tuple(agreed)
+
+
+def _nearest(back: float, known: Sequence[float]) -> float:
+    best = min(known, key=lambda other: abs(other - back), default=back)
+    return best if abs(best - back) <= SHARED_JUMP else back
+
+
+def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
+    """Check that every file shares time with the first.
+
+    Raises
+    ------
+    InputError
+        A file spans years, or two have no time in common, so that nothing can be paired.
+    """
+    for timeline in timelines:
+        if timeline.last - timeline.first > SPAN_MAX:
+            raise InputError(
+                f"{timeline.name}: its stamps run from {timeline.first:.3f} to {timeline.last:.3f} s, over years; expected one "
+                "recording, its times in seconds: cut the file where its clock leaps."
+            )
+    first = timelines[0]
+    for other in timelines[1:]:
+        if other.first > first.last or other.last < first.first:
+            raise InputError(
+                f"{first.name} was recorded from {first.first:.3f} to {first.last:.3f} s and {other.name} from "
+                f"{other.first:.3f} to {other.last:.3f} s; expected recordings of the same time: choose logs of one run, with "
+                "clocks that agree."
+            )
+
+
+def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: Collection[str] = ()) -> Iterator[Chunk]:
+    """Yield the lines of all files in the order of their time, neighbours of one file in one chunk; lazily.
+
+    Parameters
+    ----------
+    timelines : one a file, `agree`d
+    sources : the same files
+    alone : names of files of which every line is a chunk, so that it comes before all later lines of the others
+    """
+    origin = min(timeline.first for timeline in timelines)
+    placed = [
+        _chunks(timeline, _placed(timeline, lines(), origin), together=timeline.name not in alone)
+        for timeline, lines in zip(timelines, sources, strict=True)
+    ]
+    return heapq.merge(*placed, key=lambda chunk: chunk.host_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """A line and its time."""
+
+    host_ns: int
+    data: bytes
+    steady: bool
+    """Its stamp follows on the one before; else the decoder's clock starts anew with it."""
+
+
+def _placed(timeline: RecordedTimes, lines: Iterator[RecordedLine], origin: float) -> Iterator[_Placed]:
+    jumps = {jump.line: jump.back for jump in timeline.jumps}
+    shift, latest, before = 0.0, START_NS, -math.inf
+    for index, line in enumerate(lines):
+        shift += jumps.get(index, 0.0)
+        if index not in timeline.astray:
+            # Stamps have microseconds; more digits would be those of the double.
+            latest = max(latest, START_NS + round((line.stamp + shift - origin) * 1e6) * 1000)
+        yield _Placed(latest, line.data, abs(line.stamp - before) <= OUT_OF_ORDER)
+        before = line.stamp
+
+
+def _chunks(timeline: RecordedTimes, lines: Iterator[_Placed], *, together: bool) -> Iterator[Chunk]:
+    """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is one alone.
+
+    The clock of a decoder takes a chunk's time for the arrival of each of its lines, and the least delay for the true one: the
+    last line's is right, the others only look late. A clock's first line has no other to be measured by.
+    """
+    held: list[_Placed] = []
+    for line in lines:
+        if held and (not line.steady or line.host_ns - held[0].host_ns > TOGETHER * 1e9 or len(held) >= TOGETHER_LINES):
+            yield _chunk(timeline, held)
+            held = []
+        held.append(line)
+        if not (line.steady and together):
+            yield _chunk(timeline, held)
+            held = []
+    if held:
+        yield _chunk(timeline, held)
+
+
+def _chunk(timeline: RecordedTimes, held: Sequence[_Placed]) -> Chunk:
+    return Chunk(timeline.name, held[-1].host_ns, b"".join(line.data for line in held))

@@ -1,0 +1,338 @@
+"""Recordings of `yarpdatadumper` as the chunks of a session.
+
+A folder holds `data.log`, one message a line, and `info.log`, whose `Stamp:` line says which times stand in it. Old
+dumpers wrote no `Stamp:` line: then a log has two stamps where its third column is a time within seconds of the second.
+A sender without an envelope leaves its stamp 0: a log with such lines is read by the receiver's stamps, all of it, since the
+two clocks may differ.
+Source: robotology/yarp `src/yarpdatadumper/main.cpp` (and `src/commands/yarpdatadumper` later).
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+
+from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, agree, check_overlap, merged, scan
+from skincal.model.errors import InputError, plural
+from skincal.model.readings import Chunk, Stream
+from skincal.streams.formats.yarp import (
+    LINE_MAX,
+    MEASURES_LISTS,
+    MEASURES_WRENCH,
+    BottleError,
+    LogLine,
+    is_header,
+    parse_bottle,
+    split_line,
+)
+from skincal.streams.links import LinkSpec
+
+DATA, INFO = "data.log", "info.log"
+STAMPS_APART = 10.0
+"""s. Sender's and receiver's clocks of one message are nearer than this: the rule for logs without a Stamp line."""
+EPOCH_MIN = 1e8
+"""s. A stamp of a computer's clock is later (1973); no force, angle or raw value of a taxel is as large."""
+GRAMMAR_LINES = 50
+"""Lines from which the grammar of an old log is told."""
+BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
+"""Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
+TOO_LONG = b"...\n"
+"""No record, so that it is counted as one that cannot be read."""
+FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
+"""Number of stamps to the name of the decoder..."""
+BY_RECEIVER = "yarp-rx"
+"""...and of that for two stamps of which the sender's is not always there."""
+_STAMP_LINE = re.compile(r"^\s*Stamp:\s*([a-z+]+)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Log:
+    """One log file and its grammar."""
+
+    name: str
+    stream: Stream
+    path: Path
+    stamps: int
+    clock: str
+    """`"tx"` or `"rx"`: whose clock the lines are placed by; empty where the log does not say."""
+    decoder: str
+    findings: tuple[str, ...]
+
+    @property
+    def link(self) -> LinkSpec:
+        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), self.decoder)
+
+    def lines(self) -> Iterator[RecordedLine]:
+        """Give each record with the time at which this program would have received it.
+
+        A line that is no record has no time: it travels before the next record, so that the decoder counts it.
+        """
+        before = b""
+        for data in _whole_lines(self.path):
+            line = split_line(data, self.stamps)
+            if line is not None:
+                yield RecordedLine(line.stamps[-1], before + data)
+                before = b""
+            elif len(before) < LINE_MAX and not is_header(data):
+                before += data
+
+
+@dataclass(slots=True)
+class _Contents:
+    """What a first reading of a log counts."""
+
+    untimed: int = 0
+    """Lines whose first stamp is 0: their sender gave none."""
+    empty: int = 0
+    unreadable: int = 0
+    cut: bool = False
+    nested: bool = False
+    sensors: int = 0
+    """Six-axis sensors in `measures:o`; 0 in a log of plain vectors."""
+    widths: Counter[int] = field(default_factory=Counter[int])
+    """Number of lines by their number of values, plain vectors only."""
+    levels: set[float] | None = field(default_factory=set[float])
+    """Distinct values of a skin; None once they are not those of a binarised one."""
+
+
+def read_yarp(
+    wrench: Path, skin: Path, joints: Path | None = None
+) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
+    """Read the logs of one recording: links, chunks merged by time, and sentences on what was found.
+
+    Parameters
+    ----------
+    wrench, skin, joints : folders of `yarpdatadumper`, or their `data.log`
+
+    Returns
+    -------
+    Links named `wrench`, `skin` and `joints`; chunks of whole lines with `host_ns` from the receiver's stamp of the
+    last of them, or from the only one; findings.
+
+    Raises
+    ------
+    InputError
+        A folder has no log, a file is not such a log, holds no record, or the logs are of different times.
+    """
+    places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
+    logs = [_open_log(stream, place) for stream, place in places.items()]
+    findings: list[str] = []
+    timelines: list[RecordedTimes] = []
+    for index, log in enumerate(logs):
+        timeline, contents = _read_through(log)
+        if contents.untimed:
+            logs[index] = replace(log, decoder=BY_RECEIVER)
+        sentences = _content_findings(log, contents, timeline.lines)
+        timelines.append(timeline)
+        findings += [*log.findings, *timeline.sentences(), *sentences]
+    check_overlap(timelines)
+    findings += _clock_findings(logs)
+    # A frame takes the last angles before it, so those must not come later than it; a wrench may: frames wait for it.
+    joints_alone = [log.name for log in logs if log.stream is Stream.JOINTS]
+    chunks = merged(agree(timelines), [log.lines for log in logs], joints_alone)
+    return tuple(log.link for log in logs), chunks, tuple(findings)
+
+
+def _open_log(stream: Stream, place: Path) -> _Log:
+    path, findings = find_log(place)
+    stamps, clock, found = _grammar(path)
+    name = stream.value
+    sentences = tuple(f"{name}: {sentence}" for sentence in (*findings, *found))
+    return _Log(name, stream, path, stamps, clock, FORMATS[stamps], sentences)
+
+
+def find_log(place: Path) -> tuple[Path, list[str]]:
+    """Return the log that a path means, and sentences on the choice.
+
+    The path is a log file, a folder with `data.log`, or the name of a port's folder that exists only with the numeric suffix
+    that the dumper appends (`right_arm_00001`).
+
+    Raises
+    ------
+    InputError
+        There is no log there, or more than one.
+    """
+    if place.is_file():
+        return place, []
+    if (place / DATA).is_file():
+        others = [folder.name for folder in _numbered(place)]
+        return place / DATA, [f"{place} was read; there is also {', '.join(others)}."] if others else []
+    found = _numbered(place) + (
+        [inner for inner in sorted(place.iterdir()) if (inner / DATA).is_file()] if place.is_dir() else []
+    )
+    if len(found) == 1:
+        return found[0] / DATA, [f"{found[0]} was read: it holds the only log for {place}."]
+    if found:
+        names = ", ".join(str(folder) for folder in found[:5])
+        raise InputError(f"{place}: several folders hold a log ({names}); give the one you mean.")
+    seen = "there is no such folder" if not place.exists() else f"the folder has no {DATA}"
+    raise InputError(f"{place}: {seen}; expected a folder that yarpdatadumper wrote, with {DATA} and {INFO}.")
+
+
+def _numbered(place: Path) -> list[Path]:
+    """Return the folders that the dumper made beside `place`, with a number after its name."""
+    if not place.name or not place.parent.is_dir():
+        return []
+    pattern = re.compile(re.escape(place.name) + r"_\d+")
+    return [folder for folder in sorted(place.parent.iterdir()) if pattern.fullmatch(folder.name) and (folder / DATA).is_file()]
+
+
+def _grammar(path: Path) -> tuple[int, str, list[str]]:
+    """Return how many stamps a line has, whose clock the last one is, and sentences."""
+    text = _read_info(path.with_name(INFO))
+    kind = re.search(r"^\s*Type:\s*([^;\n]*)", text, re.MULTILINE)
+    if kind is not None and not kind.group(1).strip().startswith("Bottle"):
+        raise InputError(f"{path}: its type is {kind.group(1).strip()!r}; expected Bottle, a log of numbers.")
+    found = _STAMP_LINE.search(text)
+    if found is not None:
+        clocks = found.group(1).split("+")
+        if len(clocks) in FORMATS and set(clocks) <= {"tx", "rx"}:
+            return len(clocks), clocks[-1], []
+        raise InputError(f"{path.with_name(INFO)}: Stamp is {found.group(1)!r}; expected tx, rx or tx+rx.")
+    head = [line for data in islice(_whole_lines(path), GRAMMAR_LINES) if (line := split_line(data, 2)) is not None]
+    two = sum(_is_second_stamp(line) for line in head) * 2 > len(head) > 0
+    return (2, "rx", []) if two else (1, "", [])
+
+
+def _read_info(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        # Old data sets come without it.
+        return ""
+
+
+def _is_second_stamp(line: LogLine) -> bool:
+    tx, rx = line.stamps
+    return rx > EPOCH_MIN and (tx == 0 or abs(rx - tx) < STAMPS_APART)
+
+
+def _whole_lines(path: Path) -> Iterator[bytes]:
+    """Give the lines of a file that have an end; the dumper ends every line, so one without is cut.
+
+    Of a line that is too long to be a record, `TOO_LONG` is given.
+    """
+    try:
+        with path.open("rb") as file:
+            cut = False
+            while line := file.readline(LINE_MAX + 1):
+                ends = line.endswith(b"\n")
+                if ends:
+                    yield TOO_LONG if cut else line
+                cut = not ends
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its rights.") from None
+
+
+def _ends_open(path: Path) -> bool:
+    """Tell whether the last line of a file has no end."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - 1, 0))
+        return size > 0 and file.read(1) != b"\n"
+
+
+def _read_through(log: _Log) -> tuple[RecordedTimes, _Contents]:
+    """Read a log once: its timeline, and what it holds."""
+    contents = _Contents()
+    timeline = scan(log.name, _stamps(log, contents))
+    if not timeline.lines:
+        seen = f"has {plural(contents.unreadable, 'line')}, none of them of the form <number> <time> <values>"
+        seen = seen if contents.unreadable else "is empty"
+        raise InputError(f"{log.path}: {seen}; expected a log that yarpdatadumper wrote.")
+    if contents.untimed == timeline.lines and log.stamps == 1:
+        raise InputError(f"{log.path}: every time is 0, since the sender gave none; record it again with --rxTime.")
+    contents.cut = _ends_open(log.path)
+    _check_width(log, contents)
+    return timeline, contents
+
+
+def _stamps(log: _Log, contents: _Contents) -> Iterator[float]:
+    for data in _whole_lines(log.path):
+        line = split_line(data, log.stamps)
+        if line is not None:
+            contents.untimed += line.stamps[0] == 0
+            _look(log.stream, line.payload, contents)
+            yield line.stamps[-1]
+        elif not is_header(data):
+            contents.unreadable += 1
+
+
+def _look(stream: Stream, payload: bytes, contents: _Contents) -> None:
+    """Note what a line carries, without reading more of it than is needed."""
+    words = payload.split()
+    if not words:
+        contents.empty += 1
+        return
+    if b"(" not in payload:
+        contents.widths[len(words)] += 1
+    elif not contents.nested:
+        contents.nested = True
+        contents.sensors = _count_sensors(payload)
+    if stream is Stream.SKIN and contents.levels is not None:
+        contents.levels = _levels(words, contents.levels)
+
+
+def _count_sensors(payload: bytes) -> int:
+    try:
+        bottle = parse_bottle(payload.decode("utf-8", "replace"))
+    except BottleError:
+        return 0
+    sensors = bottle[MEASURES_WRENCH] if len(bottle) >= MEASURES_LISTS else None
+    return len(sensors) if isinstance(sensors, list) else 0
+
+
+def _levels(words: list[bytes], levels: set[float]) -> set[float] | None:
+    """Return the distinct values so far; None where a skin with them is not binarised."""
+    try:
+        levels = levels | {float(word.strip(b"()")) for word in set(words)}
+    except ValueError:
+        return levels
+    return levels if any(levels <= binary for binary in BINARY_LEVELS) else None
+
+
+def _check_width(log: _Log, contents: _Contents) -> None:
+    """Tell a skin's log from a wrench's before all of its lines are refused."""
+    if log.stream is Stream.WRENCH and contents.widths and 6 not in contents.widths:
+        width = contents.widths.most_common(1)[0][0]
+        raise InputError(f"{log.path}: its lines hold {width} values; expected six, fx fy fz mx my mz: is this the F/T log?")
+
+
+def _content_findings(log: _Log, contents: _Contents, lines: int) -> list[str]:
+    found: list[str] = []
+    if contents.untimed and log.stamps == 2:
+        found.append(
+            f"{contents.untimed} of {plural(lines, 'line')} without a time of the sender (0): "
+            "all are placed by the receiver's, which is a little later."
+        )
+    if len(contents.widths) > 1:
+        usual, count = contents.widths.most_common(1)[0]
+        found.append(f"{plural(contents.widths.total() - count, 'line')} with another number of values than {usual}.")
+    if contents.sensors > 1:
+        found.append(f"{contents.sensors} force/torque sensors in one port; the first is read.")
+    if contents.empty:
+        found.append(f"{plural(contents.empty, 'line')} without values: nothing was sent.")
+    if contents.unreadable:
+        found.append(f"{plural(contents.unreadable, 'line')} not of the form <number> <time> <values>: left out.")
+    if contents.cut:
+        found.append("the last line has no end: it was cut while it was written, and is left out.")
+    if contents.levels is not None and max(contents.levels, default=0.0) > 0:
+        found.append(
+            f"every value is 0 or {max(contents.levels):.0f}: skinManager was binarising, so all taxels of a poke weigh the "
+            "same; switch it off (set binarization off) or record the raw port, and expect worse positions from this log."
+        )
+    return [f"{log.name}: {sentence}" for sentence in found]
+
+
+def _clock_findings(logs: list[_Log]) -> list[str]:
+    """Say where two logs are placed by different clocks."""
+    clocks = {log.name: log.clock for log in logs if log.clock}
+    if len(set(clocks.values())) < 2:
+        return []
+    words = {"tx": "the sender's clock", "rx": "the recorder's clock"}
+    which = ", ".join(f"{name} by {words[clock]}" for name, clock in clocks.items())
+    return [f"the logs are placed by different clocks ({which}): where those differ, pokes are paired with the wrong wrench."]

@@ -1,0 +1,1 @@
+"""Rotations and poses, the wrench and its force axis, the arm."""

@@ -1,0 +1,340 @@
+"""Which poke tells most for the time it takes.
+
+A poke at a believed place from some side is expected to be answered by the taxels around it, the weaker the farther. For each
+of them the predicted covariance S shrinks by S J'(D + J S J')^-1 J S, with J the poke's two rows and D their noise
+(A-optimal); what counts is by how much the predicted rms error goes down, until it is as small as wanted.
+
+Two phases: a sweep, in which pokes between taxels are welcome since they tell of several; then own pokes, since pure greed
+keeps poking between taxels, and pulls their estimates together.
+
+Where to poke while nobody knows where the taxels are: evenly over the surface, around those that showed themselves first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.knowledge import offset_square, row_precision
+from skincal.guide.poke_history import PokeAxis
+from skincal.model.scene import NoiseSettings
+from skincal.surface.mesh import Surface
+from skincal.surface.nearest import nearest_to_rows
+from skincal.taxels.contact_table import across
+
+AZIMUTHS = 8
+"""Directions around the normal that are tried."""
+TILTS = (0.6, 1.0)
+"""Shares of the usable tilt that are tried, beside no tilt at all."""
+TRIES = 1 + AZIMUTHS * len(TILTS)
+"""Pushes tried at each taxel."""
+REACHED = 1.35
+"""Neighbours within this many times the usual spacing may answer: measured on the simulated forearm, nine in ten of those
+that do are nearer."""
+MOST_CUBES = 2.0**20
+"""Of the grid in which neighbours are looked for, along each side: their numbers fit into 64 bits."""
+_HARDLY = 1e-3
+"""Least weight of a neighbour: it hardly counts."""
+FORCE = 9.0
+"""N, the middle of what a hand presses (6 to 12)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnsweringTaxels:
+    """Which of n taxels are expected to answer a poke at each: k a taxel, itself first, filled up with itself and weight 0."""
+
+    rows: IntArray
+    """(n, k) int."""
+    weights: FloatArray
+    """(n, k) float, 0 to 1: expected share of the strongest answer."""
+
+
+def find_answering(places: FloatArray, spacing: float, noise: NoiseSettings, most: int = 6) -> AnsweringTaxels:
+    """Find the taxels around each of `places` (n, 3), metres.
+
+    Parameters
+    ----------
+    spacing : m, usual distance of neighbours
+    """
+    count = len(places)
+    rows, weights = np.tile(np.arange(count)[:, None], (1, most + 1)), np.zeros((count, most + 1))
+    weights[:, 0] = 1.0
+    one, other, apart = _pairs(places, REACHED * spacing)
+    one, other, apart = np.concatenate([one, other]), np.concatenate([other, one]), np.concatenate([apart, apart])
+    order = np.lexsort((other, apart, one))
+    one, other, apart = one[order], other[order], apart[order]
+    # How many nearer ones each has: its place in its own row.
+    rank = np.arange(len(one)) - np.searchsorted(one, one, side="left")
+    kept = rank < most
+    rows[one[kept], 1 + rank[kept]] = other[kept]
+    weights[one[kept], 1 + rank[kept]] = np.exp(-((apart[kept] / (2.0 * noise.reach)) ** 2))
+    return AnsweringTaxels(rows, weights)
+
+
+def pulls(places: FloatArray, neighbours: AnsweringTaxels) -> FloatArray:
+    """Return (n, 3) how far beside each taxel the middle of the expected answers lies when it is poked right upon, metres."""
+    off = np.nan_to_num(places[neighbours.rows] - places[:, None])
+    shares = neighbours.weights[:, :, None]
+    return np.asarray(np.sum(shares * off, axis=1) / np.sum(shares, axis=1), dtype=np.float64)
+
+
+def _pairs(places: FloatArray, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return all pairs of `places` (n, 3) within `reach`, metres, each once, and how far they are apart.
+
+    Each is compared with those of its own cube of a grid and of the cubes around it, half of them, since the others look back:
+    all pairs of 4,200 taxels would take 400 MB, and a tree of scipy's half a second to import.
+    """
+    known = np.flatnonzero(np.isfinite(places).all(axis=1))
+    if not len(known):
+        return known, known, np.empty(0)
+    low, high = places[known].min(axis=0), places[known].max(axis=0)
+    # A little wider than the reach, so that rounding puts no pair two cubes apart.
+    side = max(reach * (1.0 + 1e-9), float((high - low).max()) / MOST_CUBES, np.finfo(float).tiny)
+    cubes = ((places[known] - low) / side).astype(np.int64)
+    # Numbered so that the last coordinate runs fastest, and none has a neighbour round the corner.
+    wide, deep = int(cubes[:, 1].max()) + 3, int(cubes[:, 2].max()) + 3
+    keys = (cubes[:, 0] * wide + cubes[:, 1]) * deep + cubes[:, 2]
+    order = np.argsort(keys, kind="stable")
+    known, keys = known[order], keys[order]
+    rows = np.arange(len(known))
+    found: list[tuple[IntArray, IntArray]] = []
+    for step in (0, deep, (wide - 1) * deep, wide * deep, (wide + 1) * deep):
+        # Three cubes in a row hold one run of the sorted places; of its own row, those after it.
+        first = rows + 1 if step == 0 else keys.searchsorted(keys + (step - 1), side="left")
+        each = keys.searchsorted(keys + (step + 1), side="right") - first
+        one = np.repeat(rows, each)
+        found.append((known[one], known[np.arange(len(one)) + (first - np.cumsum(each) + each)[one]]))
+    one, other = (np.concatenate(part) for part in zip(*found, strict=True))
+    apart = np.sqrt(np.sum((places[other] - places[one]) ** 2, axis=1))
+    near = apart <= reach
+    return one[near], other[near], apart[near]
+
+
+def directions(normals: FloatArray, usable: float) -> FloatArray:
+    """Return (n, 1 + 16, 3) unit pushes to try at skin with outward `normals` (n, 3): along the normal, then tilted."""
+    one, two = across(normals).transpose(1, 0, 2)
+    tries = [-normals]
+    for share in TILTS:
+        tilt = share * usable
+        for step in range(AZIMUTHS):
+            turn = 2.0 * np.pi * step / AZIMUTHS
+            aside = np.cos(turn) * one + np.sin(turn) * two
+            tries.append(np.sin(tilt) * aside - np.cos(tilt) * normals)
+    return np.stack(tries, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChoiceState:
+    """What the choice looks at, of n taxels."""
+
+    places: FloatArray
+    """(n, 3) float, metres, believed."""
+    pushes: FloatArray
+    """(n, d, 3) float, unit: what is tried at each."""
+    neighbours: AnsweringTaxels
+    information: FloatArray
+    """(n, 3, 3) float, 1/m^2."""
+    normals: FloatArray
+    """(n, 3) float, unit."""
+    sensor: FloatArray
+    """(3,) float, metres: the sensor's origin, link frame."""
+    wanted: float
+    """m, the rms below which a taxel needs nothing more."""
+    in_plane: bool
+    """Whether only the place along the skin counts (surface method)."""
+    open: FloatArray
+    """(n,) float: 1 where the taxel still needs something, else 0."""
+    solved: FloatArray
+    """(n,) float, metres: what the solver says of the error, which counts where it is more: it weighs contacts its own way."""
+
+
+def _covariances(state: ChoiceState, rows: IntArray) -> FloatArray:
+    """Return (m, 3, 3), m^2; along the skin alone where that is what counts."""
+    if state.in_plane:
+        basis = across(state.normals[rows])
+        flat = _inverse(basis @ state.information[rows] @ basis.transpose(0, 2, 1))
+        found = np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
+    else:
+        found = _inverse(state.information[rows])
+    total = np.trace(found, axis1=1, axis2=2)
+    return found * np.maximum(state.solved[rows] ** 2 / total, 1.0)[:, None, None]
+
+
+def _inverse(matrices: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+
+
+def predicted(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> tuple[float, float]:
+    """Return the predicted rms error of a taxel now and after a push at it, metres."""
+    one = np.array([row])
+    before = _covariances(state, one)
+    _, less = _lowered(state, one, before[:, None], state.neighbours.rows[one][:, :1], np.ones((1, 1)), noise)
+    total = float(np.trace(before[0]))
+    return float(np.sqrt(total)), float(np.sqrt(max(total - float(less[0, push, 0]), 0.0)))
+
+
+def gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: float) -> FloatArray:
+    """Return (m, d) by how much each push at the taxels `rows` (m,) lowers the sum of the predicted rms errors, metres.
+
+    Parameters
+    ----------
+    others : 0 to 1, how far the neighbours count beside the taxel itself
+    """
+    touched, weights = state.neighbours.rows[rows], state.neighbours.weights[rows]
+    before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
+    total, less = _lowered(state, rows, before, touched, weights, noise)
+    after = np.sqrt(np.maximum(total - less, 0.0))
+    floor = state.wanted / 2.0
+    lower = np.maximum(np.sqrt(total), floor) - np.maximum(after, floor)
+    lower *= (weights > 0)[:, None] * state.open[touched][:, None]
+    return lower[:, :, 0] + others * lower[:, :, 1:].sum(axis=2)
+
+
+def _lowered(
+    state: ChoiceState, rows: IntArray, before: FloatArray, touched: IntArray, weights: FloatArray, noise: NoiseSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return (m, 1, k) the traces of the covariances `before` (m, k, 3, 3), and (m, d, k) by how much each push lowers them."""
+    (m, k), d = touched.shape, state.pushes.shape[1]
+    heard = np.maximum(weights, _HARDLY)
+    pairs = across(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
+    away: FloatArray = state.places[touched] - state.sensor
+    lever: FloatArray = np.broadcast_to(away[:, None], (m, d, k, 3))
+    offsets: FloatArray = np.broadcast_to(offset_square(heard, noise)[:, None], (m, d, k))
+    every: FloatArray = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
+    forces = np.full(m * d * k, FORCE)
+    precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), noise)
+    # The chance that it answers at all is about its share of the strongest answer.
+    beside = _inverse(precision).reshape(m, d, k, 2, 2) / heard[:, None, :, None, None]
+    moved: FloatArray = pairs @ before[:, None]
+    spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
+    inverse = _inverse(spread)
+    less = np.sum(moved * (inverse @ moved), axis=(-1, -2))
+    return np.trace(before, axis1=-2, axis2=-1)[:, None], less
+
+
+SPACING = 0.008
+"""m, between neighbouring places: a tip is felt within it, and taxels are hardly farther apart."""
+APART = 0.8
+"""Share of the spacing that two places are apart at least."""
+AROUND = 2.2 * SPACING
+"""m. Places this near to one that answered come first: skin is where skin is."""
+ASTRAY = 0.025
+"""m. Elsewhere a place farther than this from every poke is tried: the smallest patches of skin are larger."""
+
+
+class Cover:
+    """Places spread evenly over a surface, and which of them are still to be poked.
+
+    Parameters
+    ----------
+    surface : of the part
+    """
+
+    def __init__(self, surface: Surface) -> None:
+        self._surface = surface
+        self.places, triangles = spread(surface, SPACING)
+        self.normals: FloatArray = surface.normals[triangles]
+        self._poked: FloatArray = np.full(len(self.places), np.inf)
+        self._answered: FloatArray = np.full(len(self.places), np.inf)
+        """(n,) float, metres, from each place to the nearest poke, and to the nearest that was answered."""
+        self._pokes: dict[int, tuple[FloatArray, bool]] = {}
+        """Where each poke was, (3,) metres, and whether a taxel answered."""
+        self._counted = set[int]()
+        self._left_out = np.zeros(len(self.places), dtype=bool)
+
+    def poked(self, number: int, axis: PokeAxis, *, answered: bool) -> None:
+        """Take a poke: it touched where its axis passes the surface nearest, on the side that faces it."""
+        root = np.vstack([across(axis.direction[None])[0], np.zeros(3)])
+        found = nearest_to_rows(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
+        if found.triangles[0] >= 0:
+            self._pokes[number] = found.points[0], answered
+
+    def keep(self, numbers: Collection[int]) -> None:
+        """Let those of the pokes count that are among `numbers`: others were taken back."""
+        there = self._pokes.keys() & set(numbers)
+        if not self._counted <= there:
+            self._counted = set[int]()
+            self._poked[:] = self._answered[:] = np.inf
+        for number in sorted(there - self._counted):
+            self._mark(*self._pokes[number])
+        self._counted = set(there)
+
+    def _mark(self, place: FloatArray, answered: bool) -> None:
+        apart = np.sqrt(np.sum((self.places - place) ** 2, axis=1))
+        self._poked = np.minimum(self._poked, apart)
+        if answered:
+            self._answered = np.minimum(self._answered, apart)
+
+    def leave_out(self, index: int) -> None:
+        """Ask for this place no more: the operator skipped it."""
+        self._left_out[index] = True
+
+    def next(self, hand: FloatArray | None) -> int | None:
+        """Return which place to poke; None where all are covered.
+
+        Parameters
+        ----------
+        hand : (3,) float, metres, where the last poke was
+        """
+        waiting = (self._poked > SPACING) & ~self._left_out
+        near = np.flatnonzero(waiting & (self._answered <= AROUND))
+        if near.size:
+            here = self.places[near[0]] if hand is None else hand
+            return int(near[int(np.sum((self.places[near] - here) ** 2, axis=1).argmin())])
+        far = np.flatnonzero(waiting & (self._poked > ASTRAY))
+        if not far.size:
+            return None
+        if not np.isfinite(self._poked[far]).all():
+            # Nothing was poked yet: begin in the middle of the part.
+            middle = self.places.mean(axis=0)
+            return int(far[int(np.sum((self.places[far] - middle) ** 2, axis=1).argmin())])
+        return int(far[int(self._poked[far].argmax())])
+
+
+def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
+    """Return places spread over a surface, none nearer than `APART` of `spacing` to another, and their triangles.
+
+    Returns
+    -------
+    places : (n, 3) float, metres
+    triangles : (n,) int
+    """
+    corners = surface.corners
+    longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
+    steps = np.ceil(2.0 * longest / spacing).astype(np.int64).clip(min=1)
+    places, triangles = list[FloatArray](), list[IntArray]()
+    for count in np.unique(steps).tolist():
+        rows = np.flatnonzero(steps == count)
+        shares = _lattice(count)
+        places.append((shares @ corners[rows]).reshape(-1, 3))
+        triangles.append(rows.repeat(len(shares)))
+    every, owners = np.concatenate(places), np.concatenate(triangles)
+    kept = _thinned(every, APART * spacing)
+    return every[kept], owners[kept]
+
+
+def _thinned(places: FloatArray, apart: float) -> IntArray:
+    """Return which of `places` (n, 3) to keep, one after another, so that none is nearer than `apart` to one kept before."""
+    # Only now, and beside the window: a scene with a layout needs none of it.
+    spatial: Any = import_module("scipy.spatial")
+    tree = spatial.cKDTree(places)
+    waiting = np.ones(len(places), dtype=bool)
+    kept = list[int]()
+    for row in np.lexsort(places.T).tolist():
+        if waiting[row]:
+            kept.append(row)
+            waiting[tree.query_ball_point(places[row], apart)] = False
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+def _lattice(count: int) -> FloatArray:
+    """Return (n, 3) barycentric shares of the middles of `count`^2 like triangles that one is cut into."""
+    up = [(i, j) for i in range(count) for j in range(count - i)]
+    down = [(i, j) for i in range(count - 1) for j in range(count - 1 - i)]
+    pairs = np.array([(i + 1 / 3, j + 1 / 3) for i, j in up] + [(i + 2 / 3, j + 2 / 3) for i, j in down]) / count
+    return np.column_stack([1.0 - pairs.sum(axis=1), pairs])

@@ -1,0 +1,232 @@
+"""The pokes of a session as the guide sees them: where each was, whom it was meant for, how far it leaned, how it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.guide.guidance import Target
+from skincal.guide.progress import RECENT, GuideSettings, Tilt
+
+AT = 0.010
+"""m. A poke whose axis passes the asked place by less was meant for it: two taxels away is another poke."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PokeAxis:
+    """A poke's force axis, link frame."""
+
+    direction: FloatArray
+    """(3,) float, unit: the way it pushes."""
+    point: FloatArray
+    """(3,) float, metres, on the axis."""
+
+    def away(self, place: FloatArray) -> float:
+        """Return how far it passes a place, (3,) metres."""
+        off = np.cross(place - self.point, self.direction)
+        return float(np.sqrt(off @ off))
+
+    def tilt(self, normal: FloatArray) -> float:
+        """Return how far it leans from the skin's inward normal, rad; `normal` (3,) is outward, unit."""
+        return float(np.arccos(np.clip(-(self.direction @ normal), -1.0, 1.0)))
+
+
+def axis_of(poke: Contact | Rejection) -> PokeAxis | None:
+    """Return a poke's force axis; None where its force is not known."""
+    if poke.force is None or poke.moment is None or poke.link_from_sensor is None:
+        return None
+    force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+    size = float(np.sqrt(force @ force))
+    return None if not size > 0 else PokeAxis(force / size, axis_point(force, moment))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Felt:
+    """Where a poke was by the answers, told from a taxel: its place is better known later on."""
+
+    row: int
+    """Index of the taxel that answered most; -1 where none is a taxel."""
+    beside: FloatArray
+    """(3,) float, metres; NaN where none is a taxel."""
+    tilt: float
+    """rad, how far the push leaned from that taxel's normal; NaN where that is not known."""
+
+
+class PokeHistory:
+    """Follows the outcomes of a session.
+
+    Parameters
+    ----------
+    channels : (n,) ascending
+    settings : what counts as missed
+    """
+
+    def __init__(self, channels: IntArray, settings: GuideSettings) -> None:
+        self.channels = channels
+        self.contacts: dict[int, Contact] = {}
+        self._felt: dict[int, Felt] = {}
+        self._meant: dict[int, list[tuple[IntArray, int]]] = {}
+        """Of each poke what it was counted in, and at which index."""
+        self._known = set[int]()
+        """Numbers of all pokes that were ever told, whatever they ended as."""
+        self.asked: IntArray = np.zeros(len(channels), dtype=np.int64)
+        """(n,) how often each taxel was the target of an accepted poke."""
+        self.unanswered: IntArray = np.zeros(len(channels), dtype=np.int64)
+        """(n,) pokes at each, while it was asked for, in which it did not answer."""
+        self.tilt = Tilt(settings)
+        self._newest: int | None = None
+        self.sensor: FloatArray = np.zeros(3)
+        """(3,) float, metres, link frame: the sensor's origin at the last poke."""
+
+    def rows(self, channels: IntArray) -> IntArray:
+        """Return (n,) the indices of channels, -1 for those that are no taxels."""
+        at = np.searchsorted(self.channels, channels).clip(max=len(self.channels) - 1)
+        return np.where(self.channels[at] == channels, at, -1)
+
+    def take(
+        self,
+        contacts: Mapping[int, Contact],
+        rejections: Mapping[int, Rejection],
+        target: Target | None,
+        places: FloatArray,
+        normals: FloatArray,
+        pulls: FloatArray,
+    ) -> tuple[set[int], list[Contact | Rejection], list[int]]:
+        """Take what a session holds now.
+
+        Parameters
+        ----------
+        target : the poke that was asked for before these
+        places : (n, 3) float, metres, on the plan
+        normals : (n, 3) float, unit, outward
+        pulls : (n, 3) float, metres: `choose.pulls`
+
+        Returns
+        -------
+        touched : indices of taxels whose contacts are new, others than they were, or gone
+        fresh : pokes that were not known before, in the order of their numbers
+        gone : numbers of contacts that were taken out
+        """
+        gone = [poke for poke in self.contacts if poke not in contacts]
+        new = [poke for poke, contact in contacts.items() if self.contacts.get(poke) is not contact]
+        # A poke is told twice, at its release and when the tare after it is known: it was asked for once.
+        fresh: list[Contact | Rejection] = [contacts[poke] for poke in new if poke not in self._known]
+        fresh += [one for poke, one in rejections.items() if poke not in self._known]
+        fresh.sort(key=lambda one: one.poke)
+        self._known.update(one.poke for one in fresh)
+        self._count(gone, -1)
+        self._count([poke for poke in new if poke not in self.contacts], 1)
+        touched = [self.contacts[poke] for poke in (*gone, *new) if poke in self.contacts]
+        self._forget([one.poke for one in touched])
+        told = [contacts[poke] for poke in new]
+        if told:
+            self._remember(told, places, normals, pulls)
+        self._newest = max(self.contacts, default=None)
+        if self._newest is not None:
+            self.sensor = self.contacts[self._newest].link_from_sensor[:3, 3]
+        self._follow(fresh, target, normals)
+        rows = {int(row) for contact in (*touched, *told) for row in self.rows(contact.channels) if row >= 0}
+        return rows, fresh, gone
+
+    def latest(self) -> list[Contact]:
+        """Return the last contacts, as many as tell the pace, in the order of their numbers."""
+        numbers = sorted(islice(reversed(self.contacts), RECENT + 1))
+        return [self.contacts[number] for number in numbers]
+
+    def hand(self, places: FloatArray) -> FloatArray | None:
+        """Return (3,) where the hand is, at the last poke, metres; None where that is not known."""
+        place = None if self._newest not in self._felt else self.place(self._newest, places)
+        return place if place is not None and np.isfinite(place).all() else None
+
+    def place(self, poke: int, places: FloatArray) -> FloatArray:
+        """Return (3,) where a poke was by the answers, metres; NaN where no taxel answered."""
+        felt = self._felt[poke]
+        return places[felt.row] + felt.beside
+
+    def _forget(self, pokes: Sequence[int]) -> None:
+        felt = [self._felt.pop(poke) for poke in pokes]
+        for poke in pokes:
+            del self.contacts[poke]
+        self.tilt.poked(np.array([one.tilt for one in felt]), slid=False, taken_out=True)
+
+    def _remember(self, told: Sequence[Contact], places: FloatArray, normals: FloatArray, pulls: FloatArray) -> None:
+        felt = self._where(told, places, normals, pulls)
+        numbers = [contact.poke for contact in told]
+        self.contacts.update(zip(numbers, told, strict=True))
+        self._felt.update(zip(numbers, felt, strict=True))
+        self.tilt.poked(np.array([one.tilt for one in felt]), slid=False)
+
+    def _where(self, contacts: Sequence[Contact], places: FloatArray, normals: FloatArray, pulls: FloatArray) -> list[Felt]:
+        """Return where pokes were by the answers.
+
+        That is the middle of the taxels that answered, weighted by their answers, less what it is off where the taxel that
+        answered most is poked right upon: at the skin's edge there is nobody to answer on the other side.
+        """
+        sizes = np.array([len(contact.channels) for contact in contacts])
+        starts = np.concatenate([[0], sizes.cumsum()])
+        owner = np.arange(len(contacts)).repeat(sizes)
+        rows = self.rows(np.concatenate([contact.channels for contact in contacts]))
+        responses = np.where(rows >= 0, np.concatenate([contact.responses for contact in contacts]), 0.0)
+        peaks = rows[[a + int(responses[a:b].argmax()) for a, b in pairwise(starts.tolist())]]
+        sums = np.zeros((len(contacts), 4))
+        np.add.at(sums[:, :3], owner, responses[:, None] * np.nan_to_num(places[rows] - places[peaks][owner]))
+        np.add.at(sums[:, 3], owner, responses)
+        with np.errstate(invalid="ignore"):
+            beside = sums[:, :3] / sums[:, 3:] - pulls[peaks]
+        poses, forces = (np.array([getattr(one, name) for one in contacts]) for name in ("link_from_sensor", "force"))
+        pushes, _ = move_wrench(poses, forces, np.zeros_like(forces))
+        cosines = -np.sum(pushes * normals[peaks], axis=1) / np.sqrt(np.sum(pushes * pushes, axis=1))
+        tilts = np.where(peaks >= 0, np.arccos(np.clip(cosines, -1.0, 1.0)), np.nan)
+        return [Felt(*told) for told in zip(peaks.tolist(), beside, tilts.tolist(), strict=True)]
+
+    def _follow(self, fresh: Sequence[Contact | Rejection], target: Target | None, normals: FloatArray) -> None:
+        """Learn from new pokes what the hand does, and whom they were meant for."""
+        meant = target if len(fresh) == 1 else None
+        for poke in fresh:
+            slid = isinstance(poke, Rejection) and poke.reason is Reason.SLID
+            axis = axis_of(poke) if slid or meant is not None else None
+            if isinstance(poke, Contact):
+                self._count_asked(poke, meant)
+            elif slid and axis is not None:
+                self._slid(poke, axis, meant, normals)
+            if meant is not None and axis is not None and axis.away(meant.place) <= AT:
+                self._aimed(poke, axis, meant)
+
+    def _count(self, pokes: Sequence[int], sign: int) -> None:
+        """Count whom known pokes were meant for, or count it no more: they were taken out."""
+        for poke in pokes:
+            for count, row in self._meant.get(poke, ()):
+                count[row] += sign
+
+    def _learn(self, poke: int, count: IntArray, channel: int) -> None:
+        row = int(self.rows(np.array([channel]))[0])
+        if row >= 0:
+            count[row] += 1
+            self._meant.setdefault(poke, []).append((count, row))
+
+    def _count_asked(self, contact: Contact, meant: Target | None) -> None:
+        """Count whom a new poke was meant for: the target, if one was asked for, else who answered most."""
+        peak = int(contact.channels[contact.responses.argmax()])
+        self._learn(contact.poke, self.asked, peak if meant is None or meant.channel is None else meant.channel)
+
+    def _slid(self, poke: Rejection, axis: PokeAxis, meant: Target | None, normals: FloatArray) -> None:
+        rows = self.rows(poke.channels)
+        known = [normals[row] for row in rows[rows >= 0].tolist() if np.isfinite(normals[row]).all()]
+        if not known and meant is not None:
+            known = [meant.normal]
+        if known:
+            middle = np.sum(known, axis=0)
+            self.tilt.poked(np.array([axis.tilt(middle / np.linalg.norm(middle))]), slid=True)
+
+    def _aimed(self, poke: Contact | Rejection, axis: PokeAxis, meant: Target) -> None:
+        if isinstance(poke, Contact) or poke.reason is Reason.SLID:
+            self.tilt.aimed(meant.tilt, axis.tilt(meant.normal))
+        told = isinstance(poke, Contact) or poke.reason is Reason.NO_TAXEL
+        if told and meant.channel is not None and meant.channel not in poke.channels:
+            self._learn(poke.poke, self.unanswered, meant.channel)

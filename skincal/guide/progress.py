@@ -1,0 +1,391 @@
+"""What the guide wants and what it takes for granted; each number with its unit and its reason.
+
+When a taxel is done, and when it is given up. Never by residuals: those of near-parallel axes agree and are wrong.
+
+How many pokes are left, foretold from what each taxel still needs: to plan a break by; nothing follows from it.
+
+The most that a push may lean: what the friction of the tip holds, and what the operator's hand manages.
+
+Friction: a push that leans more than the friction angle slides more often than not, one that leans less seldom does. Of each
+angle that friction may have it is kept how likely the pokes so far are; the middle of that, less a margin, is usable.
+
+Whose turn it is where pokes need no tilt but evenness: round by round, and the way of the hand short.
+
+A poke of its own is a turn, asked for or not. One that was asked for and missed is asked for once more in a round, and no more
+often: who cannot be reached must not keep the others waiting.
+
+What the contacts of one taxel are like beside what it needs: from which sides they came, and where around it they lie.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.taxels.result import Estimate, Method, State
+
+
+@dataclass(frozen=True, slots=True)
+class GuideSettings:
+    """SI units."""
+
+    wanted: float = 0.003
+    """m, predicted rms error at which a taxel may be done: a little over half of the 5 mm between taxels."""
+    module_pokes: int = 4
+    """Pokes of a module's own, by the modules method: four places tell where it lies and how it is turned, and one is spare."""
+    own_pokes: int = 3
+    """Pokes of its own, in which the taxel answers most: what neighbours' pokes say of it is off to their side."""
+    diversity: float = float(np.radians(15.0))
+    """rad, free method: below it depth is four times worse than the place across (1/sin)."""
+    balance: float = 0.001
+    """m: the middle of a taxel's contacts may lie this far beside it. Beyond, its estimate is pulled there."""
+    settled: float = 0.0005
+    """m: how far the last poke of its own may have moved a taxel."""
+    usable_tilt: float = float(np.radians(28.0))
+    """rad, from the normal: a little less than the friction of a tip on foam holds."""
+    tolerance: float = float(np.radians(10.0))
+    """rad: a push within this of the wanted one is as asked; the hand's own error is 6 degrees (sd)."""
+    sweep: float = 1.5
+    """Pokes a taxel until the guide asks for pokes of its own: until then those between taxels tell more, afterwards they
+    pull neighbours together."""
+    unanswered: int = 3
+    """A taxel that was poked at so often and never answered is given up: it may be broken, or not where the layout says."""
+    patience: int = 15
+    """Own pokes after which a taxel is given up that is not done: twice as many as one needs in the mean."""
+    unknown: float = 0.020
+    """m, sd of a taxel's place in each direction before anything is known: keeps one axis finite; never counts as known."""
+    poke_s: float = 2.0
+    """s, for a poke where the hand is: measured on the simulated operator, whose habits are assumed."""
+    hand_speed: float = 0.15
+    """m/s, of the hand between taxels. Assumed: slow, as one aims."""
+
+
+class Need(Enum):
+    """What a taxel still needs; the value says it in a few words."""
+
+    POKES = "pokes of its own"
+    ACCURACY = "a smaller predicted error"
+    SIDES = "pokes from other sides"
+    BALANCE = "pokes on its other half"
+    SETTLED = "one more poke, since the last one moved it"
+    DECISION = "a poke that tells two places apart"
+
+
+class Why(Enum):
+    """Why a taxel is not done; the value says it in a few words."""
+
+    DEAD = "not used"
+    NEVER_FIRED = "never answered where it is expected"
+    OUT_OF_REACH = "out of reach: every side of it was skipped"
+    TILT = "the tilt that the hand manages does not spread its axes enough"
+    AMBIGUOUS = "two places fit its pokes"
+    STUBBORN = "many pokes were not enough"
+    EARLY = "not poked enough yet"
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What is known of one taxel beside its estimate; SI units."""
+
+    own: int
+    """Pokes of its own; by the modules method, of its module."""
+    diversity: float
+    beside: float
+    moved: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """What was tried at one taxel, and what can be."""
+
+    own: int
+    contacts: int
+    """Pokes in which it answered."""
+    unanswered: int
+    """Pokes at it, while it was asked for, in which it did not answer."""
+    shut: bool
+    """Every side of it was skipped."""
+    tilt: float
+    """rad, the most that a push may lean now."""
+
+
+def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings) -> tuple[Need, ...]:
+    """Return what a taxel still needs by one method; nothing for one that is done or dead."""
+    if estimate.state is State.DEAD:
+        return ()
+    if method is Method.MODULES:
+        few, wide = facts.own < settings.module_pokes, estimate.rms is None or estimate.rms > settings.wanted
+        return tuple(need for need, is_missing in ((Need.POKES, few), (Need.ACCURACY, wide)) if is_missing)
+    missing = {
+        Need.POKES: facts.own < settings.own_pokes,
+        Need.ACCURACY: estimate.rms is None or estimate.rms > settings.wanted,
+        Need.SIDES: method is Method.FREE and facts.diversity < settings.diversity,
+        Need.BALANCE: facts.beside > settings.balance,
+        Need.SETTLED: facts.own >= settings.own_pokes and not facts.moved <= settings.settled,
+        Need.DECISION: estimate.rival is not None,
+    }
+    return tuple(need for need, is_missing in missing.items() if is_missing)
+
+
+def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -> Why | None:
+    """Return why a taxel that still needs something is asked for no more; None where it is."""
+    if not missing:
+        return None
+    if tried.shut:
+        return Why.OUT_OF_REACH
+    if tried.contacts == 0:
+        return Why.NEVER_FIRED if tried.unanswered >= settings.unanswered else None
+    if tried.own >= settings.patience:
+        return Why.AMBIGUOUS if Need.DECISION in missing else Why.STUBBORN
+    # Axes that all lean by one angle, evenly to all sides, have just that diversity; none has more.
+    if Need.SIDES in missing and tried.own >= settings.own_pokes and tried.tilt < settings.diversity:
+        return Why.TILT
+    return None
+
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+MOVES = 0.0042
+"""m, sd of what one poke says of a taxel in each direction, hand and sensor together: the n-th moves it by this over n. From
+guided sessions of the standard study, as the next one."""
+EXPECTED_HITS = 0.6
+"""Share of the pokes that are own pokes of the taxel asked for; the others are a neighbour's, which may be done."""
+BALANCING = 2
+"""Own pokes that it takes to balance a taxel's contacts."""
+PAUSE_S = 30.0
+"""s. A longer time between two pokes is a pause, not work."""
+RECENT = 20
+"""Pokes whose pace counts."""
+
+
+def pokes_left(
+    open_: BoolArray, own: IntArray, rms: FloatArray, beside: FloatArray, moved: FloatArray, settings: GuideSettings
+) -> int:
+    """Return how many pokes it takes until nothing is open.
+
+    Parameters
+    ----------
+    open_ : (n,) which taxels need something and are not given up
+    own : (n,) pokes of their own
+    rms : (n,) float, metres, predicted; infinite while unknown
+    beside : (n,) float, metres, of the middle of their contacts
+    moved : (n,) float, metres, by the last poke of their own
+    """
+    pokes, wanted = np.minimum(own, settings.patience - 1), settings.own_pokes - own
+    # The variance falls as one over the pokes.
+    error = np.where(np.isfinite(rms), rms, settings.wanted)
+    exact = np.ceil(np.maximum(pokes, 1) * ((error / settings.wanted) ** 2 - 1.0))
+    balance = np.where((beside > settings.balance) & (pokes > 0), BALANCING, 0)
+    first = np.maximum.reduce([wanted, exact, balance, np.zeros(len(own))])
+    unsettled = (first > 0) | ~(moved <= settings.settled)
+    then = np.minimum(pokes + first, settings.patience).astype(np.int64)
+    each = first + np.where(unsettled, _settling(settings)[then], 0.0)
+    share = float(open_.mean()) if len(open_) else 0.0
+    return int(
+        np.ceil(
+            float(np.minimum(each, settings.patience - pokes)[open_].sum()) / (EXPECTED_HITS + (1.0 - EXPECTED_HITS) * share)
+        )
+    )
+
+
+def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings) -> int:
+    """Return how many pokes it takes until no module is open, by the modules method.
+
+    Parameters
+    ----------
+    modules : (n,) of each taxel
+    own : (n,) pokes of its module
+    """
+    count = 0
+    for module in np.unique(modules[open_]).tolist():
+        taxels = modules == module
+        pokes, error = int(own[taxels].max()), float(np.max(np.where(np.isfinite(rms[taxels]), rms[taxels], 0.0)))
+        # The variance falls as one over the pokes.
+        exact = int(np.ceil(max(pokes, 1) * ((error / settings.wanted) ** 2 - 1.0)))
+        count += max(settings.module_pokes - pokes, exact, 1)
+    return count
+
+
+def _settling(settings: GuideSettings) -> FloatArray:
+    """Return for each number of own pokes how many more it takes until one of them moves the taxel little enough."""
+    after = np.zeros(settings.patience + 1)
+    for pokes in range(settings.patience - 1, -1, -1):
+        moved = MOVES / (pokes + 1)
+        unsettled = float(np.exp(-0.5 * (settings.settled / moved) ** 2))
+        after[pokes] = unsettled * (1.0 + after[pokes + 1])
+    return after
+
+
+def pace(times: FloatArray) -> float | None:
+    """Return the seconds between two pokes, the median of the last ones without pauses; None before the third poke.
+
+    Parameters
+    ----------
+    times : (n,) float, seconds, ascending: when each poke began
+    """
+    steps = np.diff(times[-RECENT - 1 :])
+    steps = steps[steps <= PAUSE_S]
+    return float(np.median(steps)) if len(steps) >= 2 else None
+
+
+def worked(begins: FloatArray, ends: FloatArray) -> float:
+    """Return how long it took, seconds, from the first poke's begin to the last one's end, without pauses."""
+    if not len(begins):
+        return 0.0
+    waits = begins[1:] - ends[:-1]
+    return float(np.sum(ends - begins) + np.sum(waits[waits <= PAUSE_S]))
+
+
+ANGLES: FloatArray = np.radians(np.linspace(5.0, 60.0, 56))
+"""rad, friction angles that are thought of."""
+PRIOR = (float(np.radians(40.0)), float(np.radians(10.0)))
+"""rad, mean and sd before any poke: a rubber tip on foam. Assumed."""
+SLIDES = (0.1, 0.5)
+"""Chance that a poke slides that leans less, and more, than friction holds. Nearer to each other than they are, since people
+slide for other reasons too: one slide alone changes nothing."""
+MARGIN = float(np.radians(5.0))
+"""rad, between what is asked for and what just holds: somewhat less than a hand's error."""
+STEP = float(np.radians(2.0))
+"""rad: usable tilts are whole multiples, so that targets are not worked out anew with every poke."""
+LEAST = float(np.radians(10.0))
+"""rad: less is asked of nobody; a hand's own error is hardly smaller."""
+MISSES = 2
+"""So many misses in a row lower what is asked for."""
+HITS = 4
+"""So many hits in a row raise it again, by `RAISE`."""
+RAISE = float(np.radians(4.0))
+
+
+class Tilt:
+    """Learns from pokes how far a push may lean."""
+
+    def __init__(self, settings: GuideSettings) -> None:
+        self._settings = settings
+        mean, sd = PRIOR
+        self._log: FloatArray = -0.5 * ((ANGLES - mean) / sd) ** 2
+        self._demand = settings.usable_tilt
+        self._short: list[float] = []
+        """rad, the tilts of the last pokes, as long as each was far less than asked for."""
+        self._hits = 0
+
+    @property
+    def friction(self) -> float:
+        """The tilt, rad, that friction holds, as likely as not."""
+        likely = np.exp(self._log - self._log.max()).cumsum()
+        return float(ANGLES[int((likely >= likely[-1] / 2.0).argmax())])
+
+    @property
+    def usable(self) -> float:
+        """The most that is asked for, rad."""
+        least = min(self._settings.usable_tilt, self._demand, self.friction - MARGIN)
+        if least >= self._settings.usable_tilt:
+            return self._settings.usable_tilt
+        # A rounding error below a whole step is that step.
+        return max(LEAST, STEP * float(np.floor(least / STEP + 1e-9)))
+
+    def poked(self, tilts: FloatArray, *, slid: bool, taken_out: bool = False) -> None:
+        """Take pokes that leaned `tilts`, (n,) rad, from the normal, NaN where that is not known; or take them out again."""
+        more, less = (SLIDES[1], SLIDES[0]) if slid else (1.0 - SLIDES[1], 1.0 - SLIDES[0])
+        known: FloatArray = tilts[np.isfinite(tilts)]
+        beyond: IntArray = np.sum(known[:, None] > ANGLES, axis=0)
+        told = beyond * np.log(more) + (len(known) - beyond) * np.log(less)
+        self._log += -told if taken_out else told
+
+    def aimed(self, asked: float, made: float) -> None:
+        """Take how far a poke was to lean, and how far it did, rad: who misses it twice is asked for less."""
+        if made < asked - self._settings.tolerance:
+            self._hits = 0
+            self._short.append(made)
+            if len(self._short) >= MISSES:
+                self._demand = max(LEAST, float(np.mean(self._short)) + self._settings.tolerance / 2.0)
+                self._short = []
+            return
+        self._short = []
+        self._hits = self._hits + 1 if made >= asked - self._settings.tolerance / 2.0 else 0
+        if self._hits >= HITS and self._demand < self._settings.usable_tilt:
+            self._hits, self._demand = 0, min(self._demand + RAISE, self._settings.usable_tilt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turns:
+    """Says which of n taxels is poked next, by how often each was."""
+
+    places: FloatArray
+    """(n, 3) float, metres, believed; NaN where nothing is known."""
+    modules: IntArray
+    """(n,) index of the module, from 0; looked at by `module_taxel` alone."""
+    asked: IntArray
+    """(n,) how often each was asked for."""
+    own: IntArray
+    """(n,) pokes that each answered most."""
+
+    def taxel(self, rows: IntArray, seconds: FloatArray) -> int:
+        """Return which of the taxels `rows` (m,) is next, each counted by itself: of several the one reached soonest.
+
+        Parameters
+        ----------
+        seconds : (m,) until the hand has poked there
+        """
+        first = _first(_rounds(self.asked, self.own)[rows])
+        return int(rows[first[seconds[first].argmin()]])
+
+    def module_taxel(self, rows: IntArray, seconds: FloatArray) -> int:
+        """Return which of `rows` (m,) is next where modules take turns: of several modules the one reached soonest.
+
+        Pokes side by side do not tell how a module is turned: of its taxels that were poked least, it is the one farthest from
+        the others. One that was asked for twice in vain counts as poked.
+
+        Parameters
+        ----------
+        seconds : (m,) until the hand has poked there
+        """
+        first = _first(_rounds(np.bincount(self.modules, self.asked), np.bincount(self.modules, self.own))[self.modules[rows]])
+        module = self.modules[rows[first[seconds[first].argmin()]]]
+        here = first[self.modules[rows[first]] == module]
+        each = np.maximum(self.own, self.asked - 1)
+        here = here[_first(each[rows[here]])]
+        more = (self.modules == module) & (each > each[rows[here[0]]]) & np.isfinite(self.places).all(axis=1)
+        if not more.any():
+            return int(rows[here[seconds[here].argmin()]])
+        off = self.places[rows[here], None] - self.places[more]
+        return int(rows[here[np.sum(off * off, axis=2).min(axis=1).argmax()]])
+
+
+def _first(rounds: FloatArray | IntArray) -> IntArray:
+    return np.flatnonzero(rounds == rounds.min())
+
+
+def _rounds(asked: IntArray | FloatArray, own: IntArray | FloatArray) -> FloatArray:
+    return np.maximum(own, np.maximum(np.minimum(asked, own + 1), asked - 1)).astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisDiversity:
+    """The n contacts of a taxel, and d pushes that may come next, link frame."""
+
+    channel: int
+    normal: FloatArray
+    """(3,) float, unit, outward."""
+    pushes: FloatArray
+    """(n, 3) float, unit: which way each pushed."""
+    offsets: FloatArray
+    """(n, 3) float, metres, along the skin: where each was by the answers, from the taxel."""
+    own: NDArray[np.bool_]
+    """(n,) whether the taxel answered most."""
+    trust: FloatArray
+    """(n,) float, 0 to 1: how far the method believes it for this taxel."""
+    beside: FloatArray
+    """(3,) float, metres, along the skin: the middle of the contacts, from the taxel."""
+    diversity: float
+    """rad, how far the axes spread."""
+    usable_tilt: float
+    """rad: the most that a push is asked to lean."""
+    tried: FloatArray
+    """(d, 3) float, unit: pushes that may come next."""
+    worth: FloatArray
+    """(d,) float, metres: by how much each lowers the sum of the predicted errors; 0 where its side was skipped."""

@@ -1,0 +1,203 @@
+"""Estimates of many taxels: pooled over all contacts, or per arm pose and averaged as the paper does (IV-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import NoiseSettings
+from skincal.modules.estimate import estimate_modules
+from skincal.taxels.contact_table import ContactTable, Evidence
+from skincal.taxels.result import PER_TAXEL, Estimate, Method, State
+from skincal.taxels.solve import Solution, estimate_free, solve
+
+if TYPE_CHECKING:
+    from skincal.modules.pose import ModuleModel
+    from skincal.surface.mesh import Surface
+
+_NONE_DEAD: Mapping[int, str] = {}
+_NONE_BEFORE: Mapping[int, Estimate] = {}
+_AT_ONCE = 40_000
+"""Answers solved at once: what is made of them, some 20 MB, stays near the processor."""
+
+Estimates: TypeAlias = dict[Method, dict[int, Estimate]]
+"""Of each method, of each channel."""
+
+
+def estimate_taxels(
+    contacts: Sequence[Contact],
+    channels: Iterable[int],
+    methods: Sequence[Method],
+    noise: NoiseSettings,
+    surface: Surface | None,
+    dead: Mapping[int, str] = _NONE_DEAD,
+    doubting: bool = True,
+    boards: ModuleModel | None = None,
+) -> Estimates:
+    """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
+
+    The result does not depend on the order of the contacts, nor on which other channels are asked for: not by a bit.
+
+    Parameters
+    ----------
+    contacts : accepted and not excluded; those without one of `channels` do not matter
+    dead : channels that are not used, with the reason
+    doubting : whether contacts far off what a taxel's others say count less for it
+    boards : needed by the modules method, which takes the contacts of all taxels of a module
+
+    Raises
+    ------
+    ValueError
+        A contact has a number that is not finite, or a method lacks its surface or its boards.
+    """
+    ledger, channels = ContactTable(contacts), [int(channel) for channel in channels]
+    alone = [method for method in methods if method in PER_TAXEL]
+    solved = estimate_from(ledger, channels, alone, noise, surface, dead, doubting=doubting)
+    if Method.MODULES in methods:
+        if boards is None:
+            raise ValueError("the modules method needs the boards of a layout")
+        modules = boards.modules_of(channels)
+        begin = Method.FREE if surface is None else Method.SURFACE
+        others = estimate_from(ledger, boards.channels_of(modules), [begin], noise, surface, dead, doubting=doubting)
+        found = estimate_modules(ledger, boards, modules, noise, [others[begin]], dead, doubting)
+        solved[Method.MODULES] = {
+            channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
+        }
+    return {method: solved[method] for method in methods}
+
+
+def estimate_from(
+    ledger: ContactTable,
+    channels: Iterable[int],
+    methods: Sequence[Method],
+    noise: NoiseSettings,
+    surface: Surface | None,
+    dead: Mapping[int, str] = _NONE_DEAD,
+    last: Mapping[int, Estimate] = _NONE_BEFORE,
+    doubting: bool = True,
+) -> Estimates:
+    """Estimate each of `channels` from the contacts of a ledger, by methods of `PER_TAXEL`; else as `estimate_taxels`.
+
+    Parameters
+    ----------
+    last : the surface method's last answers, which make its search shorter and nothing else
+    """
+    if Method.SURFACE in methods and surface is None:
+        raise ValueError("the surface method needs a surface")
+    channels = [int(channel) for channel in channels]
+    evidence = ledger.evidence([channel for channel in channels if channel not in dead])
+    solved: Estimates = {method: {} for method in methods}
+    for first, after in _blocks(evidence):
+        part = evidence.part(first, after)
+        solution = solve(part, methods, noise, surface, _triangles(part, last), doubting)
+        for method, estimates in _estimates(solution, surface).items():
+            solved[method].update((one.channel, one) for one in estimates)
+    return {
+        method: {channel: found.get(channel) or _without(channel, method, dead) for channel in channels}
+        for method, found in solved.items()
+    }
+
+
+def _blocks(evidence: Evidence) -> list[tuple[int, int]]:
+    """Cut the taxels into parts of about `_AT_ONCE` answers: first taxel, and the one after the last."""
+    count = len(evidence.channels)
+    edges = np.searchsorted(evidence.starts, np.arange(0, len(evidence.pokes), _AT_ONCE), side="left")
+    cuts = sorted({*edges.tolist(), count})
+    return [(a, b) for a, b in pairwise(cuts) if b > a]
+
+
+def _estimates(solution: Solution, surface: Surface | None) -> dict[Method, list[Estimate]]:
+    estimates: dict[Method, list[Estimate]] = {}
+    if solution.free is not None:
+        estimates[Method.FREE] = estimate_free(solution, solution.free)
+    if solution.surface is not None and surface is not None:
+        # Only now: a scene without a mesh loads nothing of it.
+        from skincal.taxels.solve import estimate_surface
+
+        estimates[Method.SURFACE] = estimate_surface(solution, solution.surface, surface)
+    return estimates
+
+
+def _triangles(evidence: Evidence, last: Mapping[int, Estimate]) -> IntArray:
+    """Return (t,) the triangles of the last answers, -1 where there was none."""
+    before = [last.get(channel) for channel in evidence.channels.tolist()]
+    return np.array([-1 if one is None or one.triangle is None else one.triangle for one in before], dtype=np.int64)
+
+
+def _without(channel: int, method: Method, dead: Mapping[int, str]) -> Estimate:
+    """Return what is said of a channel without evidence."""
+    if channel in dead:
+        return Estimate(channel, method, State.DEAD, 0, reason=dead[channel])
+    return Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel.")
+
+
+def average_over_poses(
+    contacts: Sequence[Contact],
+    channels: Sequence[int],
+    method: Method,
+    noise: NoiseSettings,
+    surface: Surface | None,
+    dead: Mapping[int, str] = _NONE_DEAD,
+    boards: ModuleModel | None = None,
+) -> dict[int, Estimate]:
+    """Estimate each pose's contacts alone and average the positions with equal weights, the paper's IV-B.
+
+    A pose in which a taxel is not estimated does not count for it. Averages of methods on the surface leave it, as the
+    paper's do; their triangle is None.
+
+    Parameters
+    ----------
+    contacts, channels, method, noise, surface, dead, boards
+        As for `estimate_taxels`; poses are told apart by `Contact.pose`.
+    """
+    poses: dict[str, list[Contact]] = {}
+    for contact in contacts:
+        poses.setdefault(contact.pose, []).append(contact)
+    # By name, so that the order in which the poses came does not matter.
+    solved = [
+        estimate_taxels(poses[pose], channels, [method], noise, surface, dead, boards=boards)[method] for pose in sorted(poses)
+    ]
+    if not solved:
+        return estimate_taxels([], channels, [method], noise, surface, dead, boards=boards)[method]
+    return {int(channel): _average([one[int(channel)] for one in solved]) for channel in channels}
+
+
+def _average(of_poses: list[Estimate]) -> Estimate:
+    """Average one taxel's estimates, one a pose."""
+    seen = [one for one in of_poses if one.state not in (State.UNSEEN, State.DEAD)]
+    if not seen:
+        return of_poses[0]
+    contacts = sum(one.contacts for one in seen)
+    channel, method = seen[0].channel, seen[0].method
+    good = [one for one in seen if one.position is not None and one.covariance is not None]
+    if not good:
+        best = max(seen, key=lambda one: one.contacts)
+        reason = f"Blind in each of its {len(seen)} poses. In the one with most pokes: {best.reason}"
+        return Estimate(
+            channel, method, State.BLIND, contacts, normal=best.normal, weakest=best.weakest, sd=best.sd, reason=reason
+        )
+    position, covariance = np.zeros(3), np.zeros((3, 3))
+    for count, one in enumerate(good, start=1):
+        position = position + (np.asarray(one.position) - position) / count
+        covariance = covariance + np.asarray(one.covariance)
+    covariance = covariance / len(good) ** 2
+    values, axes = np.linalg.eigh(covariance)
+    normals = np.sum([one.normal for one in good if one.normal is not None] or [np.zeros(3)], axis=0)
+    length = float(np.linalg.norm(normals))
+    blind = len(seen) - len(good)
+    return Estimate(
+        channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
+        covariance=covariance, weakest=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
+        rms=float(np.sqrt(np.trace(covariance))),
+        reason=f"Mean of {len(good)} poses" + (f"; {blind} are blind and left out." if blind else "."),
+    )  # fmt: skip
+
+
+def _unsigned(line: FloatArray) -> FloatArray:
+    """Return the unit vector along `line` (3,) whose largest component is positive: a line has no sign."""
+    return line * np.sign(line[np.abs(line).argmax()])

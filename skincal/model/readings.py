@@ -1,0 +1,156 @@
+"""What devices say: bytes with their arrival, decoded readings, and what was lost on the way.
+
+Everything here is frozen and in SI units. A batch holds several readings of one stream as arrays, in the order
+in which the device sent them; a batch of one is common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry.arrays import FloatArray, IntArray
+
+
+class Stream(Enum):
+    """What a stream of readings measures."""
+
+    WRENCH = "wrench"
+    SKIN = "skin"
+    JOINTS = "joints"
+
+
+class Loss(Enum):
+    """Why a reading, or part of one, did not reach the estimates; the value is the sentence shown for it."""
+
+    BAD_CHECKSUM = "checksum does not fit"
+    BAD_WIDTH = "wrong number of values"
+    UNREADABLE = "not a record of this format"
+    MISSING = "numbers missing in the sequence"
+    NOT_A_NUMBER = "NaN or infinite"
+    SATURATED = "sensor says saturated"
+    INVALID = "sensor says invalid"
+    LATE = "arrived too late to be paired"
+    UNPAIRED = "no wrench at the time of the skin frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes as one read returned them: the unit of the journal."""
+
+    link: str
+    """Name of the link, unique in a session, such as `"wrench"`."""
+    host_ns: int
+    """Host's monotonic clock straight after the read, nanoseconds."""
+    data: bytes
+
+
+class LinkState(Enum):
+    """What a link is doing."""
+
+    OPEN = "open"
+    LOST = "lost"
+    FAILED = "failed"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEvent:
+    """A change of state of a link, in the same queue as its chunks."""
+
+    link: str
+    host_ns: int
+    state: LinkState
+    text: str = ""
+    """A sentence for the operator: what happened and what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrenchBatch:
+    """Wrenches of one device, sensor frame."""
+
+    seq: IntArray
+    """(n,) device's counter, unwrapped; -1 where the format has none."""
+    device_s: FloatArray
+    """(n,) device's clock, seconds, unwrapped; NaN where the format has none."""
+    wrench: FloatArray
+    """(n, 6) float, fx fy fz (N) mx my mz (N m)."""
+    saturated: NDArray[np.bool_]
+    """(n,) the device says that a reading is beyond its range; such a reading is kept and never used."""
+    invalid: NDArray[np.bool_]
+    """(n,) the device says that a reading is not valid; never used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinBatch:
+    """Skin frames of one device: raw values as sent, one per channel."""
+
+    seq: IntArray
+    device_s: FloatArray
+    values: FloatArray
+    """(n, channels) float, the device's own unit; NaN is a channel that the device says is dead."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointsBatch:
+    """Joint angles of the arm."""
+
+    seq: IntArray
+    device_s: FloatArray
+    angles: FloatArray
+    """(n, joints) float, radians."""
+
+
+Batch: TypeAlias = WrenchBatch | SkinBatch | JointsBatch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One skin frame with the wrench brought to its instant."""
+
+    host_s: float
+    """Host's monotonic clock at the frame, seconds, by the device's mapped clock."""
+    skin: FloatArray
+    """(channels,) float, raw; NaN where the channel gave no usable number."""
+    wrench: FloatArray
+    """(6,) float, N and N m, mean over the frame's interval, sensor frame."""
+    readings: int
+    """Number of wrench readings in the mean."""
+    saturated: bool
+    """A wrench reading of the interval was saturated or invalid."""
+    angles: FloatArray | None = None
+    """(joints,) float, radians, last streamed joint angles; None without a joint stream."""
+
+
+SILENT_S = 2.0
+"""s. What has brought nothing for longer is silent. Joints at 1 Hz are slow, not silent."""
+
+
+def is_silent(last_s: float, now_s: float) -> bool:
+    """Return whether a link, or the frames of a skin, are silent at `now_s`; the newest came at `last_s` of the same clock."""
+    return now_s - last_s > SILENT_S
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """How a link does, for the devices panel."""
+
+    link: str
+    state: LinkState
+    text: str
+    carries: tuple[Stream, ...]
+    format: str
+    """Name of the format found, such as `"SKB/1"`; empty while unknown."""
+    readings: int
+    """Good readings so far."""
+    rate: float
+    """Readings per second over the last seconds; 0 while unknown."""
+    last_host_ns: int
+    """Arrival of the last bytes; 0 before the first."""
+    losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
+    """Counted losses by reason."""

@@ -1,0 +1,348 @@
+"""A scene: what there is to calibrate, read from a TOML file.
+
+It decides which solvers, layers, panels and imports exist: what a scene does not have is None here and costs nothing.
+The file's lengths are metres and its angles degrees unless the key ends in a unit; see `docs/scene.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skincal.geometry.arm import Arm, DhLink
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
+from skincal.model.tables import Table, check_metres, read_toml
+
+_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
+"""Settings that the file gives in degrees, by the name that says so."""
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
+
+
+@dataclass(frozen=True, slots=True)
+class SkinSpec:
+    """The skin's stream and, where the maker gives one, its layout."""
+
+    channels: int
+    """Width of a skin frame."""
+    polarity: int
+    """+1 where raw values rise under pressure, -1 where they fall."""
+    layout: Layout | None
+    anchor: Anchor | None
+    """Where the layout lies on the part, as planned; None where unknown."""
+    range: tuple[float, float] | None
+    """Lowest and highest raw value of the device; a taxel that rests there is stuck."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceSpec:
+    """A mesh file and its place."""
+
+    path: Path
+    scale: float
+    """Metres per unit of the file."""
+    link_from_mesh: FloatArray
+    """(4, 4) float, metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactSettings:
+    """Thresholds of poke detection and of the gates; SI units."""
+
+    force_min: float = 4.0
+    """N. Below it the axis is too uncertain: its direction error is sd(f)/|f|, 1.4 degrees at 4 N and 0.1 N."""
+    force_max: float = 15.0
+    """N. Above it foam bottoms out and an operator's hand slides."""
+    touch_force: float = 1.0
+    """N. A poke begins above it: ten times a good sensor's noise (0.1 N)."""
+    release_force: float = 0.6
+    """N. A poke ends below it; lower than `touch_force` so that noise cannot end it."""
+    still_s: float = 0.30
+    """s. Length of the still window: 15 skin frames at 50 Hz."""
+    still_change: float = 0.05
+    """Largest relative spread (sd) of the force inside the still window."""
+    slide_max: float = 0.0015
+    """m. Largest travel of the force axis inside the still window, measured where the contact is."""
+    pitch_max: float = 0.008
+    """m. Largest |f . m|/|f|^2 (eq. 3): the 99th percentile of single contacts is 7.5 mm in simulation with sensor noise alone.
+    Widen it where the sensor's matrix is off: an error of 2 % with cross-talk at a lever of 0.2 m alone makes a pitch of
+    sd 6 mm, so that good pokes end as "two contacts or a torque"; three times that is 20 mm."""
+    taxels_max: int = 6
+    """Most taxels that may answer one poke: the default of the authors' own module (`skinCalibration`)."""
+    response_min: float = 10.0
+    """Raw units. The threshold delta: the authors' own module uses 10 of 255."""
+    response_noises: float = 5.0
+    """A taxel answers when also this many standard deviations of its own noise above its baseline."""
+    quiet_s: float = 0.20
+    """s. Length of a quiet window for the tare: 10 skin frames at 50 Hz."""
+    tare_change_max: float = 1.0
+    """N. Largest difference of the tares before and after a poke; beyond it the sensor drifted or something leaned."""
+    gap_factor: float = 1.6
+    """Neighbours answer together when they are nearer than this many spacings of the layout."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSettings:
+    """The rig's noise per averaged poke, for predicted uncertainty; SI units. One set for the whole session."""
+
+    force: float = 0.10
+    """N, sd of each force component: a good rig's, see `docs/noise.md`."""
+    moment: float = 0.010
+    """N m, sd of each moment component: likewise; the FT45 resolves 0.005 N m."""
+    contact: float = 0.0015
+    """m, sd of the contact about the taxel that answers most, each direction in the skin: by hand one aims to 2 mm, and where
+    the tip lands farther off, a neighbour answers more."""
+    reach: float = 0.0025
+    """m, how far beside the tip the skin answers: a taxel that the tip misses by this much, each direction, more than the one
+    that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.foam`)."""
+    radius: float = 0.03
+    """m, of the part across its axis under the skin: pokes beside a taxel lean with the skin, so the axes meet below it. A
+    forearm's; 1 where the part is flat."""
+    pose_turn: float = 0.0
+    """rad, sd of the turn of each arm pose about each axis through the sensor, one for all its pokes; 0: not modelled."""
+    pose_shift: float = 0.0
+    """m, sd of the shift of each arm pose along each axis, likewise."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSpec:
+    """The chain between sensor and link, and the poses that have a name."""
+
+    arm: Arm
+    poses: dict[str, FloatArray]
+    """Name to (joints,) float, radians; may be empty where the joints are streamed."""
+    tolerance: float = float(np.radians(0.5))
+    """rad. Streamed joints that move more than this during a poke reject it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmark:
+    """A point of the part that is known: a screw head, a corner, a jig."""
+
+    name: str
+    place: FloatArray
+    """(3,) float, metres, link frame."""
+    normal: FloatArray | None
+    """(3,) float, unit, outward; None where not given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What there is to calibrate."""
+
+    name: str
+    link: str
+    """Frame in which every position is given, here and in every exported file."""
+    skin: SkinSpec
+    surface: SurfaceSpec | None
+    arm: ArmSpec | None
+    sensor_pose: FloatArray
+    """(4, 4) float: pose of the sensor in the link frame where there is no arm; the identity unless given."""
+    wrench_sign: int
+    """-1 where the sensor reports the reaction."""
+    contacts: ContactSettings
+    noise: NoiseSettings
+    path: Path
+    """The scene file; relative paths in it start from its folder."""
+    landmarks: tuple[Landmark, ...] = ()
+    text: str = field(repr=False, default="")
+    """The file's text, kept in every session."""
+
+
+def load_scene(path: Path) -> Scene:
+    """Read a scene file and the layout it names; the mesh is left to `skincal.surface`, which costs more.
+
+    Parameters
+    ----------
+    path : a `*.toml` file
+
+    Raises
+    ------
+    InputError
+        Names the file, the key, what was seen and what was expected.
+    """
+    root = Table(read_toml(path), str(path))
+    text = path.read_text(encoding="utf-8")
+    skin = root.table("skin")
+    if skin is None:
+        raise InputError(f"{path}: [skin] is missing; expected a table with at least channels.")
+    surface, arm, sensor = root.table("surface"), root.table("arm"), root.table("sensor")
+    wrench, contacts, noise = root.table("wrench"), root.table("contacts"), root.table("noise")
+    if arm is not None and sensor is not None:
+        raise InputError(f"{path}: [arm] and [sensor] exclude each other; the arm already places the sensor.")
+    scene = Scene(
+        name=root.take("name", str),
+        link=root.take("link", str),
+        skin=_read_skin(skin, path),
+        surface=None if surface is None else _read_surface(surface, path),
+        arm=None if arm is None else _read_arm(arm),
+        sensor_pose=np.eye(4) if sensor is None else _read_pose(sensor, "pose"),
+        wrench_sign=1 if wrench is None else _read_sign(wrench),
+        contacts=_read_contacts(contacts),
+        noise=_read_settings(noise, NoiseSettings),
+        path=path,
+        landmarks=_read_landmarks(root, path),
+        text=text,
+    )
+    for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
+        if part is not None:
+            part.done()
+    return scene
+
+
+def _read_skin(table: Table, path: Path) -> SkinSpec:
+    channels = table.take("channels", int)
+    if not 1 <= channels <= 100_000:
+        raise InputError(f"{table.where}: channels is {channels}; expected 1 to 100000.")
+    modules = table.take("modules", str, None)
+    layout = None if modules is None else load_layout(path.parent / modules, channels)
+    anchor = table.table("anchor")
+    limits = table.array("range", (2,), None)
+    if limits is not None and not limits[0] < limits[1]:
+        raise InputError(f"{table.where}: range is {limits.tolist()}; expected the lowest raw value, then the highest.")
+    return SkinSpec(
+        channels=channels,
+        polarity=table.choice("polarity", {"up": 1, "down": -1}, 1),
+        layout=layout,
+        anchor=None if anchor is None else read_anchor(anchor),
+        range=None if limits is None else (float(limits[0]), float(limits[1])),
+    )
+
+
+def _read_surface(table: Table, path: Path) -> SurfaceSpec:
+    return SurfaceSpec(
+        path=path.parent / table.take("mesh", str),
+        scale=table.choice("unit", UNITS),
+        link_from_mesh=_read_pose(table, "pose", np.eye(4)),
+    )
+
+
+def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:
+    pose: FloatArray = table.array(key, (4, 4), default)
+    rotation = pose[:3, :3]
+    if (
+        np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
+        or np.linalg.det(rotation) < 0
+        or pose[3].tolist() != [0, 0, 0, 1]
+    ):
+        raise InputError(
+            f"{table.where}: {key} is not a rigid pose; expected a right-handed rotation, metres, last row 0 0 0 1."
+        )
+    check_metres(pose[:3, 3], f"{table.where}: {key}")
+    return pose
+
+
+def _read_arm(table: Table) -> ArmSpec:
+    columns: FloatArray = table.array("joints", (None,))
+    if not len(columns) or (columns < 0).any() or (columns != np.rint(columns)).any():
+        raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns of the joint stream, counted from 0.")
+    joints = tuple(int(j) for j in columns)
+    rows: FloatArray = table.array("dh", (len(joints), 4))
+    check_metres(rows[:, :2], f"{table.where}: dh")
+    chain = tuple(DhLink(float(a), float(d), float(np.radians(al)), float(np.radians(of))) for a, d, al, of in rows)
+    arm = Arm(joints, chain, _read_pose(table, "base_from_sensor"))
+    poses = table.table("poses")
+    named: dict[str, FloatArray] = {}
+    if poses is not None:
+        for name in poses.keys:
+            named[name] = np.radians(poses.array(name, (len(joints),)))
+    tolerance = table.take("tolerance_deg", float, 0.5)
+    if not tolerance > 0:
+        raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")
+    return ArmSpec(arm, named, float(np.radians(tolerance)))
+
+
+def _read_landmarks(root: Table, path: Path) -> tuple[Landmark, ...]:
+    landmarks: list[Landmark] = []
+    for table in root.tables("landmarks"):
+        name, place = table.take("name", str), table.array("place", (3,))
+        check_metres(place, f"{table.where}: place")
+        if not name or any(name == other.name for other in landmarks):
+            raise InputError(f"{path}: a landmark is named {name!r}; expected a name that no other one has.")
+        landmarks.append(Landmark(name, place, table.direction("normal") if "normal" in table.keys else None))
+        table.done()
+    return tuple(landmarks)
+
+
+def _read_sign(table: Table) -> int:
+    sign = table.take("sign", int, 1)
+    if sign not in (1, -1):
+        raise InputError(f"{table.where}: sign is {sign}; expected 1, or -1 where the sensor reports the reaction.")
+    return sign
+
+
+def _read_settings(table: Table | None, kind: type[Any]) -> Any:
+    if table is None:
+        return kind()
+    given: dict[str, Any] = {}
+    for item in fields(kind):
+        default: Any = item.default
+        wanted: type = int if isinstance(default, int) else float
+        key = _IN_DEGREES.get(item.name, item.name)
+        value = table.take(key, wanted, default)
+        # What is 0 unless given may be given as 0.
+        if not (value > 0 or value == default):
+            expected = "0 or a number above" if default == 0 else "a number above 0"
+            raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")
+        given[item.name] = value if key == item.name else float(np.radians(value))
+    return kind(**given)
+
+
+def _read_contacts(table: Table | None) -> ContactSettings:
+    settings: ContactSettings = _read_settings(table, ContactSettings)
+    rising = ("release_force", "touch_force", "force_min", "force_max")
+    for low, high in pairwise(rising):
+        if not getattr(settings, low) < getattr(settings, high):
+            where = "" if table is None else table.where
+            raise InputError(
+                f"{where}: {low} is {getattr(settings, low):g} and {high} is {getattr(settings, high):g} (N); "
+                f"they were expected to rise: {' < '.join(rising)}."
+            )
+    return settings
+
+
+def with_layout(scene: Scene, path: Path) -> Scene:
+    """Return a scene with the layout of another file.
+
+    Raises
+    ------
+    InputError
+        The file is no layout, or its channels do not fit the skin.
+    """
+    return replace(scene, skin=replace(scene.skin, layout=load_layout(path, scene.skin.channels)))
+
+
+def resource(name: str) -> Path:
+    """Return the path of a file that ships with skincal, in a checkout or installed.
+
+    Raises
+    ------
+    InputError
+        There is no such resource.
+    """
+    here = Path(__file__).resolve().parent
+    for folder in (here / "resources", here.parent / "resources"):
+        if (folder / name).exists():
+            return folder / name
+    raise InputError(f"{name}: no such file ships with skincal; install it again.")
+
+
+def scene_file(given: Path) -> Path:
+    """Return a scene's file: the path itself, or that of the shipped scene of this name, such as `icub-forearm`.
+
+    Raises
+    ------
+    InputError
+        No scene of this name ships.
+    """
+    if given.suffix == ".toml" or given.exists() or len(given.parts) != 1:
+        return given
+    shipped = sorted(file.parent.name for file in resource("scenes").glob("*/scene.toml"))
+    if str(given) not in shipped:
+        raise InputError(f"{given}: no scene of this name ships; name a scene file (*.toml), or one of {', '.join(shipped)}.")
+    return resource(f"scenes/{given}/scene.toml")

@@ -1,0 +1,155 @@
+"""A table of a TOML file, read so that what is missing, of another kind or not known is named with where it stands."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+
+T = TypeVar("T")
+
+LENGTH_MAX = 10.0
+"""m. No length of a robot is larger; millimetres taken for metres are."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return a TOML file's content; `InputError` says what is wrong with it and where."""
+    return parse_toml(read_text(path), path)
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text, its ends of line as they are; `InputError` says why it cannot be read."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; check the path.") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its rights.") from None
+
+
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file's text; `InputError` says what is wrong with it and where."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
+
+
+class Table:
+    """Gives out each value once; `done` names what was not asked for.
+
+    Parameters
+    ----------
+    values : the table's content
+    where : file and place of the table, with which every sentence begins
+    """
+
+    def __init__(self, values: dict[str, Any], where: str) -> None:
+        self._values = dict(values)
+        self.where = where
+
+    @property
+    def keys(self) -> list[str]:
+        """Names that were not taken yet, in the order of the file."""
+        return list(self._values)
+
+    def take(self, key: str, kind: type, default: Any = ...) -> Any:
+        """Return a value of this kind; a whole number counts as a number, true and false do not."""
+        if key not in self._values:
+            if default is ...:
+                raise InputError(f"{self.where}: {key} is missing; expected {_name(kind)}.")
+            return default
+        value = self._values.pop(key)
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            raise InputError(f"{self.where}: {key} is {value!r}; expected {_name(kind)}.")
+        if isinstance(value, float) and not np.isfinite(value):
+            raise InputError(f"{self.where}: {key} is {value}; expected a finite number.")
+        return value
+
+    def array(self, key: str, shape: tuple[int | None, ...], default: Any = ..., *, gaps: bool = False) -> Any:
+        """Return a list of numbers as an array of this shape, None for any length; with `gaps` NaN may stand in it."""
+        value = self.take(key, list, default)
+        if value is default:
+            return default
+        wanted = " x ".join("n" if size is None else str(size) for size in shape)
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            array = np.empty(0)
+        fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
+        if not fits or not (np.isfinite(array) | (gaps & np.isnan(array))).all():
+            raise InputError(f"{self.where}: {key} is {value!r}; expected {wanted} finite numbers.")
+        return array
+
+    def direction(self, key: str) -> FloatArray:
+        """Return three numbers as a unit vector."""
+        vector: FloatArray = self.array(key, (3,))
+        length = float(np.linalg.norm(vector))
+        if not length > 0:
+            raise InputError(f"{self.where}: {key} is {vector.tolist()}; expected a direction, which is not zero.")
+        return vector / length
+
+    def choice(self, key: str, known: dict[str, T], default: Any = ...) -> T:
+        """Return what stands for one of the words in `known`."""
+        value = self.take(key, str, default)
+        if value is default:
+            return default
+        if value not in known:
+            raise InputError(f"{self.where}: {key} is {value!r}; expected one of {', '.join(known)}.")
+        return known[value]
+
+    def table(self, key: str) -> Table | None:
+        """Return a table within this one; None where there is none."""
+        values = self.take(key, dict, None)
+        return None if values is None else Table(values, f"{self.where}: [{key}]")
+
+    def each_table(self) -> list[tuple[str, Table]]:
+        """Return the tables within this one, with their names; nothing else may be left in it."""
+        return [(key, Table(self.take(key, dict), f"{self.where}: [{key}]")) for key in self.keys]
+
+    def tables(self, key: str) -> list[Table]:
+        """Return an array of tables; empty where there is none."""
+        values = self.take(key, list, [])
+        for value in values:
+            if not isinstance(value, dict):
+                raise InputError(f"{self.where}: {key} holds {value!r}; expected tables [[{key}]].")
+        return [Table(value, f"{self.where}: [[{key}]] number {number}") for number, value in enumerate(values, start=1)]
+
+    def done(self) -> None:
+        """Refuse what is left.
+
+        Raises
+        ------
+        InputError
+            A name was not asked for.
+        """
+        if self._values:
+            raise InputError(f"{self.where}: unknown name {sorted(self._values)[0]!r}; check its spelling.")
+
+
+def _name(kind: type) -> str:
+    return {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}[kind]
+
+
+def check_metres(lengths: FloatArray, what: str) -> None:
+    """Refuse lengths beyond `LENGTH_MAX`.
+
+    Raises
+    ------
+    InputError
+        One of them is; the sentence names the likely unit.
+    """
+    longest = float(np.abs(lengths).max(initial=0.0))
+    if longest > LENGTH_MAX:
+        raise InputError(
+            f"{what} has a length of {longest:g}; metres up to {LENGTH_MAX:g} were expected: divide millimetres by 1000."
+        )

@@ -1,0 +1,242 @@
+"""What a wrench and an arm pose really are, of those that a rig tells.
+
+The rig corrected: a matrix on the wrench and a small motion of each arm pose, fitted jointly with the modules.
+
+A rig's errors shift whole clouds of taxels, and no poke on a skin whose place is unknown tells of them: they are found from
+pokes at points of the part that are known, the landmarks. With C near 0 (6 x 6) and for each arm pose a turn w and a shift t,
+both small, a poke with the measured wrench (f, m) at the point P of the link frame has in the sensor's frame
+
+    (f', m') = (I + C) (f, m),   c = exp(-S(w)) (R'(P - o) - t),   r = E (m' - c x f') / |f|,
+
+where (R, o) is the arm's pose as told and E two directions across the measured push. For a landmark P is known but for the
+hand's aim; for a poke on the skin it is the middle of the pads that answered (`touches.py`), and moves with its board. Every
+unknown of the rig has a prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not determine stays
+at nought.
+
+The rows of a board know no other board, so each board's own unknowns are taken out of its rows first (QR of its rows, the
+board's columns in front), and what is left of all of them is solved for the rig, by QR again. Each step costs one such solve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Rejection
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry.wrench import cross_matrix
+from skincal.model.scene import NoiseSettings
+from skincal.modules.pose import rotations
+from skincal.taxels.contact_table import across
+
+if TYPE_CHECKING:
+    from skincal.rig.frame_check import FrameCorrection
+
+FRAME, RIG = "frame", "rig"
+"""What a correction is of: the sensor's frame, or the rig's small errors."""
+Poke = TypeVar("Poke", bound=Contact | Rejection)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """A linear map of the wrench and a small motion of the arm's poses."""
+
+    matrix: FloatArray
+    """(6, 6) float, SI: the true wrench, force above moment, is this times the told one."""
+    everywhere: FloatArray = field(default_factory=lambda: np.eye(4))
+    """(4, 4) float, metres: link_from_sensor is the one told times this, in every arm pose."""
+    motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    """For some arm poses (4, 4) float, metres: and times this."""
+
+    def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
+        """Return link_from_sensor, (4, 4), of the arm pose of that name; of one that is not known, by `everywhere` alone."""
+        there = link_from_sensor @ self.everywhere
+        return there @ self.motions[name] if name in self.motions else there
+
+    def wrench(self, force: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the true force (3,), N, and moment (3,), N m, of those told, in the sensor's frame."""
+        true = self.matrix @ np.concatenate([force, moment])
+        return true[:3], true[3:]
+
+    def after(self, first: Correction) -> Correction:
+        """Return the correction that is `first`, which moves all arm poses alike, and then this one."""
+        return Correction(self.matrix @ first.matrix, first.everywhere @ self.everywhere, self.motions)
+
+    def corrected(self, poke: Poke) -> Poke:
+        """Return a poke as a right rig would have told it; one without a force stays as it is."""
+        if poke.force is None or poke.moment is None or poke.link_from_sensor is None:
+            return poke
+        force, moment = self.wrench(poke.force, poke.moment)
+        return replace(poke, force=force, moment=moment, link_from_sensor=self.pose(poke.link_from_sensor, poke.pose))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsedCorrection:
+    """A correction that the operator uses, and what spoke for it."""
+
+    of: str
+    """`FRAME` or `RIG`."""
+    correction: Correction
+    before: float
+    """m: at what distance pokes pass their landmarks as the rig tells, root mean square."""
+    after: float
+    """m: the same under the correction; for the rig's errors of pokes that were held out."""
+    pokes: int
+    """How many landmark pokes it was found from."""
+
+    @property
+    def words(self) -> str:
+        """What was corrected, with the miss before and after."""
+        after, before = f"{self.after * 1e3:.1f} mm", f"{self.before * 1e3:.1f} mm"
+        who = "they" if self.of == FRAME else "held-out ones"
+        what = "the sensor's frame" if self.of == FRAME else "the rig"
+        misses = f"{who} pass their landmarks at {after} with it, at {before} without"
+        return f"{what} is corrected from {self.pokes} landmark pokes: {misses}"
+
+
+def frame_correction(found: FrameCorrection) -> Correction:
+    """Return what the frame doctor offers as a correction of every poke."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3], matrix[3:, 3:] = found.force_scale * found.axes, found.moment_scale * found.axes
+    return Correction(matrix, found.motion)
+
+
+@dataclass(frozen=True, slots=True)
+class RigPrior:
+    """How wrong a rig may be before anything is known of it; SI units."""
+
+    matrix: float = 0.02
+    """sd of each entry of C: the F/T matrix with its cross-talk, 2 % (`docs/noise.md`)."""
+    arm: float = 0.35
+    """m: the entries between force and moment count a moment in units of force x this length."""
+    pose_turn: float = float(np.radians(1.0))
+    """rad, sd of the turn of each arm pose about each axis through the sensor."""
+    pose_shift: float = 0.002
+    """m, sd of the shift of each arm pose along each axis."""
+    landmark: float = 0.0007
+    """m, sd of the contact beside the landmark in each direction: a tip on a screw head, by hand."""
+
+    def scales(self, poses: int) -> FloatArray:
+        """Return (36 + 6 poses,) the sd of each unknown: C row by row, then turn and shift of each pose."""
+        units = np.repeat([1.0, self.arm], 3)
+        matrix = self.matrix * units[:, None] / units[None, :]
+        return np.concatenate([matrix.ravel(), np.tile(np.repeat([self.pose_turn, self.pose_shift], 3), poses)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigReadings:
+    """m pokes as the rig tells them."""
+
+    wrenches: FloatArray
+    """(m, 6) float, N and N m, sensor frame, as measured."""
+    poses: IntArray
+    """(m,) index of the arm pose."""
+    told: FloatArray
+    """(m, 4, 4) float: link_from_sensor as told."""
+
+    def take(self, rows: IntArray) -> RigReadings:
+        """Return some of them."""
+        return RigReadings(self.wrenches[rows], self.poses[rows], self.told[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigRows:
+    """The whitened rows of m pokes, and how they change."""
+
+    misses: FloatArray
+    """(m, 2) float: r in standard deviations."""
+    of_rig: FloatArray
+    """(m, 2, 36 + 6 poses) float: change of r with the rig's unknowns, each in its prior's standard deviations."""
+    of_place: FloatArray
+    """(m, 2, 3) float, 1/m: change of r with P."""
+    distances: FloatArray
+    """(m,) float, metres: how far the corrected axis passes P."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigState:
+    """Where the rig's unknowns stand."""
+
+    matrix: FloatArray
+    """(6, 6) float, C."""
+    turns: FloatArray
+    """(poses, 3) float, radians, w."""
+    shifts: FloatArray
+    """(poses, 3) float, metres, t."""
+
+    @classmethod
+    def at_prior(cls, poses: int) -> RigState:
+        """Return a rig that is as it tells."""
+        return cls(np.zeros((6, 6)), np.zeros((poses, 3)), np.zeros((poses, 3)))
+
+    def moved(self, step: FloatArray, scales: FloatArray) -> RigState:
+        """Return the state after a step in standard deviations of the prior."""
+        change = step * scales
+        of_poses = change[36:].reshape(-1, 2, 3)
+        return RigState(self.matrix + change[:36].reshape(6, 6), self.turns + of_poses[:, 0], self.shifts + of_poses[:, 1])
+
+    def unknowns(self, scales: FloatArray) -> FloatArray:
+        """Return (36 + 6 poses,) the unknowns in standard deviations of the prior."""
+        of_poses = np.concatenate([self.turns[:, None], self.shifts[:, None]], axis=1)
+        return np.concatenate([self.matrix.ravel(), of_poses.ravel()]) / scales
+
+
+def rig_rows(
+    readings: RigReadings, state: RigState, places: FloatArray, spread: FloatArray, noise: NoiseSettings, scales: FloatArray
+) -> RigRows:
+    """Return the rows of pokes at `places`.
+
+    Parameters
+    ----------
+    places : (m, 3) float, metres, link frame: P
+    spread : (m, 3, 3) float, m^2: covariance of the contact about P, link frame
+    scales : of the rig's unknowns (`RigPrior.scales`)
+    """
+    wrenches, told = readings.wrenches, readings.told
+    corrected = wrenches + wrenches @ state.matrix.T
+    force, moment = corrected[:, :3], corrected[:, 3:]
+    size = np.linalg.norm(wrenches[:, :3], axis=1)
+    pairs = across(wrenches[:, :3] / size[:, None]) / size[:, None, None]
+    sensor_from_link = rotations(state.turns)[readings.poses].transpose(0, 2, 1) @ told[:, :3, :3].transpose(0, 2, 1)
+    off = told[:, :3, 3] + (told[:, :3, :3] @ state.shifts[readings.poses][:, :, None])[:, :, 0]
+    here = (sensor_from_link @ (places - off)[:, :, None])[:, :, 0]
+    residual = moment - np.cross(here, force)
+    whiten = _whitening(pairs, here, force, sensor_from_link @ spread @ sensor_from_link.transpose(0, 2, 1), noise)
+    rows = whiten @ pairs
+    with_place = rows @ cross_matrix(force)
+    of_rig = np.zeros((len(places), 2, len(scales)))
+    matrix = np.concatenate([-rows @ cross_matrix(here), rows], axis=2)
+    of_rig[:, :, :36] = (matrix[:, :, :, None] * wrenches[:, None, None, :]).reshape(len(places), 2, 36)
+    turned = with_place @ cross_matrix(here) @ _right_jacobians(state.turns)[readings.poses]
+    shifted = -with_place @ rotations(state.turns)[readings.poses].transpose(0, 2, 1)
+    at = 36 + 6 * readings.poses[:, None] + np.arange(6)
+    np.put_along_axis(of_rig, at[:, None, :].repeat(2, axis=1), np.concatenate([turned, shifted], axis=2), axis=2)
+    return RigRows(
+        misses=(rows @ residual[:, :, None])[:, :, 0],
+        of_rig=of_rig * scales,
+        of_place=with_place @ sensor_from_link,
+        distances=np.linalg.norm(np.cross(force, residual), axis=1) / np.sum(force * force, axis=1),
+    )
+
+
+def _whitening(pairs: FloatArray, here: FloatArray, force: FloatArray, spread: FloatArray, noise: NoiseSettings) -> FloatArray:
+    """Return (m, 2, 2) L^-1 of the rows' covariance L L': noise of moment and force, and the contact beside its place."""
+    lever = cross_matrix(here)
+    pull = cross_matrix(force)
+    total = noise.moment**2 * np.eye(3) + noise.force**2 * lever @ lever.transpose(0, 2, 1)
+    total = total + pull @ spread @ pull.transpose(0, 2, 1)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(pairs @ total @ pairs.transpose(0, 2, 1))), dtype=np.float64)
+
+
+def _right_jacobians(turns: FloatArray) -> FloatArray:
+    """Return (n, 3, 3) J with exp(S(w + d)) = exp(S(w)) exp(S(J d)) to first order."""
+    angles = np.sqrt(np.sum(turns * turns, axis=1))[:, None, None]
+    small = angles < 1e-4
+    safe = np.where(small, 1.0, angles)
+    first = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    s = cross_matrix(turns)
+    return np.eye(3) - first * s + second * (s @ s)

@@ -1,0 +1,294 @@
+"""What the compiled solver makes of the evidence: trust, least squares, the point on the surface, uncertainty, rivals.
+
+The mathematics stands above the code that does it: `trust.h`, `factor.h`, `search.h`, `rival.h` and `uncertainty.h` in
+`skincal/solver/source`. A taxel's numbers depend on its own contacts alone: not by a bit on which others are solved with it.
+
+A taxel's position without knowing the part's shape (paper, II-A): the point nearest to all force axes.
+
+p_j minimises sum k^2 |u x p_j + m/|f||^2 over the contacts of W_j: p_j = -(F' K^2 F)^-1 F' K^2 M, by QR of K F.
+
+A taxel's position on the part's surface (paper, II-B): the surface's point nearest to all force axes.
+
+The sum of squares of II-A is |root p - offset|^2 plus a constant, a metric of this taxel's own evidence; its optimum is
+found over all triangles at once, on the side that the pokes push on. One axis is enough: it enters the part at one point.
+
+The covariance lies in the plane of the optimum's triangle. Where the optimum lies on an edge or a vertex, the plane of
+the triangle named is taken all the same, since facets are of the mesh and not of the part: an edge does not hold a
+taxel.
+
+A second minimum elsewhere is a **rival** where the noise could have made it the worse one; `odds_of` in
+`skincal/solver/source/solver.c` says how likely that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.scene import NoiseSettings
+from skincal.solver.machine import INTEGER, Call, shared
+from skincal.surface.mesh import Surface
+from skincal.taxels.contact_table import Evidence
+from skincal.taxels.least_squares import Factors
+from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, Rival, State
+
+RIVAL_ODDS = 20.0
+"""A place that is less than 20 times less likely than the estimate is a rival: the usual 95 %."""
+RIVAL_APART = 0.010
+"""m. A second minimum nearer than this is of the same place: facets and bends make many, and taxels are 5 mm apart."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """How well t positions are known, and how far the axes pass them."""
+
+    covariances: FloatArray
+    """(t, 3, 3) float, m^2; without meaning where `sds` is infinite."""
+    weakest: FloatArray
+    """(t, 3) float, unit: the direction known worst."""
+    sds: FloatArray
+    """(t,) float, metres, along `weakest`; infinite where a direction is not determined at all."""
+    misses: FloatArray
+    """(t,) float, metres: at what distance the axes pass, the weighted root mean square."""
+    rms: FloatArray
+    """(t,) float, metres: the predicted error, the root of the covariance's trace."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfacePoints:
+    """The best points of the surface."""
+
+    points: FloatArray
+    """(t, 3) float, metres; NaN where there is none."""
+    triangles: IntArray
+    """(t,) int; -1 where no triangle faces the pokes, and then nothing else has a meaning."""
+    uncertain: Uncertainty
+    """In the planes of the triangles."""
+    rivals: FloatArray
+    """(t, 3) float, metres: second minima that the noise could have made the worse ones."""
+    rival_triangles: IntArray
+    odds: FloatArray
+    """(t,) float: how many times less likely the rival is; infinite where there is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """What the solver says of t taxels."""
+
+    evidence: Evidence
+    """With the trust that was found."""
+    doubted: list[dict[int, float]]
+    """For each taxel the pokes whose trust is below 1: number to trust."""
+    factors: Factors
+    pushes: FloatArray
+    """(t, 3) float: the weighted means of the directions, shorter than 1 the more they differ."""
+    outward: FloatArray
+    """(t, 3) float, unit: against the pushes; without meaning where these cancel."""
+    opposed: NDArray[np.bool_]
+    """(t,) whether the pushes cancel, so that no side is outward."""
+    free: Uncertainty | None
+    """Of `factors.solutions`; None where the free method was not asked for."""
+    surface: SurfacePoints | None
+    """None where the surface method was not asked for."""
+
+
+def solve(
+    evidence: Evidence,
+    methods: Collection[Method],
+    noise: NoiseSettings,
+    surface: Surface | None,
+    last: IntArray | None = None,
+    doubting: bool = True,
+) -> Solution:
+    """Solve each taxel of `evidence`.
+
+    Parameters
+    ----------
+    surface : needed by the surface method
+    last : (t,) the triangles of the last answers, -1 where there are none; they make the search shorter and nothing else
+    doubting : whether contacts far off the others count less; else all have the trust of `evidence`
+    """
+    count, answers = len(evidence.channels), len(evidence.weights)
+    free = Method.FREE in methods
+    machine, place = shared(), 0
+    if surface is not None and Method.SURFACE in methods:
+        # Only now: a scene without a mesh loads nothing of it.
+        from skincal.surface.resident import resident
+
+        machine, place = resident(surface)
+    with machine.call() as call:
+        asked = _asked(call, evidence, noise)
+        trust = call.changed(evidence.trust)
+        starting = call.give(np.full(count, -1) if last is None else last, INTEGER)
+        said = call.room((count,), ANSWER)
+        call.run("solve", [count, answers, *asked, trust, int(not doubting), int(free), place, starting, said])
+        answer, evidence = call.taken(said), evidence.trusted(call.taken(trust))
+    return Solution(
+        evidence=evidence,
+        doubted=evidence.doubted(),
+        factors=Factors(answer["root"], answer["offset"], answer["rank"].astype(np.int64), answer["solution"], answer["blind"]),
+        pushes=answer["push"],
+        outward=answer["outward"],
+        opposed=answer["opposed"] != 0,
+        free=_known(answer["free"]) if free else None,
+        surface=_on_surface(answer) if place else None,
+    )
+
+
+_KNOWN = np.dtype([("covariance", "f8", (3, 3)), ("weakest", "f8", 3), ("sd", "f8"), ("rms", "f8"), ("miss", "f8")])
+ANSWER = np.dtype(
+    [
+        ("root", "f8", (3, 3)), ("offset", "f8", 3), ("solution", "f8", 3), ("blind", "f8", 3), ("rank", "f8"),
+        ("push", "f8", 3), ("outward", "f8", 3), ("opposed", "f8"), ("free", _KNOWN),
+        ("point", "f8", 3), ("value", "f8"), ("triangle", "f8"), ("held", _KNOWN),
+        ("rival", "f8", 3), ("rival_triangle", "f8"), ("odds", "f8"),
+    ]
+)  # fmt: skip
+"""`Answer` of `skincal/solver/source/solver.c`."""
+
+
+def _asked(call: Call, evidence: Evidence, noise: NoiseSettings) -> list[int]:
+    """Return what `Task` in `skincal/solver/source/solver.c` begins with, after the counts."""
+    sizes = (
+        noise.force, noise.moment, noise.contact, noise.reach, noise.radius, noise.pose_turn, noise.pose_shift
+    )  # fmt: skip
+    return [
+        call.give(evidence.starts, INTEGER),
+        call.give(evidence.columns),
+        call.give(evidence.weights),
+        call.give(evidence.poses, INTEGER),
+        call.give(np.array(sizes)),
+        call.give(np.array([RIVAL_ODDS, RIVAL_APART])),
+    ]
+
+
+def _known(known: NDArray[Any]) -> Uncertainty:
+    return Uncertainty(known["covariance"], known["weakest"], known["sd"], known["miss"], known["rms"])
+
+
+def _on_surface(answer: NDArray[Any]) -> SurfacePoints:
+    return SurfacePoints(
+        points=answer["point"],
+        triangles=answer["triangle"].astype(np.int64),
+        uncertain=_known(answer["held"]),
+        rivals=answer["rival"],
+        rival_triangles=answer["rival_triangle"].astype(np.int64),
+        odds=answer["odds"],
+    )
+
+
+def estimate_free(solution: Solution, uncertain: Uncertainty) -> list[Estimate]:
+    """Say of each taxel what the free method knows; blind where its axes do not fix a point or pass it far off.
+
+    Parameters
+    ----------
+    uncertain : `solution.free`
+    """
+    evidence, points, ranks = solution.evidence, solution.factors.solutions, solution.factors.ranks
+    normals, doubted = solution.outward, solution.doubted
+    # Lists, since numbers of arrays one by one take ten times as long.
+    numbers = (evidence.channels, evidence.counts, solution.opposed, ranks, uncertain.sds, uncertain.rms, uncertain.misses)
+    estimates: list[Estimate] = []
+    rows = enumerate(zip(*map(np.ndarray.tolist, numbers), strict=True))
+    for i, (channel, contacts, opposed, rank, sd, rms, miss) in rows:
+        normal = None if opposed else normals[i]
+        if not sd <= SD_MAX:
+            one = Estimate(
+                channel, Method.FREE, State.BLIND, contacts, normal=normal, weakest=uncertain.weakest[i],
+                sd=sd if np.isfinite(sd) else None, reason=_why_blind_free(evidence.part(i, i + 1), uncertain.weakest[i], sd),
+                foot=points[i] if rank == 2 else None, doubted=doubted[i],
+            )  # fmt: skip
+        elif miss > MISS_MAX:
+            reason = (
+                f"The axes pass each other at {miss * 1e3:.0f} mm from their middle (limit {MISS_MAX * 1e3:.0f} mm): "
+                "check the arm poses, or exclude the wrong pokes."
+            )
+            one = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted[i])
+        else:
+            one = Estimate(
+                channel, Method.FREE, State.ESTIMATED, contacts, position=points[i], normal=normal,
+                covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=rms, doubted=doubted[i],
+            )  # fmt: skip
+        estimates.append(one)
+    return estimates
+
+
+def _why_blind_free(evidence: Evidence, axis: FloatArray, sd: float) -> str:
+    directions = evidence.directions[evidence.trust > 0.0]
+    if len(directions) == 1:
+        return "One axis only: the depth along it is unknown. Poke once more with another tilt."
+    sines = np.linalg.norm(np.cross(directions, axis), axis=1)
+    angle = float(np.degrees(np.arctan2(sines, np.abs(directions @ axis)).max()))
+    known = f"is known to {_millimetres(sd)} only" if np.isfinite(sd) else "is unknown"
+    return (
+        f"All {len(directions)} axes lie within {_degrees(angle)} of one direction: the depth along it {known} "
+        f"(limit {SD_MAX * 1e3:.0f} mm). Poke with another tilt."
+    )
+
+
+def _millimetres(metres: float) -> str:
+    return f"{metres * 1e3:.0f} mm" if metres < 1.0 else "over 1 m"
+
+
+def _degrees(angle: float) -> str:
+    return f"{angle:.1f} degrees" if angle >= 0.1 else "0.1 degrees"
+
+
+def estimate_surface(solution: Solution, found: SurfacePoints, surface: Surface) -> list[Estimate]:
+    """Say of each taxel what the surface method knows.
+
+    Blind where no triangle faces the pokes, where they graze the surface and where their axes miss it.
+
+    Parameters
+    ----------
+    found : `solution.surface`
+    """
+    evidence, uncertain, doubted = solution.evidence, found.uncertain, solution.doubted
+    normals = surface.normals[found.triangles]
+    rivals = {
+        i: Rival(found.rivals[i], int(found.rival_triangles[i]), float(found.odds[i]))
+        for i in np.flatnonzero(np.isfinite(found.odds)).tolist()
+    }
+    # Lists, since numbers of arrays one by one take ten times as long.
+    known = (uncertain.sds, uncertain.rms, uncertain.misses)
+    numbers = (evidence.channels, evidence.counts, solution.opposed, found.triangles, *known)
+    estimates: list[Estimate] = []
+    rows = enumerate(zip(*map(np.ndarray.tolist, numbers), strict=True))
+    for i, (channel, contacts, cancel, triangle, sd, rms, miss) in rows:
+        reason = _why_blind_on_surface(contacts, cancel, triangle, miss, sd)
+        if reason:
+            grazing = triangle >= 0 and not cancel and miss <= MISS_MAX
+            one = Estimate(
+                channel, Method.SURFACE, State.BLIND, contacts, weakest=uncertain.weakest[i] if grazing else None,
+                sd=sd if grazing and np.isfinite(sd) else None, reason=reason, doubted=doubted[i],
+            )  # fmt: skip
+        else:
+            one = Estimate(
+                channel, Method.SURFACE, State.ESTIMATED, contacts, position=found.points[i], normal=normals[i],
+                covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=rms,
+                triangle=triangle, rival=rivals.get(i), doubted=doubted[i],
+            )  # fmt: skip
+        estimates.append(one)
+    return estimates
+
+
+def _why_blind_on_surface(contacts: int, opposed: bool, triangle: int, miss: float, sd: float) -> str:
+    """Return why a taxel has no estimate; empty if it has one."""
+    if opposed:
+        return f"The {contacts} pokes push from opposite sides: exclude the wrong ones."
+    if triangle < 0:
+        return "No triangle of the surface faces the pokes: check that its normals point outward and the wrench's sign."
+    if miss > MISS_MAX:
+        return (
+            f"The axes pass the surface at {miss * 1e3:.0f} mm (limit {MISS_MAX * 1e3:.0f} mm): check the mesh's unit and pose."
+        )
+    if not sd <= SD_MAX:
+        return (
+            f"The pokes graze the surface, so that their axes do not fix a point on it to {SD_MAX * 1e3:.0f} mm: poke steeper."
+        )
+    return ""
