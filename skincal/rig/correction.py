@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -31,9 +31,6 @@ from skincal.geometry.wrench import cross_matrix
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
 from skincal.taxels.contact_table import across
-
-if TYPE_CHECKING:
-    from skincal.rig.frame_check import FrameCorrection
 
 FRAME, RIG = "frame", "rig"
 """What a correction is of: the sensor's frame, or the rig's small errors."""
@@ -95,13 +92,6 @@ class UsedCorrection:
         what = "the sensor's frame" if self.of == FRAME else "the rig"
         misses = f"{who} pass their landmarks at {after} with it, at {before} without"
         return f"{what} is corrected from {self.pokes} landmark pokes: {misses}"
-
-
-def frame_correction(found: FrameCorrection) -> Correction:
-    """Return what the frame doctor offers as a correction of every poke."""
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3], matrix[3:, 3:] = found.force_scale * found.axes, found.moment_scale * found.axes
-    return Correction(matrix, found.motion)
 
 
 @dataclass(frozen=True, slots=True)

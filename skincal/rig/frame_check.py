@@ -34,7 +34,7 @@ import numpy as np
 from skincal.geometry.arrays import FloatArray
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
-from skincal.rig.correction import RigPrior, RigReadings, RigState, rig_rows
+from skincal.rig.correction import Correction, RigPrior, RigReadings, RigState, rig_rows
 from skincal.rig.correction_fit import LandmarkPoke
 
 TOLERANCE = 0.003
@@ -400,3 +400,10 @@ def _mounting_words(move: FloatArray) -> str:
 def _moved(move: FloatArray) -> RigState:
     """Return a rig whose sensor is turned by `move[:3]`, rad, and shifted by `move[3:]`, m."""
     return RigState(np.zeros((6, 6)), move[None, :3], move[None, 3:])
+
+
+def frame_correction(found: FrameCorrection) -> Correction:
+    """Return what the sensor-frame check offers as a correction of every poke."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3], matrix[3:, 3:] = found.force_scale * found.axes, found.moment_scale * found.axes
+    return Correction(matrix, found.motion)

@@ -181,7 +181,9 @@ def test_pairs_are_those_of_looking_at_all(rng, reach, flat):
 def state(information, in_plane=False, wanted=0.0):
     plan = grid()
     return candidates.ChoiceState(
-        plan.places, candidates.directions(plan.normals, SETTINGS.usable_tilt), candidates.find_answering(plan.places, 0.005, NOISE),
+        plan.places,
+        candidates.directions(plan.normals, SETTINGS.usable_tilt),
+        candidates.find_answering(plan.places, 0.005, NOISE),
         information, plan.normals, np.array([0.0, 0.0, -0.18]), wanted, in_plane, np.ones(25), np.zeros(25),
     )  # fmt: skip
 

@@ -15,9 +15,9 @@ from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
-from skincal.rig.correction import FRAME, RIG, Correction, frame_correction
+from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import RigRequest, correct_rig
-from skincal.rig.frame_check import diagnose
+from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.session.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.session.corrections import correct_action
 from skincal.session.journal import create_session

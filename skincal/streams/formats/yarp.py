@@ -256,6 +256,6 @@ class YarpRx(YarpTxRx):
 
 
 class Csv(Yarp):
-    """Decode rows of a CSV file, of which an import has made lines of a log with one stamp (`skincal.files.importers.csv_log`)."""
+    """Decode rows of a CSV file, which `skincal.files.importers.csv_log` has made into lines of a log with one stamp."""
 
     name = "CSV"
