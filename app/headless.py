@@ -49,10 +49,10 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
 
 
 def _simulate(scene_path: Path, out: Path) -> Road:
+    from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene
     from skincal.simulate.rig import RigErrors
     from skincal.simulate.session import simulate_session
-    from skincal.surface.mesh import load_surface
 
     scene = load_scene(scene_path)
     surface = None if scene.surface is None else load_surface(scene.surface)[0]
@@ -61,7 +61,7 @@ def _simulate(scene_path: Path, out: Path) -> Road:
 
 def _draw(road: Road, method: Method, path: Path) -> Path:
     from app.scene3d.offscreen import picture
-    from skincal.surface.lay import lay
+    from skincal.mesh.lay import lay
 
     skin = road.scene.skin
     laid = None if skin.layout is None else lay(skin.layout, skin.anchor, road.session.surface)

@@ -18,10 +18,10 @@ from skincal.model.scene import Scene, load_scene
 if TYPE_CHECKING:
     from skincal.files.reference import Reference
     from skincal.guide.candidates import Cover
+    from skincal.mesh.lay import LaidSkin
+    from skincal.mesh.surface import Surface
     from skincal.session.road import Road
     from skincal.streams.links import LinkSpec
-    from skincal.surface.lay import LaidSkin
-    from skincal.surface.mesh import Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ def load_part(path: Path) -> Part:
     scene = load_scene(path)
     if scene.surface is None:
         return _with_layout(scene, None, ())
-    from skincal.surface.mesh import load_surface
+    from skincal.mesh.load import load_surface
 
     surface, findings = load_surface(scene.surface)
     return _with_layout(scene, surface, tuple(finding.sentence for finding in findings))
@@ -63,7 +63,7 @@ def _with_layout(scene: Scene, surface: Surface | None, findings: tuple[str, ...
     if layout is None:
         return Part(scene, surface, None, np.arange(scene.skin.channels), findings, cover=_cover(surface))
     from skincal.files.reference import plan_reference
-    from skincal.surface.lay import lay
+    from skincal.mesh.lay import lay
 
     # The layout works these out when they are first asked for: better here than in the window's thread.
     _ = layout.places, layout.module_of, layout.spacing

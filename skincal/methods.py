@@ -17,8 +17,8 @@ from skincal.taxels.result import PER_TAXEL, Estimate, Method, State
 from skincal.taxels.solve import Solution, estimate_free, solve
 
 if TYPE_CHECKING:
+    from skincal.mesh.surface import Surface
     from skincal.modules.pose import ModuleModel
-    from skincal.surface.mesh import Surface
 
 _NONE_DEAD: Mapping[int, str] = {}
 _NONE_BEFORE: Mapping[int, Estimate] = {}

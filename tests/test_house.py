@@ -159,7 +159,7 @@ def test_files_are_opened_with_a_named_encoding() -> None:
         ("skincal.cli", ["simulate", "--help"]),
     ],
 )
-def test_a_command_imports_neither_qt_nor_vtk(module: str, command: list[str]) -> None:
+def test_a_command_imports_neither_qt_nor_vtk_nor_scipy(module: str, command: list[str]) -> None:
     told = (
         "import runpy, sys\n"
         f"sys.argv = ['skincal', *{command!r}]\n"
@@ -167,7 +167,7 @@ def test_a_command_imports_neither_qt_nor_vtk(module: str, command: list[str]) -
         f"    runpy.run_module({module!r}, run_name='__main__', alter_sys=True)\n"
         "except SystemExit as end:\n"
         "    assert not end.code, end.code\n"
-        "heavy = {'PySide6', 'vtkmodules', 'vtk', 'pyvista', 'pyvistaqt', 'pyqtgraph', 'matplotlib'}\n"
+        "heavy = {'PySide6', 'vtkmodules', 'vtk', 'pyvista', 'pyvistaqt', 'pyqtgraph', 'matplotlib', 'scipy'}\n"
         "print('HEAVY', sorted(heavy & set(sys.modules)))\n"
     )
     done = run("-c", told)
@@ -192,9 +192,7 @@ for package in (numpy, scipy):
 
 @pytest.mark.skipif(os.cpu_count() == 1, reason="one core: there is nothing to see")
 @pytest.mark.parametrize("wanted", [None, "2"])
-@pytest.mark.parametrize(
-    "module", ["app.__main__", "skincal.cli", "skincal.session.review_process", "skincal.methods", "skincal"]
-)
+@pytest.mark.parametrize("module", ["app.__main__", "skincal.cli", "skincal"])
 def test_linear_algebra_takes_one_thread_unless_the_environment_says_otherwise(module: str, wanted: str | None) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.endswith(("NUM_THREADS", "MAXIMUM_THREADS"))}
     if wanted:

@@ -20,12 +20,12 @@ SEED = 11
 
 def main() -> int:
     """Write `resources/sessions/sample`."""
+    from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene, resource
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.operator import Habits
     from skincal.simulate.rig import RigErrors
     from skincal.simulate.session import simulate_session
-    from skincal.surface.mesh import load_surface
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
     assert scene.surface is not None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray
-from skincal.surface.mesh import Surface
+from skincal.mesh.surface import Surface
 
 
 def entry_points(surface: Surface, point: FloatArray, direction: FloatArray) -> FloatArray:

@@ -12,10 +12,10 @@ from app.scene3d.looks import ColourArray, Tint, module_hues
 from app.scene3d.shading import Shaded, shade
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.guidance import Target
+from skincal.mesh.lay import LaidSkin
+from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
-from skincal.surface.lay import LaidSkin
-from skincal.surface.mesh import Surface
 from skincal.taxels.result import Estimate, Method
 
 DEFAULT_RADIUS = 0.06

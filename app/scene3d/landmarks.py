@@ -17,10 +17,10 @@ from app.scene3d.looks import ColourArray, Look, unit
 from app.scene3d.picking import project
 from app.scene3d.shapes import Segments, closed, tangents
 from skincal.geometry.arrays import FloatArray
+from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
 from skincal.session.known_points import landmark_normals
 from skincal.session.snapshot import Snapshot
-from skincal.surface.mesh import Surface
 
 DIAMOND = 2.6e-3
 """m. From the middle of a diamond to its corners: a screw's head, and well inside the target's ring."""

@@ -9,8 +9,8 @@ from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import HUES, ColourArray, Look, unit
 from app.scene3d.shapes import Dots, Segments, closed
 from skincal.geometry.arrays import FloatArray
+from skincal.mesh.lay import LaidSkin
 from skincal.model.skin import Layout
-from skincal.surface.lay import LaidSkin
 
 LIFT = 4e-4
 """m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""

@@ -7,11 +7,11 @@ from pathlib import Path
 from app.scene3d.graphics import choose_offscreen
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import LIGHT
+from skincal.mesh.lay import LaidSkin
+from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.session.snapshot import Snapshot
-from skincal.surface.lay import LaidSkin
-from skincal.surface.mesh import Surface
 from skincal.taxels.result import Method
 
 

@@ -8,7 +8,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 from app.scene3d.camera import eye_of
 from app.scene3d.entry import entry_points
 from skincal.geometry.arrays import FloatArray
-from skincal.surface.mesh import Surface
+from skincal.mesh.surface import Surface
 
 REACH = 14.0
 """Pixels. A click this near to a ball means it: half a finger's width on a common screen."""

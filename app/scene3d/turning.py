@@ -17,7 +17,7 @@ from app.scene3d.ground import Frame
 from skincal.geometry.arrays import FloatArray
 from skincal.guide.coaching import PRESSING
 from skincal.guide.guidance import Target
-from skincal.surface.mesh import Surface
+from skincal.mesh.surface import Surface
 
 if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera

@@ -25,11 +25,11 @@ from app.scene3d.looks import DARK, LIGHT
 from app.scene3d.pointer import Pointer
 from app.scene3d.probe import Canvas, best_canvas
 from skincal.guide.guidance import Target
+from skincal.mesh.lay import LaidSkin
+from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.session.snapshot import LiveView, Snapshot
-from skincal.surface.lay import LaidSkin
-from skincal.surface.mesh import Surface
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:

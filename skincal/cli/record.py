@@ -63,7 +63,7 @@ def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -
 
     surface = None
     if scene.surface is not None:
-        from skincal.surface.mesh import load_surface
+        from skincal.mesh.load import load_surface
 
         surface, findings = load_surface(scene.surface)
         for finding in findings:

@@ -19,13 +19,13 @@ from skincal.cli.record import SceneOption, find_scene
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
+    from skincal.mesh.surface import Surface
     from skincal.model.scene import Scene
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.follow import Guided
     from skincal.simulate.operator import Habits, Told
     from skincal.simulate.rig import RigErrors
     from skincal.simulate.serve import Server
-    from skincal.surface.mesh import Surface
 
 
 SESSION_POKES = 252
@@ -143,7 +143,7 @@ def _errors(errors: Errors) -> RigErrors:
 def _surface(scene: Scene) -> Surface | None:
     if scene.surface is None:
         return None
-    from skincal.surface.mesh import load_surface
+    from skincal.mesh.load import load_surface
 
     return load_surface(scene.surface)[0]
 

@@ -23,11 +23,12 @@ from skincal.files.icub import SKIN_PARTS, icub_text, parse_icub, skin_part
 from skincal.files.json_file import json_text
 from skincal.files.lint import LintReference, lint
 from skincal.geometry.arrays import FloatArray
+from skincal.mesh.lay import LaidSkin, lay
+from skincal.mesh.load import Finding, load_surface
+from skincal.mesh.search import nearest_points
+from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
-from skincal.surface.lay import LaidSkin, lay
-from skincal.surface.mesh import Finding, Surface, load_surface
-from skincal.surface.nearest import nearest_points
 from skincal.taxels.result import Estimate, Method, State
 
 COLUMNS = ("channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm")

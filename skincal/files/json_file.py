@@ -85,7 +85,7 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
 
     Parameters
     ----------
-    mesh_findings : sentences on the mesh, from `skincal.surface.load_surface`
+    mesh_findings : sentences on the mesh, from `skincal.mesh.load.load_surface`
     """
     scene = calibration.scene
     document = {

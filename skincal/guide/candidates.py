@@ -22,9 +22,9 @@ import numpy as np
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.knowledge import offset_square, row_precision
 from skincal.guide.poke_history import PokeAxis
+from skincal.mesh.search import nearest_to_rows
+from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
-from skincal.surface.mesh import Surface
-from skincal.surface.nearest import nearest_to_rows
 from skincal.taxels.contact_table import across
 
 AZIMUTHS = 8

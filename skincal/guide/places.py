@@ -13,8 +13,8 @@ import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.knowledge import solved
+from skincal.mesh.lay import LaidSkin
 from skincal.model.skin import Layout
-from skincal.surface.lay import LaidSkin
 from skincal.taxels.result import Estimate
 
 WHOLE = 0.006

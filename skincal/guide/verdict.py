@@ -37,7 +37,7 @@ from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
 from skincal.taxels.solve import Solution, solve
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
 
 ONE_IN = 6
 """One poke in so many is held out."""

@@ -155,7 +155,7 @@ class Scene:
 
 
 def load_scene(path: Path) -> Scene:
-    """Read a scene file and the layout it names; the mesh is left to `skincal.surface`, which costs more.
+    """Read a scene file and the layout it names; the mesh is left to `skincal.mesh`, which costs more.
 
     Parameters
     ----------

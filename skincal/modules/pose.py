@@ -1,7 +1,7 @@
 """Modules as boards: where a pose of a board puts its pads, and how that changes with the pose.
 
 A board has three unknowns where there is a surface: it lies on it, bent and not stretched, so its pose is a place on the
-surface and a direction along it, and its pads lie at the ends of straight geodesics (`skincal.surface.unfold`). On a mesh
+surface and a direction along it, and its pads lie at the ends of straight geodesics (`skincal.mesh.geodesics`). On a mesh
 these unfold into a plane: with x', y' the directions of the board's x and y carried to a pad at (bx, by),
 
     dP/da = x',   dP/db = y',   dP/dtheta = bx y' - by x',
@@ -24,8 +24,8 @@ from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
-    from skincal.surface.unfold import Footing
+    from skincal.mesh.geodesics import Footing
+    from skincal.mesh.surface import Surface
 
 LEVER = 0.010
 """m: a turn counts as the way of a point so far from the board's origin, about that of its outer pads."""
@@ -92,7 +92,7 @@ class ModulesOnSurface:
 
     def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
         """Return where pads lie: at the ends of the ways that lead there in the board's plane."""
-        end = self.surface.unfolded.walk(_footing(poses), flat).end
+        end = _walked(self.surface, poses, flat)
         normals = self.surface.normals[end.triangles]
         x, y = end.x, crossed(normals, end.x)
         turn = (flat[:, :1] * y - flat[:, 1:] * x) / LEVER
@@ -100,7 +100,7 @@ class ModulesOnSurface:
 
     def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
         """Return the poses at the ends of the moves' ways, turned there."""
-        end = self.surface.unfolded.walk(_footing(poses), moves[:, :2]).end
+        end = _walked(self.surface, poses, moves[:, :2])
         normals = self.surface.normals[end.triangles]
         y = crossed(normals, end.x)
         c, s = np.cos(moves[:, 2:] / LEVER), np.sin(moves[:, 2:] / LEVER)
@@ -133,11 +133,12 @@ class ModulesInSpace:
         return np.tile(np.eye(3), (len(normals), 1, 1))
 
 
-def _footing(poses: ModulePoses) -> Footing:
+def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> Footing:
+    """Return where straight ways (n, 2) from poses end, metres."""
     # Only now: a scene without a mesh loads nothing of it.
-    from skincal.surface.unfold import Footing
+    from skincal.mesh.geodesics import Footing, geodesics_of
 
-    return Footing(poses.triangles, poses.points, poses.x)
+    return geodesics_of(surface).walk(Footing(poses.triangles, poses.points, poses.x), ways).end
 
 
 def rotations(vectors: FloatArray) -> FloatArray:
@@ -234,7 +235,7 @@ def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> Mod
         return None
     way = module.place - anchor.at
     if isinstance(ground, ModulesOnSurface):
-        from skincal.surface.lay import stand
+        from skincal.mesh.lay import stand
 
         start = stand(ground.surface, anchor, f"the anchor of module {module.id}")
         at = ModulePoses(start.points, start.x, ground.surface.normals[start.triangles], start.triangles)

@@ -343,7 +343,7 @@ def _axes(normal: FloatArray, plan: ModulePoses | None) -> tuple[FloatArray, Flo
 def _on_ground(boards: ModuleModel, origin: FloatArray, x: FloatArray, normal: FloatArray) -> ModulePoses | None:
     if not isinstance(boards.ground, ModulesOnSurface):
         return ModulePoses(origin[None], x[None], normal[None], np.full(1, -1, dtype=np.int64))
-    from skincal.surface.nearest import nearest_points
+    from skincal.mesh.search import nearest_points
 
     point, triangle = nearest_points(boards.ground.surface, origin[None])
     facing = boards.ground.surface.normals[triangle]

@@ -32,7 +32,7 @@ from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)

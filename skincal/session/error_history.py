@@ -24,7 +24,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
 
 POINTS_MAX = 256
 """Most points of a course: about half the pixels of a plot in a side panel."""

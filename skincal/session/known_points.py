@@ -17,7 +17,7 @@ from skincal.session.actions import AddLandmark, AtLandmark
 from skincal.session.history import Step
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
 
 ON_SURFACE = 0.010
 """m: what lies farther from the surface is no point of it, such as one of a jig, and may be poked from any side."""
@@ -130,7 +130,7 @@ def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> 
     if surface is None or not missing:
         return normals
     places = np.array([landmarks[i].place for i in missing])
-    from skincal.surface.nearest import nearest_points  # a scene without a surface does without
+    from skincal.mesh.search import nearest_points  # a scene without a surface does without
 
     nearest, triangles = nearest_points(surface, places)
     for i, off, triangle in zip(missing, np.linalg.norm(nearest - places, axis=1), triangles, strict=True):

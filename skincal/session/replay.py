@@ -25,7 +25,7 @@ from skincal.session.totals import Totals
 from skincal.streams.links import LinkSpec
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
 
 _MISFIT = "An action of the operator no longer fits and is left out"
 MAX_PAUSE_S = 1.0
@@ -202,6 +202,6 @@ class _Pace:
 def _surface(scene: Scene) -> Surface | None:
     if scene.surface is None:
         return None
-    from skincal.surface.mesh import load_surface
+    from skincal.mesh.load import load_surface
 
     return load_surface(scene.surface)[0]

@@ -27,7 +27,7 @@ from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)

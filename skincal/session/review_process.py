@@ -18,10 +18,11 @@ from dataclasses import dataclass
 from io import BufferedIOBase, BufferedReader, FileIO
 from typing import Any
 
+from skincal.mesh.load import load_surface
+from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.session.review import Reviewer
-from skincal.surface.mesh import Surface, load_surface
 
 LENGTH = 8
 """Bytes of a message's length."""

@@ -28,7 +28,7 @@ from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
 
 DECODED_NS = 500_000_000
 """ns. Decoded wrenches go to the journal so often."""

@@ -43,7 +43,7 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
     from skincal.taxels.contact_table import Evidence
 
 MARKED = "marked by the operator"

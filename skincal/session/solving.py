@@ -19,7 +19,7 @@ from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
 if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+    from skincal.mesh.surface import Surface
     from skincal.taxels.contact_table import Evidence
 
 MODULES_AT_ONCE, TAXELS_AT_ONCE = 4, 64

@@ -1,6 +1,6 @@
 """Readings to bytes, as makers' boards send them: SKB/1, SKT/1 and, for skins too wide for either, delimited text.
 
-The formats are those of `skincal.streams.formats`; nothing is shared with the decoders, so each checks the other.
+The formats are those of `skincal.streams.decoders`; nothing is shared with the decoders, so each checks the other.
 """
 
 from __future__ import annotations

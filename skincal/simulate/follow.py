@@ -16,13 +16,13 @@ from dataclasses import replace
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray
+from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.simulate.landmarks import LandmarkHabits
 from skincal.simulate.operator import Action, Auto, Habits, Press, aim, press
 from skincal.simulate.orders import NoTarget, Order, TargetOrder, Wish
 from skincal.simulate.poke import Pokes, by_hand, held, tangents
 from skincal.simulate.rig import Rig
-from skincal.surface.nearest import nearest_points
 
 
 class Guided(Auto):

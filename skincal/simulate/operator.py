@@ -14,11 +14,11 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.simulate.orders import Order, PokeOrder, PoseOrder
 from skincal.simulate.poke import Pokes, cone_tilts, join, push_directions, tangents
 from skincal.simulate.rig import Rig, Stance
-from skincal.surface.nearest import nearest_points
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,15 +12,15 @@ import numpy as np
 
 from skincal.geometry.arm import inverse_pose
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.lay import lay
+from skincal.mesh.search import nearest_points
+from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.skin import Anchor, Layout
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.foam import Foam, answer, felt_share
 from skincal.simulate.poke import Pokes, tip_axes
-from skincal.surface.lay import lay
-from skincal.surface.mesh import Surface
-from skincal.surface.nearest import nearest_points
 
 __all__ = ["Rig", "RigErrors", "Stance"]
 

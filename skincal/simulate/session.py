@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from skincal.files.reference import TRUTH_NAME
+from skincal.mesh.surface import Surface
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.session.journal import create_session
@@ -18,7 +19,6 @@ from skincal.simulate.device import DeviceSettings, Timeline
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.rig import Rig, RigErrors
 from skincal.streams.links import LinkSpec
-from skincal.surface.mesh import Surface
 
 START_NS = 1_000_000_000
 """Host's clock at the start of a virtual session, nanoseconds; any will do."""

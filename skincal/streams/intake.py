@@ -28,7 +28,7 @@ from skincal.model.readings import (
     WrenchBatch,
 )
 from skincal.streams.clock import Stamper
-from skincal.streams.formats.detect import Decoder
+from skincal.streams.decoders.detect import LinkDecoder
 from skincal.streams.links import LinkSpec
 from skincal.streams.pairing import Pairing
 
@@ -134,8 +134,8 @@ class _LinkIntake:
         self._last_ns = 0
         self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_NS // RATE_STEP_NS + 1)
 
-    def _new_decoder(self) -> Decoder:
-        return Decoder(self.spec.format, self._channels, self.spec.carries)
+    def _new_decoder(self) -> LinkDecoder:
+        return LinkDecoder(self.spec.format, self._channels, self.spec.carries)
 
     def take_chunk(self, chunk: Chunk) -> list[tuple[int, Batch]]:
         if self._last_ns == 0 and self._state is LinkState.LOST:

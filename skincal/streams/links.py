@@ -10,9 +10,11 @@ reaches pyserial, whose URLs run other code and write files (`spy://PORT?file=X`
 from __future__ import annotations
 
 import errno
+import math
 import re
 import socket
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -38,6 +40,10 @@ CONNECT_S = 1.0
 """s. A host in the same room answers in milliseconds; a reader must be able to stop."""
 WRITE_S = 0.5
 """s. A command is a few bytes; a port that takes none for so long is stuck."""
+BLOCK_BYTES = 512
+"""Bytes handed on of a file together: three skin frames of 84 taxels."""
+BITS_PER_BYTE = 10
+"""Start bit, eight data bits, stop bit."""
 
 
 class FailureKind(Enum):
@@ -71,7 +77,7 @@ class LinkSpec:
     """`/dev/ttyUSB0`, `COM3`, either with `@921600` for its baud rate; `socket://host:port`; `file:PATH` or a file's path."""
     carries: tuple[Stream, ...]
     format: str = "auto"
-    """One of `skincal.streams.formats.NAMES`."""
+    """One of `skincal.streams.decoders.detect.NAMES`."""
 
 
 class LinkKind(Enum):
@@ -166,8 +172,6 @@ def open_link(spec: LinkSpec) -> Link:
     if address.kind is LinkKind.TCP:
         return TcpLink(spec.address, address.place, address.number)
     if address.kind is LinkKind.FILE:
-        from skincal.streams.playback import PlaybackLink
-
         return PlaybackLink(Path(address.place), spec, address.number)
     return SerialLink(address.place, address.number)
 
@@ -342,3 +346,67 @@ def _connect_failure(address: str, error: OSError) -> LinkFailure:
     if isinstance(error, TimeoutError):
         return LinkFailure(FailureKind.ABSENT, f"{address}: no answer within {CONNECT_S:g} s; check the cable and the number.")
     return LinkFailure(FailureKind.OTHER, f"{address}: cannot connect: {error.strerror or error}.")
+
+
+class PlaybackLink:
+    """A file of raw bytes, as a port wrote them, read at the pace at which its device made them.
+
+    The device's clock in the bytes sets the pace; bytes without one come as fast as a port of the given baud rate sends them.
+    So arrival stamps mean what they mean for a port, and nothing that follows can tell the two apart. The file's end is a
+    `LinkFailure` of kind ENDED.
+    """
+
+    def __init__(self, path: Path, spec: LinkSpec, baud: int) -> None:
+        # Only now: whoever describes links decodes nothing.
+        from skincal.streams.decoders.detect import LinkDecoder
+
+        self._path = path
+        try:
+            self._file = path.open("rb")
+            self._decoder = LinkDecoder(spec.format, None, spec.carries)
+        except FileNotFoundError as error:
+            raise LinkFailure(FailureKind.ABSENT, f"There is no file {path}; check the name.") from error
+        except OSError as error:
+            raise LinkFailure(FailureKind.OTHER, f"{path} cannot be read: {error.strerror or error}.") from error
+        except InputError as error:
+            raise LinkFailure(FailureKind.ADDRESS, str(error)) from error
+        self._byte_s = BITS_PER_BYTE / baud
+        self._block: bytes | None = None
+        self._started_s = time.monotonic()
+        self._due_s = 0.0
+        self._device_s = math.nan
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        if self._block is None:
+            self._block = self._next_block()
+        wait_s = self._started_s + self._due_s - time.monotonic()
+        if wait_s > timeout_s:
+            time.sleep(timeout_s)
+            return b""
+        if wait_s > 0:
+            time.sleep(wait_s)
+        block, self._block = self._block, None
+        return block
+
+    def _next_block(self) -> bytes:
+        """Read the next block and find when it is due: as much later as its device's clock went on."""
+        try:
+            block = self._file.read(BLOCK_BYTES)
+        except OSError as error:
+            raise LinkFailure(FailureKind.OTHER, f"{self._path} cannot be read further: {error.strerror or error}.") from error
+        if not block:
+            raise LinkFailure(FailureKind.ENDED, f"{self._path} is at its end.")
+        before = self._device_s
+        for _, batch in self._decoder.feed(block, round(self._due_s * 1e9)):
+            self._device_s = float(batch.device_s[-1])
+        passed_s = self._device_s - before
+        self._due_s += passed_s if passed_s >= 0 else len(block) * self._byte_s
+        return block
+
+    def write(self, data: bytes) -> None:
+        """Do nothing: a recording takes no commands."""
+
+    def close(self) -> None:
+        """See `Link`."""
+        self._file.close()

@@ -16,7 +16,7 @@ RETRY_S = 0.1
 JOIN_S = 2.0
 """s. Longest wait for the thread at a stop: longer than a connection may take."""
 NEW_REASON_S = 1.0
-"""s. A new reason why a lost link does not open is told when it has lasted so long: a port that comes back may deny
+"""s. A new reason why a lost link does not open is reported when it has lasted so long: a port that comes back may deny
 access until the system has set its owner."""
 
 EXPECTED_WHILE_LOST = (FailureKind.ABSENT, FailureKind.REFUSED)
@@ -40,7 +40,7 @@ class Reader:
         self._told = ""
         """The sentence that the operator has."""
         self._reason, self._reason_since_s = "", 0.0
-        """Another reason that is not told yet, and since when it holds."""
+        """Another reason that is not reported yet, and since when it holds."""
 
     def start(self) -> None:
         """Begin to read."""

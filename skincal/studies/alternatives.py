@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.geometry.wrench import move_wrench
+from skincal.mesh.search import GRAZING, nearest_to_rows
+from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
 from skincal.studies.closed_form import closest_in_columns, closest_in_triangles
-from skincal.surface.mesh import Surface
-from skincal.surface.nearest import GRAZING, nearest_to_rows
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.solve import solve
 

@@ -17,13 +17,14 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.load import load_surface
+from skincal.mesh.search import nearest_points
+from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.resources import forearm_point, torso_point, tube
 from skincal.simulate.rig import NEIGHBOURS, Rig
-from skincal.surface.mesh import Surface, load_surface, make_surface
-from skincal.surface.nearest import nearest_points
 
 LAID_ON = 4_000
 """Triangles."""

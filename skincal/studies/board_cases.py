@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import KINDS
 from skincal.modules.pose import ModuleGround, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
 from skincal.studies.cases import TAXEL, Mesh, Sizes, arm_poses, cone, moved, sheet, unit
-from skincal.surface.mesh import make_surface
 
 KIND = KINDS["triangle_12"]
 PADS = len(KIND.pads)

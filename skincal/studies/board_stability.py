@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Anchor, Layout, Module
 from skincal.modules.estimate import estimate_modules
@@ -26,7 +27,6 @@ from skincal.studies.bar import bar, over_bar
 from skincal.studies.board_cases import KIND, PADS, BoardCase, BoardReadings
 from skincal.studies.board_exact import BoardTruth
 from skincal.studies.exact import NO_NUMBER
-from skincal.surface.mesh import Surface, make_surface
 from skincal.taxels.contact_table import ContactTable
 
 STEPS = 15

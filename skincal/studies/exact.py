@@ -21,8 +21,8 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.search import GRAZING
 from skincal.studies.cases import Case, Mesh, Readings, moved
-from skincal.surface.nearest import GRAZING
 
 DIGITS = 80
 CONTEXT = Context(prec=DIGITS, Emin=-999999, Emax=999999)

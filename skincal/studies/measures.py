@@ -15,13 +15,13 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.surface import Surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.studies import alternatives
 from skincal.studies.alternatives import Problems, Systems, problems
 from skincal.studies.benches import Bench
 from skincal.studies.clock import Spread, sampled, timed
-from skincal.surface.mesh import Surface
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 

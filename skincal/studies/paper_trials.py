@@ -11,6 +11,8 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray
+from skincal.mesh.load import load_surface
+from skincal.mesh.surface import Surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.modules.pose import ModuleModel
@@ -20,7 +22,6 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.operator import Habits, aim
 from skincal.simulate.rig import Rig
-from skincal.surface.mesh import Surface, load_surface
 from skincal.taxels.result import Estimate, Method
 
 SCENE = "icub-forearm"

@@ -17,15 +17,16 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.places import PlannedPlaces, plan_from
+from skincal.mesh.lay import lay
+from skincal.mesh.load import load_surface
+from skincal.mesh.search import nearest_points
+from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.simulate.contacts import Tare, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
 from skincal.simulate.poke import Pokes, by_hand, cone_tilts, held, push_directions, tangents
 from skincal.simulate.rig import Rig
-from skincal.surface.lay import lay
-from skincal.surface.mesh import Surface, load_surface
-from skincal.surface.nearest import nearest_points
 
 SCENE = "icub-forearm"
 POSE = "2"

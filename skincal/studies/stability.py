@@ -21,6 +21,8 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.geometry.wrench import cross_matrix, move_wrench
+from skincal.mesh.search import nearest_to_rows
+from skincal.mesh.surface import Surface, heights, make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.studies import exact
 from skincal.studies.bar import FACTOR, OF_SIZE, bar, over_bar
@@ -29,9 +31,6 @@ from skincal.studies.board_exact import find_board_truth
 from skincal.studies.board_stability import BOARD_ALTERNATIVES, compare_board, judge_board, shipped_board
 from skincal.studies.cases import FULL, QUICK, Case, Mesh, Readings, all_cases
 from skincal.studies.exact import NO_NUMBER, Truth, Vector
-from skincal.surface.clean import heights
-from skincal.surface.mesh import Surface, make_surface
-from skincal.surface.nearest import nearest_to_rows
 from skincal.taxels.contact_table import across, gather
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import Method

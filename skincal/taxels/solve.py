@@ -30,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
 from skincal.solver.machine import INTEGER, Call, shared
-from skincal.surface.mesh import Surface
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.least_squares import Factors
 from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, Rival, State
@@ -118,9 +118,9 @@ def solve(
     machine, place = shared(), 0
     if surface is not None and Method.SURFACE in methods:
         # Only now: a scene without a mesh loads nothing of it.
-        from skincal.surface.resident import resident
+        from skincal.mesh.search import solver_copy
 
-        machine, place = resident(surface)
+        machine, place = solver_copy(surface)
     with machine.call() as call:
         asked = _asked(call, evidence, noise)
         trust = call.changed(evidence.trust)

@@ -76,10 +76,10 @@ def bench(qtbot, qapp, tmp_path):
 @pytest.fixture(scope="session")
 def recorded_once(tmp_path_factory):
     """A short session on the forearm, recorded without a window; opening it would write into it."""
+    from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene
     from skincal.simulate.faults import RigErrors
     from skincal.simulate.session import simulate_session
-    from skincal.surface.mesh import load_surface
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
     folder = tmp_path_factory.mktemp("recorded") / "session"

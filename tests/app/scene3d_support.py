@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress
+from skincal.mesh.lay import LaidSkin
+from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import ContactSettings, NoiseSettings, Scene, SkinSpec
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
-from skincal.surface.lay import LaidSkin
-from skincal.surface.mesh import Surface, make_surface
 from skincal.taxels.result import Estimate, Method, State
 
 HALF = 0.04

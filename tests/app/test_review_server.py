@@ -14,6 +14,8 @@ from whole_window import OPEN_MS
 
 from app.review_server import SKIN, ReviewServer
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.mesh.load import load_surface
+from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.rig.correction import RIG, Correction
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
@@ -22,7 +24,6 @@ from skincal.session.review import Asked, Reviewer
 from skincal.session.session import Session
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import Rig, RigErrors
-from skincal.surface.mesh import Surface, load_surface
 
 
 @pytest.fixture(scope="module")

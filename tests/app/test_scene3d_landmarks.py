@@ -18,9 +18,9 @@ from app.scene3d.landmarks import MOST_NAMES, normals_of, poked_here
 from app.scene3d.picking import project, ray, seen_point
 from app.scene3d.probe import Canvas
 from skincal.guide.guidance import Target
+from skincal.mesh.surface import make_surface
 from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
-from skincal.surface.mesh import make_surface
 from skincal.taxels.result import Method
 
 UP = np.array([0.0, 0.0, 1.0])

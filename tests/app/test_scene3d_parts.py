@@ -19,9 +19,9 @@ from app.scene3d.camera import Sight
 from app.scene3d.entry import contact_point, entry_points
 from app.scene3d.looks import HUES, LIGHT, module_hues
 from app.scene3d.shading import shade
+from skincal.mesh.surface import make_surface
 from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Layout, Module
-from skincal.surface.mesh import make_surface
 from skincal.taxels.result import Method
 
 

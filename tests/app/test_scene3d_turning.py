@@ -25,7 +25,7 @@ from app.scene3d.turning import (
     well_seen,
 )  # fmt: skip
 from skincal.contacts.outcome import PressPhase
-from skincal.surface.mesh import make_surface
+from skincal.mesh.surface import make_surface
 from skincal.taxels.result import Method
 
 TICK = 1 / 30

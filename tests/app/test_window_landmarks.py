@@ -13,8 +13,8 @@ from app.dialogs.landmark import LandmarkDialog, free_name, objection_to
 from app.marking import ASK, Marking
 from app.panels.message_bar import Message, MessageBar
 from app.plan import Plan
+from skincal.mesh.search import nearest_points
 from skincal.session.actions import AddLandmark
-from skincal.surface.nearest import nearest_points
 
 Key = Qt.Key
 PLACE = np.array([0.01234, -0.0456, 0.0])

@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import pytest
 
+from skincal.mesh.search import build_tree, nearest_to_rows
+from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import resource
 from skincal.session.replay import load
 from skincal.studies import alternatives, live
 from skincal.studies.benches import SHAPES, Bench
-from skincal.surface.mesh import make_surface
-from skincal.surface.nearest import nearest_to_rows
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests.skincal.test_session_scale import write_pokes
@@ -103,7 +103,7 @@ def test_a_search_tree_is_built(benchmark, triangles):
     mesh = SHAPES["whole-body"].mesh(triangles)
 
     def build():
-        return make_surface(mesh.vertices, mesh.triangles).tree
+        return build_tree(make_surface(mesh.vertices, mesh.triangles))
 
     assert len(benchmark.pedantic(build, rounds=3).places) == len(mesh.triangles)
 

@@ -4,9 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from skincal.mesh.load import load_surface
+from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.simulate.rig import Rig, RigErrors
-from skincal.surface.mesh import Surface, load_surface
 
 
 @lru_cache

@@ -11,6 +11,7 @@ import pytest
 from skincal.cli import main
 from skincal.files.icub import read_icub
 from skincal.files.reference import error_summary, read_reference
+from skincal.mesh.load import load_surface
 from skincal.model.readings import Loss
 from skincal.model.scene import load_scene, resource
 from skincal.session.road import Road
@@ -18,7 +19,6 @@ from skincal.simulate.device import DeviceSettings
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
 from skincal.simulate.session import simulate_session
-from skincal.surface.mesh import load_surface
 from skincal.taxels.result import Method, State
 
 PATCH = resource("scenes/flat-patch/scene.toml")
@@ -99,7 +99,7 @@ import sys, threading
 from skincal.cli import main
 code = main(["solve", {folder!r}, "--json"])
 heavy = ("PySide6", "shiboken6", "vtkmodules", "pyvista", "pyvistaqt", "pyqtgraph", "matplotlib", "scipy", "trimesh", "serial")
-present = [name for name in (*heavy, "skincal.surface.mesh", "skincal.simulate.rig") if name in sys.modules]
+present = [name for name in (*heavy, "skincal.mesh.surface", "skincal.simulate.rig") if name in sys.modules]
 print(code, present, threading.active_count(), file=sys.stderr)
 """
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
@@ -16,7 +17,6 @@ from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
-from skincal.surface.mesh import make_surface
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method, State
 from tests.skincal.sim_support import make_rig, scene_and_surface

@@ -226,7 +226,7 @@ def test_six_hundred_pokes_in_seven_poses_take_half_a_second(least_time):
 
 
 def test_the_scene_that_ships_has_its_landmarks_on_the_part():
-    from skincal.surface.nearest import nearest_points
+    from skincal.mesh.search import nearest_points
 
     scene, surface = scene_and_surface()
     places = np.array([one.place for one in scene.landmarks])

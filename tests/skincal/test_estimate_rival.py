@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
-from skincal.surface.mesh import make_surface
 from skincal.taxels.result import Method, State
 from skincal.taxels.solve import RIVAL_ODDS
 from tests.skincal.estimate_support import solve

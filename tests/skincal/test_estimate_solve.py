@@ -3,9 +3,9 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arm import inverse_pose
+from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import average_over_poses
 from skincal.model.scene import NoiseSettings
-from skincal.surface.mesh import Surface, make_surface
 from skincal.taxels.contact_table import gather
 from skincal.taxels.result import PER_TAXEL, Method, State
 from skincal.taxels.solve import solve as solve_evidence

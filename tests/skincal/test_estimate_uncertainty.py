@@ -5,8 +5,8 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.wrench import cross_matrix
+from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
-from skincal.surface.mesh import make_surface
 from skincal.taxels.contact_table import across, gather
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import SD_MAX, Method, State

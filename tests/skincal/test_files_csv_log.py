@@ -6,7 +6,7 @@ import pytest
 from skincal.files.importers.csv_log import read_csv
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss
-from skincal.streams.formats import make_format
+from skincal.streams.decoders.detect import make_decoder
 
 TIMES = [0.5, 0.51, 0.52, 0.53]
 WRENCH = np.array([[0.1 * k, -2.0, 3.5e-7, 0.25, 0.5, k] for k in range(4)])
@@ -36,7 +36,7 @@ def read(tmp_path):
                 path.write_text(content, encoding="utf-8")
             paths.append(path)
         links, chunks, findings = read_csv(paths[0], paths[1], None if joints is None else paths[2])
-        decoders = {link.name: make_format(link.format, SKIN.shape[1], link.carries) for link in links}
+        decoders = {link.name: make_decoder(link.format, SKIN.shape[1], link.carries) for link in links}
         batches = {link.name: [] for link in links}
         times = []
         for chunk in chunks:

@@ -14,11 +14,11 @@ from skincal.files.atomic import write_atomically
 from skincal.files.export import write_calibration
 from skincal.files.icub import read_icub
 from skincal.files.json_file import CONTACT_UNITS, NOISE_UNITS, json_text, read_json
+from skincal.mesh.load import load_surface
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
-from skincal.surface.mesh import load_surface
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.files_support import Part, make_calibration, make_contacts, make_part
 

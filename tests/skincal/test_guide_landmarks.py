@@ -10,13 +10,13 @@ from skincal.guide import landmark_targets as landmarks_module
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.landmark_targets import A_POSE, ASTRAY, LandmarkRound, LandmarkTarget, rig_moves, was_there
 from skincal.guide.places import believed, plan_from
+from skincal.mesh.lay import lay
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import RigErrors
-from skincal.surface.lay import lay
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 

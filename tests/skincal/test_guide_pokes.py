@@ -14,10 +14,10 @@ from skincal.guide.places import SPACING as TAXELS_APART
 from skincal.guide.places import unplaced
 from skincal.guide.poke_history import PokeAxis, axis_of
 from skincal.guide.progress import GuideSettings, Why
+from skincal.mesh.search import nearest_points
 from skincal.session.actions import Exclude, Restore
 from skincal.session.session import Session
 from skincal.studies.poking import Conditions, Part, Wish, poked
-from skincal.surface.nearest import nearest_points
 from skincal.taxels.result import Estimate, Method, State
 
 STEADY = Conditions(aim=0.0, hand=0.0)

@@ -13,7 +13,7 @@ from skincal.simulate.encode import About, Skb, Skt, cobs, make_encoder
 from skincal.simulate.operator import Auto, Habits, Move, Press, Told
 from skincal.simulate.orders import PokeOrder, PoseOrder
 from skincal.simulate.rig import Rig, RigErrors
-from skincal.streams.formats import make_format
+from skincal.streams.decoders.detect import make_decoder
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 QUIET = DeviceSettings(start_quiet_s=0.2)
@@ -33,7 +33,7 @@ def play(errors, seconds, seed=1, name="icub-forearm", settings=None, operator=N
 def decode(line, arrived, link, form="skb"):
     """Decode one link; return the decoder, device times and values."""
     channels = line.rig.scene.skin.channels
-    decoder = make_format(form, channels, (line.links[link],))
+    decoder = make_decoder(form, channels, (line.links[link],))
     batches = [batch for _, name, data in arrived if name == link for batch in decoder.feed(data)]
     field = {Stream.WRENCH: "wrench", Stream.SKIN: "values", Stream.JOINTS: "angles"}[line.links[link]]
     return decoder, np.concatenate([b.device_s for b in batches]), np.concatenate([getattr(b, field) for b in batches])
@@ -199,7 +199,7 @@ def test_links_delay_and_hold_back_but_keep_the_order():
     stamps = np.array([at for at, _, _ in arrived])
     assert (np.diff(stamps) >= 0).all()
     for link, latency in (("wrench", errors.wrench_latency), ("skin", errors.skin_latency)):
-        decoder = make_format("skb", 64, (line.links[link],))
+        decoder = make_decoder("skb", 64, (line.links[link],))
         lateness = []
         first = None
         for at, name, data in arrived:

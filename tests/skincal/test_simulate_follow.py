@@ -9,6 +9,8 @@ from skincal.contacts.outcome import Reason
 from skincal.geometry.wrench import move_wrench
 from skincal.guide.guide import Guide
 from skincal.guide.places import plan_from
+from skincal.mesh.lay import lay
+from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Landmark
@@ -21,8 +23,6 @@ from skincal.simulate.orders import NoTarget, PokeOrder, PoseOrder, TargetOrder,
 from skincal.simulate.poke import tangents
 from skincal.simulate.rig import RigErrors
 from skincal.streams.links import LinkSpec
-from skincal.surface.lay import lay
-from skincal.surface.nearest import nearest_points
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from skincal.geometry.wrench import axis_point, move_wrench, pitch
+from skincal.mesh.lay import lay
+from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
 from skincal.simulate.contacts import Tare, simulate_contacts, unguided
@@ -11,8 +13,6 @@ from skincal.simulate.foam import Foam, answer, felt_share
 from skincal.simulate.noise import WrenchNoise
 from skincal.simulate.operator import Habits, aim, place
 from skincal.simulate.rig import Rig, RigErrors
-from skincal.surface.lay import lay
-from skincal.surface.nearest import nearest_points
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = tuple("1234567")

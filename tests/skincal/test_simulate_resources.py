@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from skincal.mesh.lay import lay
 from skincal.model.scene import resource
 from skincal.simulate.resources import write_flat_patch, write_forearm, write_whole_body
-from skincal.surface.lay import lay
 from tests.skincal.sim_support import scene_and_surface
 
 SCENES = {"icub-forearm": write_forearm, "flat-patch": write_flat_patch, "whole-body": write_whole_body}

@@ -16,7 +16,7 @@ from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 from skincal.simulate.rig import RigErrors
 from skincal.simulate.serve import Server
-from skincal.streams.formats import make_format
+from skincal.streams.decoders.detect import make_decoder
 from tests.skincal.sim_support import make_rig
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="this platform has no pseudo-terminals")
@@ -80,7 +80,7 @@ def test_readings_come_in_real_time_over_tcp():
         begin = time.monotonic()
         data = receive(client, 1.5)
         elapsed = time.monotonic() - begin
-    decoder = make_format("skb", 64, (Stream.WRENCH,))
+    decoder = make_decoder("skb", 64, (Stream.WRENCH,))
     batches = decoder.feed(data)
     count = sum(len(b.seq) for b in batches)
     assert count == pytest.approx(1000 * elapsed, rel=0.25)
@@ -91,12 +91,12 @@ def test_readings_come_in_real_time_over_tcp():
 
 def test_a_client_may_leave_and_come_back():
     with serving(tcp=True) as server:
-        decoder = make_format("skb", 64, (Stream.WRENCH,))
+        decoder = make_decoder("skb", 64, (Stream.WRENCH,))
         with connect(server, "wrench") as client:
             first = np.concatenate([b.seq for b in decoder.feed(receive(client, 0.3))])
         time.sleep(0.3)
         with connect(server, "wrench") as client:
-            second = np.concatenate([b.seq for b in make_format("skb", 64, (Stream.WRENCH,)).feed(receive(client, 0.3))])
+            second = np.concatenate([b.seq for b in make_decoder("skb", 64, (Stream.WRENCH,)).feed(receive(client, 0.3))])
     assert len(first) > 50
     assert second[0] > first[-1] + 100  # what came in between is gone
 
@@ -138,7 +138,7 @@ def test_readings_come_over_a_pty_and_go_on_after_it_was_closed():
     with serving(tcp=False, name="icub-forearm") as server:
         port = next(link.address for link in server.links if link.name == "joints")
         for _ in range(2):
-            decoder = make_format("skb", 384, (Stream.JOINTS,))
+            decoder = make_decoder("skb", 384, (Stream.JOINTS,))
             count, end = 0, time.monotonic() + WAIT_S
             with serial.Serial(port, timeout=0.1) as link:
                 while count < 30 and time.monotonic() < end:

@@ -10,17 +10,17 @@ import threading
 import numpy as np
 import pytest
 import wasmtime
-from surface_support import KINDS, random_metrics, same, soup, together, tube
+from mesh_support import KINDS, random_metrics, same, soup, together, tube
 
+from skincal.mesh import search
+from skincal.mesh.search import GRAZING, nearest_to_rows
+from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
 from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
-from skincal.surface import resident, tree
-from skincal.surface.mesh import make_surface
-from skincal.surface.nearest import GRAZING, nearest_to_rows
 from skincal.taxels import solve
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
@@ -122,7 +122,7 @@ def number(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "here"), [("GRAZING", GRAZING), ("ROUND", tree.ROUND), ("WIDTH", tree.WIDTH), ("LEVELS", resident.LEVELS)]
+    ("name", "here"), [("GRAZING", GRAZING), ("ROUND", search.ROUND), ("WIDTH", search.WIDTH), ("LEVELS", search.LEVELS)]
 )
 def test_a_number_that_stands_in_both_languages_is_the_same(name, here):
     assert number(name) == here
@@ -131,7 +131,7 @@ def test_a_number_that_stands_in_both_languages_is_the_same(name, here):
 def test_both_languages_mean_the_same_tables():
     machine = Machine()
     assert machine.told("answer_size") == solve.ANSWER.itemsize
-    assert machine.told("surface_size") == ctypes.sizeof(resident.Layout)
+    assert machine.told("surface_size") == ctypes.sizeof(search.SurfaceTable)
 
 
 def test_the_logarithm_is_right_to_two_roundings(probe):

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skincal.model.readings import Loss, Stream
-from skincal.streams.formats.detect import TEXT_AFTER_BYTES, TEXT_AFTER_NS, Decoder
-from skincal.streams.formats.text import Text
+from skincal.streams.decoders.delimited import TextDecoder
+from skincal.streams.decoders.detect import TEXT_AFTER_BYTES, TEXT_AFTER_NS, LinkDecoder
 
 SKIN = (Stream.SKIN,)
 WRENCH = (Stream.WRENCH,)
@@ -32,19 +32,19 @@ def values(batches):
 )
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_separators_are_found(line, end):
-    decoder = Text(3, SKIN)
+    decoder = TextDecoder(3, SKIN)
     assert values(decoder.feed(("0\n" + line + end).encode())) == [[1, 2, 3]]
     assert not decoder.counts
 
 
 def test_first_line_after_opening_may_be_cut_and_is_thrown_away_uncounted():
-    decoder = Text(3, SKIN)
+    decoder = TextDecoder(3, SKIN)
     assert values(decoder.feed(b"1,2,3\n4,5,6\n7,8,9\n")) == [[4, 5, 6], [7, 8, 9]]
     assert not decoder.counts
 
 
 def test_words_are_passed_over_and_wrong_counts_are_counted():
-    decoder = Text(3, SKIN)
+    decoder = TextDecoder(3, SKIN)
     raw = b"\nTactile board v2 ready\nCFG,8,8\nflag\n1,2,3\n1,2\n4,5,6\n1,2,3,4\n1,,3\n1,x,3\n7,8,9\n\x80\x00\xff\xfe12,\x07\n"
     assert values(decoder.feed(raw)) == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
     # 1,2 · 1,2,3,4 · CFG,8,8 is mostly numbers · 1,,3 · 1,x,3 · the bytes that are no text
@@ -54,14 +54,14 @@ def test_words_are_passed_over_and_wrong_counts_are_counted():
 
 
 def test_not_a_number_is_kept_as_such_and_counted():
-    decoder = Text(3, SKIN)
+    decoder = TextDecoder(3, SKIN)
     (batch,) = decoder.feed(b"\n1,nan,inf\n")
     np.testing.assert_array_equal(batch.values, [[1, np.nan, np.nan]])
     assert decoder.counts == Counter({Loss.NOT_A_NUMBER: 1})
 
 
 def test_endless_line_is_dropped_once():
-    decoder = Text(3, SKIN)
+    decoder = TextDecoder(3, SKIN)
     for _ in range(40):
         decoder.feed(b"1," * 10_000)
     assert values(decoder.feed(b"\n1,2,3\n4,5,6\n")) == [[1, 2, 3], [4, 5, 6]]
@@ -78,7 +78,7 @@ def rows_of(frames, blank="\n"):
 def test_row_a_line_with_a_blank_line_after_each_frame():
     frames = np.arange(3 * 4 * 4).reshape(3, 4, 4)
     for raw in (b"\n" + rows_of(frames), b"\n" + rows_of(frames, "\r\n")):
-        decoder = Text(16, SKIN)
+        decoder = TextDecoder(16, SKIN)
         assert values(decoder.feed(raw)) == frames.reshape(3, 16).tolist()
         assert not decoder.counts
 
@@ -86,7 +86,7 @@ def test_row_a_line_with_a_blank_line_after_each_frame():
 def test_frame_with_a_row_lost_is_counted_and_the_next_is_whole():
     frames = np.arange(3 * 4 * 4).reshape(3, 4, 4).tolist()
     del frames[1][2]
-    decoder = Text(16, SKIN)
+    decoder = TextDecoder(16, SKIN)
     found = values(decoder.feed(b"\n" + rows_of(frames)))
     assert found == [list(chain(*frames[0])), list(chain(*frames[2]))]
     assert decoder.counts == Counter({Loss.BAD_WIDTH: 1})
@@ -96,7 +96,7 @@ def test_opening_in_the_middle_of_a_frame_of_rows_gives_no_wrong_frame():
     frames = np.arange(4 * 4 * 4).reshape(4, 4, 4)
     raw = rows_of(frames)
     for start in range(1, len(rows_of(frames[:1]))):
-        for row in values(Text(16, SKIN).feed(raw[start:])):
+        for row in values(TextDecoder(16, SKIN).feed(raw[start:])):
             assert row in frames.reshape(4, 16).tolist()
 
 
@@ -104,7 +104,7 @@ def test_opening_in_the_middle_of_a_frame_of_rows_gives_no_wrong_frame():
 
 
 def test_count_of_values_says_what_a_line_is():
-    decoder = Text(4, (Stream.WRENCH, Stream.SKIN))
+    decoder = TextDecoder(4, (Stream.WRENCH, Stream.SKIN))
     wrench, skin = decoder.feed(b"\n1,2,3,4,5,6\n1,2,3,4\n7,8,9,10,11,12\n")
     assert wrench.wrench.tolist() == [[1, 2, 3, 4, 5, 6], [7, 8, 9, 10, 11, 12]]
     assert skin.values.tolist() == [[1, 2, 3, 4]]
@@ -113,7 +113,7 @@ def test_count_of_values_says_what_a_line_is():
 
 
 def test_joints_are_degrees_and_of_the_first_width():
-    decoder = Text(4, (Stream.JOINTS,))
+    decoder = TextDecoder(4, (Stream.JOINTS,))
     (batch,) = decoder.feed(b"\n90 180\n0 -90\n1 2 3\n")
     np.testing.assert_allclose(batch.angles, [[np.pi / 2, np.pi], [0, -np.pi / 2]], rtol=1e-15)
     assert decoder.counts[Loss.BAD_WIDTH] == 1
@@ -130,7 +130,7 @@ def test_joints_are_degrees_and_of_the_first_width():
     ],
 )
 def test_header_line_names_leading_columns(header, line, seq, device_s):
-    decoder = Text(2, SKIN)
+    decoder = TextDecoder(2, SKIN)
     (batch,) = decoder.feed(f"{header}\n{line}\n".encode())
     assert batch.values.tolist() == [[7, 8]]
     assert batch.seq.tolist() == [seq]
@@ -138,13 +138,13 @@ def test_header_line_names_leading_columns(header, line, seq, device_s):
 
 
 def test_without_a_header_a_leading_column_is_a_wrong_count():
-    decoder = Text(2, SKIN)
+    decoder = TextDecoder(2, SKIN)
     assert decoder.feed(b"\n0.5,7,8\n") == []
     assert decoder.counts == Counter({Loss.BAD_WIDTH: 1})
 
 
 def test_named_numbers_and_microseconds():
-    decoder = Text(1, SKIN)
+    decoder = TextDecoder(1, SKIN)
     top = 1 << 32
     (batch,) = decoder.feed(f"seq,t_us,a\n1,{top - 20_000},0\n2,0,0\n6,80000,0\n".encode())
     assert decoder.counts == Counter({Loss.MISSING: 3})
@@ -154,11 +154,11 @@ def test_named_numbers_and_microseconds():
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=300).map(lambda b: b.replace(b"\x07", b"\n1,2,3\n").replace(b"\x08", b"\n\n")), st.data())
 def test_how_the_bytes_are_cut_never_matters(raw, data):
-    whole = Text(3, SKIN)
+    whole = TextDecoder(3, SKIN)
     expected = str(values(whole.feed(raw)))
     cuts = [0, *sorted(data.draw(st.lists(st.integers(0, len(raw)), max_size=10))), len(raw)]
     for edges in (cuts, range(len(raw) + 1)):
-        decoder = Text(3, SKIN)
+        decoder = TextDecoder(3, SKIN)
         pieces = [b for a, z in pairwise(edges) for b in decoder.feed(raw[a:z])]
         assert str(values(pieces)) == expected
         assert decoder.counts == whole.counts
@@ -173,7 +173,7 @@ def feed_all(decoder, chunks):
 
 def test_one_good_checksum_decides_and_keeps_what_came_with_it():
     for mark, record, name in ((b"\x00", SKB_TAXELS, "SKB/1"), (b"\n", SKT_TAXELS, "SKT/1")):
-        decoder = Decoder("auto", 4, SKIN)
+        decoder = LinkDecoder("auto", 4, SKIN)
         assert decoder.name == ""
         found = feed_all(decoder, [(5, b"boot junk 1,2,3,4" + mark), (6, record[:7]), (7, record[7:])])
         assert decoder.name == name
@@ -181,7 +181,7 @@ def test_one_good_checksum_decides_and_keeps_what_came_with_it():
 
 
 def test_text_is_believed_after_300_ms_and_nothing_is_lost_or_dated_late():
-    decoder = Decoder("auto", 2, SKIN)
+    decoder = LinkDecoder("auto", 2, SKIN)
     chunks = [(1000 * MS + i * 20 * MS, f"{i},{i}\n".encode()) for i in range(30)]
     found = feed_all(decoder, chunks)
     assert decoder.name == "text"
@@ -190,14 +190,14 @@ def test_text_is_believed_after_300_ms_and_nothing_is_lost_or_dated_late():
 
 
 def test_text_waits_its_time():
-    decoder = Decoder("auto", 2, SKIN)
+    decoder = LinkDecoder("auto", 2, SKIN)
     assert decoder.feed(b"1,1\n2,2\n", 0) == []
     assert decoder.feed(b"3,3\n", TEXT_AFTER_NS - 1) == []
     assert len(decoder.feed(b"4,4\n", TEXT_AFTER_NS)) == 3
 
 
 def test_binary_after_a_long_banner_is_still_found():
-    decoder = Decoder("auto", 4, SKIN)
+    decoder = LinkDecoder("auto", 4, SKIN)
     assert feed_all(decoder, [(i * 100 * MS, b"waiting for the sensor...\n") for i in range(50)]) == []
     found = feed_all(decoder, [(6000 * MS, b"\x00" + SKB_TAXELS)])
     assert decoder.name == "SKB/1"
@@ -205,9 +205,9 @@ def test_binary_after_a_long_banner_is_still_found():
 
 
 def test_file_read_at_once_and_end_of_a_short_one():
-    fast = Decoder("auto", 2, SKIN)
+    fast = LinkDecoder("auto", 2, SKIN)
     assert fast.feed(b"1,2\n" * TEXT_AFTER_BYTES, 7)
-    short = Decoder("auto", 2, SKIN)
+    short = LinkDecoder("auto", 2, SKIN)
     assert short.feed(b"1,2\n3,4\n", 7) == []
     ((host_ns, batch),) = short.finish()
     assert host_ns == 7
@@ -216,7 +216,7 @@ def test_file_read_at_once_and_end_of_a_short_one():
 
 
 def test_given_format_is_not_questioned():
-    decoder = Decoder("skt", 4, SKIN)
+    decoder = LinkDecoder("skt", 4, SKIN)
     assert decoder.name == "SKT/1"
     assert decoder.feed(SKB_TAXELS, 0) == []
     assert len(decoder.feed(b"\n" + SKT_TAXELS, 1)) == 1
@@ -224,5 +224,5 @@ def test_given_format_is_not_questioned():
 
 def test_detection_depends_on_bytes_and_stamps_alone():
     chunks = [(i * 50 * MS, f"{i},{i}\n".encode()) for i in range(20)]
-    one, two = Decoder("auto", 2, SKIN), Decoder("auto", 2, SKIN)
+    one, two = LinkDecoder("auto", 2, SKIN), LinkDecoder("auto", 2, SKIN)
     assert str(feed_all(one, chunks)) == str(feed_all(two, chunks))

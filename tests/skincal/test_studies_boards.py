@@ -7,6 +7,8 @@ import mpmath
 import numpy as np
 import pytest
 
+from skincal.mesh.geodesics import Footing, geodesics_of
+from skincal.mesh.surface import make_surface
 from skincal.modules import pose_fit
 from skincal.modules.pose_fit import bends_of, whitened
 from skincal.studies import board_exact, board_stability, exact
@@ -15,8 +17,6 @@ from skincal.studies.board_exact import find_board_truth
 from skincal.studies.board_ground import InPlane, OnMesh
 from skincal.studies.board_stability import compare_board, judge_board, shipped_board, surface_of, told
 from skincal.studies.cases import Sizes
-from skincal.surface.mesh import make_surface
-from skincal.surface.unfold import Footing
 from skincal.taxels.least_squares import factor, triangle
 
 TINY = Sizes(contacts=7, grid=6, many=300)
@@ -133,7 +133,7 @@ def test_a_walk_from_past_the_rim_and_one_through_a_vertex_come_to_an_end():
 def ground_walks(board):
     """The walks to a board's pads; none may take long, wherever it begins."""
     footing = Footing(board.at.triangles, board.at.points, board.at.x).take(np.zeros(PADS, dtype=np.int64))
-    return board.ground.surface.unfolded.walk(footing, board.flat)
+    return geodesics_of(board.ground.surface).walk(footing, board.flat)
 
 
 def test_the_bends_are_how_the_slopes_times_misses_change_beside_the_slopes_themselves():

@@ -10,6 +10,7 @@ from functools import lru_cache, partial
 import numpy as np
 import pytest
 
+from skincal.mesh.search import nearest_points, nearest_to_rows
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.studies import alternatives, live, runtime
 from skincal.studies.benches import SHAPES, Bench
@@ -18,7 +19,6 @@ from skincal.studies.closed_form import closest_in_triangles
 from skincal.studies.figure import write_figure
 from skincal.studies.measures import positions_of
 from skincal.studies.runtime_results import bars_of, main_rows, summary, time_words
-from skincal.surface.nearest import nearest_points, nearest_to_rows
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests.skincal.studies_support import FOREARM, TINY, tiny

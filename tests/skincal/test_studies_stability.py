@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.mesh.surface import make_surface
 from skincal.session.actions import Exclude, Restore, Undo
 from skincal.session.session import Session
 from skincal.studies import exact, stability
 from skincal.studies.board_cases import all_board_cases
 from skincal.studies.cases import Case, Readings, Sizes, all_cases, arm_poses, cone, moved, press, sheet, unit
 from skincal.studies.stability import ALTERNATIVES, Found, judge, shipped
-from skincal.surface.mesh import make_surface
 from skincal.taxels.result import PER_TAXEL
 from tests.skincal.poke_script import same_estimates, small_scene
 

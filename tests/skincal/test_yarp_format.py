@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from skincal.model.errors import InputError
 from skincal.model.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
-from skincal.streams.formats import make_format
-from skincal.streams.formats.yarp import BottleError, Yarp, YarpTxRx, parse_bottle
+from skincal.streams.decoders.detect import make_decoder
+from skincal.streams.decoders.yarp_log import BottleError, YarpDecoder, YarpTxRxDecoder, parse_bottle
 
 WRENCH = (1.5, -2.25, 30.0, 0.125, -0.5, 0.0625)
 WORDS = " ".join(map(str, WRENCH))
@@ -20,8 +20,8 @@ def first(batches):
     return batches[0]
 
 
-def wrench(data: bytes, decoder: Yarp | None = None) -> WrenchBatch:
-    batch = first((decoder or Yarp(None, (Stream.WRENCH,))).feed(data))
+def wrench(data: bytes, decoder: YarpDecoder | None = None) -> WrenchBatch:
+    batch = first((decoder or YarpDecoder(None, (Stream.WRENCH,))).feed(data))
     assert isinstance(batch, WrenchBatch)
     return batch
 
@@ -36,18 +36,18 @@ def test_one_stamp():
 
 def test_two_stamps_take_the_senders_as_the_time_of_the_reading():
     line = f"7 {START:.6f} {START + 0.004:.6f} {WORDS}\n".encode()
-    batch = wrench(line, YarpTxRx(None, (Stream.WRENCH,)))
+    batch = wrench(line, YarpTxRxDecoder(None, (Stream.WRENCH,)))
     assert batch.device_s.tolist() == [START]
     np.testing.assert_array_equal(batch.wrench, [WRENCH])
     # Read with the wrong grammar, the receiver's stamp would be a seventh value.
-    wrong = Yarp(None, (Stream.WRENCH,))
+    wrong = YarpDecoder(None, (Stream.WRENCH,))
     assert wrong.feed(b"\n" + line) == []
     assert wrong.counts == {Loss.BAD_WIDTH: 1}
 
 
 @pytest.mark.parametrize("name", ["yarp", "yarp-tx-rx"])
 def test_the_registry_knows_both_grammars(name):
-    assert isinstance(make_format(name, 4, (Stream.SKIN,)), YarpTxRx if name == "yarp-tx-rx" else Yarp)
+    assert isinstance(make_decoder(name, 4, (Stream.SKIN,)), YarpTxRxDecoder if name == "yarp-tx-rx" else YarpDecoder)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_shapes_of_a_wrench(payload):
     ],
 )
 def test_a_bad_payload_is_counted_and_the_next_line_read(payload, loss):
-    decoder = Yarp(None, (Stream.WRENCH,))
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
     good = f"1 2.5 {WORDS}\n".encode()
     batch = wrench(good + f"2 2.6 {payload}\n".encode("latin-1") + good.replace(b"1 2.5", b"3 2.7"), decoder)
     assert batch.seq.tolist() == [1, 3]
@@ -93,33 +93,33 @@ def test_a_bad_payload_is_counted_and_the_next_line_read(payload, loss):
 
 @pytest.mark.parametrize("line", ["x", "1", "1 2.5x 3", "one 2.5 3", "1 nan 3", f"{10**30} 2.5 {WORDS}"])
 def test_a_line_that_is_no_record_is_counted(line):
-    decoder = Yarp(None, (Stream.WRENCH,))
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
     wrench(f"1 2.5 {WORDS}\n{line}\n".encode(), decoder)
     assert decoder.counts == {Loss.UNREADABLE: 1}
 
 
 def test_blank_lines_and_what_old_dumpers_wrote_into_the_log_are_no_loss():
-    decoder = Yarp(None, (Stream.WRENCH,))
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
     wrench(f"Type: Bottle;\n\nSource: /icub/right_arm [connected]\n1 2.5 {WORDS}\n   \n".encode(), decoder)
     assert not decoder.counts
 
 
 def test_a_cut_last_line_waits_for_its_end():
-    decoder = Yarp(None, (Stream.WRENCH,))
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
     wrench(f"1 2.5 {WORDS}\n2 2.6 {WORDS[:-3]}".encode(), decoder)
     assert not decoder.counts
     assert first(decoder.feed(WORDS[-3:].encode() + b"\n")).seq.tolist() == [2]
 
 
 def test_nan_in_a_wrench_is_counted_and_never_hidden():
-    decoder = Yarp(None, (Stream.WRENCH,))
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
     batch = wrench(b"1 2.5 1 2 nan 4 5 -inf\n", decoder)
     assert decoder.counts == {Loss.NOT_A_NUMBER: 1}
     assert not np.isfinite(batch.wrench).all()
 
 
 def test_a_skin_frame_has_the_width_of_the_scene():
-    decoder = Yarp(4, (Stream.SKIN,))
+    decoder = YarpDecoder(4, (Stream.SKIN,))
     batch = first(decoder.feed(b"1 2.5 244 240 0 12\n2 2.52 (1 2 3 nan)\n3 2.54 1 2 3\n"))
     assert isinstance(batch, SkinBatch)
     np.testing.assert_array_equal(batch.values, [[244, 240, 0, 12], [1, 2, 3, np.nan]])
@@ -127,14 +127,14 @@ def test_a_skin_frame_has_the_width_of_the_scene():
 
 
 def test_joints_are_degrees_in_yarp_and_radians_here():
-    batch = first(Yarp(None, (Stream.JOINTS,)).feed(b"1 2.5 0 90 -45 94\n"))
+    batch = first(YarpDecoder(None, (Stream.JOINTS,)).feed(b"1 2.5 0 90 -45 94\n"))
     assert isinstance(batch, JointsBatch)
     np.testing.assert_allclose(batch.angles, [[0, math.pi / 2, -math.pi / 4, 94 * math.pi / 180]], rtol=1e-15)
 
 
 def test_a_log_carries_one_stream():
     with pytest.raises(InputError, match="one file each"):
-        Yarp(4, (Stream.WRENCH, Stream.SKIN))
+        YarpDecoder(4, (Stream.WRENCH, Stream.SKIN))
 
 
 @pytest.mark.parametrize(
@@ -150,14 +150,14 @@ def test_a_log_carries_one_stream():
     ids=["steps of one", "steps of nine", "no envelope", "no stamp", "sender started anew", "odd steps"],
 )
 def test_numbers_missing_in_the_sequence_are_counted(numbers, missing):
-    decoder = Yarp(None, (Stream.WRENCH,))
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
     for number in numbers:
         decoder.feed(f"{number} 2.5 {WORDS}\n".encode())
     assert decoder.counts[Loss.MISSING] == missing
 
 
 def test_an_endless_line_is_counted_once_and_left():
-    decoder = Yarp(None, (Stream.WRENCH,))
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
     wrench(f"1 2.5 {WORDS}\n".encode(), decoder)
     for _ in range(5):
         assert decoder.feed(b"7" * 600_000) == []
@@ -178,7 +178,7 @@ PIECES = st.one_of(
 @given(st.lists(PIECES, max_size=8), st.data())
 def test_how_the_bytes_are_cut_never_matters(pieces, data):
     stream = b"".join(pieces)
-    whole, cut = Yarp(None, (Stream.WRENCH,)), Yarp(None, (Stream.WRENCH,))
+    whole, cut = YarpDecoder(None, (Stream.WRENCH,)), YarpDecoder(None, (Stream.WRENCH,))
     at_once = whole.feed(stream)
     marks = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     by_parts = [b for i, j in zip([0, *marks], [*marks, len(stream)], strict=True) for b in cut.feed(stream[i:j])]
@@ -231,6 +231,6 @@ def test_words_vocabs_and_blobs_are_no_numbers():
 
 
 def test_the_first_line_counts_too():
-    decoder = Yarp(24, (Stream.SKIN,))
+    decoder = YarpDecoder(24, (Stream.SKIN,))
     decoder.feed(b"0 1.0 1 2 3\n1 1.1 1 2 3\nwords\n")
     assert decoder.counts == {Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 1}

@@ -8,8 +8,8 @@ from skincal.files.importers.recorded_lines import START_NS
 from skincal.files.importers.yarp_log import read_yarp
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
-from skincal.streams.formats import make_format
-from skincal.streams.formats.yarp import LINE_MAX
+from skincal.streams.decoders.detect import make_decoder
+from skincal.streams.decoders.yarp_log import LINE_MAX
 from skincal.streams.intake import Intake
 
 EPOCH = 1_420_000_000.0
@@ -56,7 +56,7 @@ def recording(folder: Path, seconds: float = 3.0, start: float = EPOCH, rates=(1
 
 def decode(links, chunks):
     """Feed chunks to the decoders that the links name; return batches by link, and losses."""
-    decoders = {link.name: make_format(link.format, CHANNELS, link.carries) for link in links}
+    decoders = {link.name: make_decoder(link.format, CHANNELS, link.carries) for link in links}
     batches: dict[str, list] = {link.name: [] for link in links}
     for chunk in chunks:
         batches[chunk.link] += decoders[chunk.link].feed(chunk.data)

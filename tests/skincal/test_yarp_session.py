@@ -10,8 +10,8 @@ from skincal.files.export import write_calibration
 from skincal.files.icub import read_icub
 from skincal.files.importers.yarp_log import read_yarp
 from skincal.files.json_file import read_json
+from skincal.mesh.load import load_surface
 from skincal.session.road import Road
-from skincal.surface.mesh import load_surface
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.estimate_support import solve
 from tests.skincal.files_support import CHANNELS, Part, make_part

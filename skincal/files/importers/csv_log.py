@@ -26,7 +26,7 @@ from pathlib import Path
 from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, agree, check_overlap, merged, scan
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
-from skincal.streams.formats.yarp import STAMP_MAX
+from skincal.streams.decoders.yarp_log import STAMP_MAX
 from skincal.streams.links import LinkSpec
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}

@@ -19,7 +19,7 @@ from pathlib import Path
 from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, agree, check_overlap, merged, scan
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
-from skincal.streams.formats.yarp import (
+from skincal.streams.decoders.yarp_log import (
     LINE_MAX,
     MEASURES_LISTS,
     MEASURES_WRENCH,

@@ -1,7 +1,7 @@
 /* The surface's point nearest to a target in a metric, exactly: the optimum over all triangles (paper, II-B).
  *
  * The metric is given by its root: minimise |root p - offset|^2, so nothing is squared. A walk down the tree
- * (`skincal/surface/tree.py`) leaves out whatever cannot be the best. With the rows r_i and the largest stretch s of the
+ * (`skincal/mesh/search.py`) leaves out whatever cannot be the best. With the rows r_i and the largest stretch s of the
  * root, and y = root c - offset at the centre c of a node, every point p of its ball of radius r has
  *
  *     |root p - offset| >= |y| - s r    and    >= sqrt(sum_i max(0, |y_i| - |r_i| r)^2),
@@ -36,7 +36,7 @@ static const double SAME_DEPTH = 1e-9;
 /* Share by which the tree widens radii; rounding of a distance in single precision, as a share of what went into it, with
  * room to spare. */
 static const double ROUND = 1e-6, SLACK = 2e-6;
-/* Largest stretches are 0.5 or more but for a root of nought. */
+/* Largest stretches are 0.5 or more but for a root of zero. */
 static const double LEAST_STRETCH = 1e-2;
 /* Sum of the squared stretches over the largest of them: a metric below this has a second stretch below half the first. */
 static const double FLAT = 1.25;
@@ -49,7 +49,7 @@ static const float FARTHEST = 1e18f;
 #define WIDTH 8
 #define LEVELS 16
 
-/* The tree and the mesh, as `skincal/surface/resident.py` writes them. */
+/* The tree and the mesh, as `skincal/mesh/search.py` writes them. */
 typedef struct {
     Word triangle_count, level_count;
     const float *levels[LEVELS]; /* eight nodes a row of 64: centres' x (8), y, z, radii, normals' middles x, y, z, sines */
@@ -74,7 +74,7 @@ typedef struct {
     Matrix root;
     Vec offset;  /* for points from the tree's origin */
     Vec whole;   /* for points from the link's origin */
-    Vec push;    /* unit; nought where it has no length, and then it faces nothing */
+    Vec push;    /* unit; zero where it has no length, and then it faces nothing */
     double scale; /* a power of two, by which root and offsets were multiplied */
     int any;     /* whether every triangle counts, whatever the push */
     int stiff;

@@ -10,8 +10,8 @@
 
 #include "base.h"
 
-/* A squared length below this is nought, as is whatever is divided by it. */
-static const double NOUGHT = 1e-300;
+/* A squared length below this is zero, as is whatever is divided by it. */
+static const double NO_LENGTH = 1e-300;
 
 static const int AFTER[3] = {1, 2, 0}, BEFORE[3] = {2, 0, 1};
 
@@ -22,7 +22,7 @@ static Closest closest_on_edges(const Vec c[3], const Vec e[3], double starts[3]
 {
     Closest best = {INFINITE, 0, 0, 0};
     for (int j = 0; j < 3; j++) {
-        starts[j] = -dot(c[j], e[j]) / larger(dot(e[j], e[j]), NOUGHT);
+        starts[j] = -dot(c[j], e[j]) / larger(dot(e[j], e[j]), NO_LENGTH);
         double along = smaller(larger(starts[j], 0.0), 1.0);
         Vec on = plus(times(along, e[j]), c[j]);
         double squared = dot(on, on);
@@ -37,7 +37,7 @@ static Closest closest_to_origin(const Vec c[3])
     double starts[3], lengths[3] = {dot(e[0], e[0]), dot(e[1], e[1]), dot(e[2], e[2])};
     Closest edge = closest_on_edges(c, e, starts);
     int k = lengths[2] > larger(lengths[0], lengths[1]) ? 2 : lengths[1] > lengths[0] ? 1 : 0;
-    double size = larger(lengths[k], NOUGHT);
+    double size = larger(lengths[k], NO_LENGTH);
     Vec along = e[k], aside = times(-1.0, e[BEFORE[k]]);
     double tilt = dot(aside, along) / size;
     aside = minus(aside, times(tilt, along));
@@ -47,7 +47,7 @@ static Closest closest_to_origin(const Vec c[3])
     tilt += again;
     double height = dot(aside, aside);
     Vec foot = plus(times(starts[k], along), c[k]);
-    double v = -dot(foot, aside) / larger(height, NOUGHT), u = starts[k] - v * tilt;
+    double v = -dot(foot, aside) / larger(height, NO_LENGTH), u = starts[k] - v * tilt;
     if (u < 0 || v < 0 || u + v > 1 || !(height > 0)) return edge;
     Vec inside = plus(times(v, aside), foot);
     double squared = dot(inside, inside);
@@ -80,7 +80,7 @@ INLINE Vec point_of(const Closest *found, const Vec corners[3])
 typedef struct {
     Vec away;      /* d, metres */
     int corner;    /* where the point is one, else -1 */
-    double rise;   /* f(d): below nought where the anchor was not the best */
+    double rise;   /* f(d): below zero where the anchor was not the best */
     double unsure; /* the rounding of `rise` */
 } Polished;
 

@@ -39,7 +39,7 @@ static const int STEPS = 1;
 /* Share of the weights that holds a step back where nearly parallel axes do not determine one: those of 0.6 degrees
  * spread. */
 static const double DAMPING = 1e-4;
-/* Share of a spread's square below which a squared miss counts as that: one miss of nought may not decide. */
+/* Share of a spread's square below which a squared miss counts as that: one miss of zero may not decide. */
 static const double RAISED = 0.1;
 /* Means of ln max(x, RAISED) for x of chi-square, of two degrees of freedom and of one: by numerical integration. */
 static const double USUAL_MISS = 0.1653, USUAL_PITCH = -0.7685;
@@ -59,7 +59,7 @@ INLINE void pull(Pulls *s, double weight, Vec row, double residual)
     s->pull = plus(s->pull, times(residual, w));
 }
 
-/* The step to the minimum, held back by DAMPING; by Cholesky's factors, whose pivots that keeps above nought. */
+/* The step to the minimum, held back by DAMPING; by Cholesky's factors, whose pivots that keeps above zero. */
 static Vec step_of(const Pulls *s)
 {
     double held = DAMPING * (s->xx + s->yy + s->zz);

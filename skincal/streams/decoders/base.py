@@ -1,11 +1,12 @@
-"""Gathers decoded readings into batches: sequence gaps, wrapped clocks, widths, and numbers that are none."""
+"""What decoders share: bytes cut at a mark, counters and clocks that wrap, a board's header, readings put into batches."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,11 @@ GAP_SLACK = 2.0
 GAP_SLACK_SHARE = 0.25
 """A gap of s numbers fits a time of s intervals to within `GAP_SLACK + GAP_SLACK_SHARE * s`: boards keep no exact pace.
 Numbers and time that do not fit mean that the board started anew, and then nothing is known to be missing."""
+_MEND = {
+    Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
+    Stream.WRENCH: "a wrench is fx fy fz mx my mz",
+    Stream.JOINTS: "the number of joints changed",
+}
 
 
 class DeviceTime:
@@ -55,7 +61,7 @@ class DeviceTime:
         return self._total_us / MICROSECONDS
 
 
-class Sequence:
+class SequenceCounter:
     """Unwraps a 16-bit counter of one kind of record and counts the numbers that are missing."""
 
     def __init__(self) -> None:
@@ -187,8 +193,82 @@ def _flags(status: list[int]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
 
 
-_MEND = {
-    Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
-    Stream.WRENCH: "a wrench is fx fy fz mx my mz",
-    Stream.JOINTS: "the number of joints changed",
-}
+class Splitter:
+    """Cuts bytes at `mark`; what has no mark yet is kept, never more than `limit` bytes."""
+
+    def __init__(self, mark: bytes, limit: int) -> None:
+        self._mark = mark
+        self._limit = limit
+        self._rest = b""
+        self._skipping = False
+
+    def split(self, data: bytes) -> list[bytes | None]:
+        """Return the pieces that `data` completes, without the mark; None stands for one that was too long."""
+        cut = (self._rest + data).split(self._mark)
+        self._rest = cut.pop()
+        if cut and self._skipping:
+            del cut[0]
+            self._skipping = False
+        pieces: list[bytes | None] = [piece if len(piece) <= self._limit else None for piece in cut]
+        if len(self._rest) > self._limit:
+            self._rest = b""
+            if not self._skipping:
+                pieces.append(None)
+            self._skipping = True
+        return pieces
+
+
+class PieceDecoder(ABC):
+    """A decoder of pieces that end with a mark.
+
+    The first piece after opening may have lost its beginning: it counts as nothing, unless it is good.
+    """
+
+    name: ClassVar[str]
+    mark: ClassVar[bytes]
+    limit: ClassVar[int]
+    """Bytes. A piece beyond it is dropped whole."""
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        self.counts: Counter[Loss] = Counter()
+        self.good: int = 0
+        """Records that are surely of this format."""
+        self._collector = Collector(channels, carries, self.counts)
+        self._splitter = Splitter(self.mark, self.limit)
+        self._first = True
+
+    @property
+    def note(self) -> str:
+        """What the board got wrong or said last, a sentence; empty if nothing."""
+        return self._collector.note
+
+    def feed(self, data: bytes) -> list[Batch]:
+        """Take the next bytes of the link and return the readings that they complete."""
+        for piece in self._splitter.split(data):
+            problem = Loss.UNREADABLE if piece is None else self._decode(piece)
+            if problem is not None and not self._first:
+                self.counts[problem] += 1
+            self._first = False
+        return self._collector.take()
+
+    @abstractmethod
+    def _decode(self, piece: bytes) -> Loss | None:
+        """Hand the readings of a piece to the collector; return why it cannot be used."""
+
+
+def parse_header(text: str) -> dict[str, str]:
+    """Read `key=value,key=value`; a field without `=` is left out."""
+    pairs = (field.partition("=") for field in text.split(","))
+    return {key.strip(): value.strip() for key, equals, value in pairs if equals}
+
+
+def header_problem(header: dict[str, str], channels: int | None) -> str:
+    """Return the sentence for a board whose width is not that of the scene; empty if they agree or one is unknown."""
+    n = header.get("n", "")
+    if channels is None or not n.isdigit() or int(n) == channels or header.get("kind") == "ft":
+        return ""
+    board = header.get("board", "")
+    return (
+        f"The board{' ' + board if board else ''} says that it sends n={n} taxels where {channels} are expected; "
+        "set [skin] channels of the scene, or the board's n, to the same number"
+    )

@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
-from skincal.streams.formats.pieces import PieceFormat
+from skincal.streams.decoders.base import PieceDecoder
 
 Item: TypeAlias = "float | str | list[Item]"
 """One value of a bottle."""
@@ -40,7 +40,7 @@ _NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
 
 
 class BottleError(ValueError):
-    """Text is not a bottle: a list or a string has no end."""
+    """TextDecoder is not a bottle: a list or a string has no end."""
 
 
 def parse_bottle(text: str) -> list[Item]:
@@ -192,7 +192,7 @@ class _Steps:
         return 0
 
 
-class Yarp(PieceFormat):
+class YarpDecoder(PieceDecoder):
     """Decode log lines with one stamp, of one stream."""
 
     name = "YARP log"
@@ -241,21 +241,21 @@ class Yarp(PieceFormat):
         return numbers
 
 
-class YarpTxRx(Yarp):
+class YarpTxRxDecoder(YarpDecoder):
     """Decode log lines with the sender's and the receiver's stamp (`--txTime --rxTime`)."""
 
     name = "YARP log, two stamps"
     stamps = 2
 
 
-class YarpRx(YarpTxRx):
+class YarpRxDecoder(YarpTxRxDecoder):
     """Decode log lines with both stamps by the receiver's: the sender's is not always there."""
 
     name = "YARP log, by the receiver's stamp"
     made = 1
 
 
-class Csv(Yarp):
+class CsvDecoder(YarpDecoder):
     """Decode rows of a CSV file, which `skincal.files.importers.csv_log` has made into lines of a log with one stamp."""
 
     name = "CSV"

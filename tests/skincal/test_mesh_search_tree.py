@@ -3,29 +3,28 @@ import time
 
 import numpy as np
 import pytest
-from surface_support import KINDS, folded, part_of, poked, random_metrics, same, soup, together, tube
+from mesh_support import KINDS, folded, part_of, poked, random_metrics, same, soup, together, tube
 
-from skincal.surface import tree
-from skincal.surface.mesh import make_surface
-from skincal.surface.nearest import nearest_to_rows
-from skincal.surface.resident import resident
+from skincal.mesh import search
+from skincal.mesh.search import build_tree, find_fans, nearest_to_rows, solver_copy
+from skincal.mesh.surface import make_surface
 
 
 def nodes_of(level):
     """Eight numbers a node: centre, radius, middle of the normals, sine."""
-    return level.astype(float).reshape(-1, 8, tree.WIDTH).transpose(0, 2, 1).reshape(-1, 8)
+    return level.astype(float).reshape(-1, 8, search.WIDTH).transpose(0, 2, 1).reshape(-1, 8)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 63, 64, 65, 513, 700, 4097])
 def test_every_triangle_is_in_the_ball_and_the_cone_of_each_node_above_it(count):
     rng = np.random.default_rng(count)
     surface = soup(rng, count)
-    built = surface.tree
+    built = build_tree(surface)
     assert sorted(built.order) == list(range(count))
     np.testing.assert_array_equal(built.order[built.places], np.arange(count))
     corners, normals = surface.corners[built.order] - built.origin, surface.normals[built.order]
     for height, level in enumerate(built.levels):
-        node = np.arange(count) // tree.WIDTH**height
+        node = np.arange(count) // search.WIDTH**height
         numbers = nodes_of(level)[node]
         centre, radius, middle, sine = numbers[:, :3], numbers[:, 3], numbers[:, 4:7], numbers[:, 7]
         away = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
@@ -39,7 +38,7 @@ def test_a_node_is_not_much_larger_than_its_share_of_the_surface():
     """Else the search is right and slow: on a grid, eight triangles fit into a ball of 1.5 to 2 times a cell's side."""
     surface = tube(160, 80)
     side = np.sqrt(2 * np.pi * 1.2 * 0.04 * 0.15 / len(surface.triangles))
-    for height, level in enumerate(surface.tree.levels):
+    for height, level in enumerate(build_tree(surface).levels):
         count = len(surface.triangles) // 8**height
         assert np.median(nodes_of(level)[:count, 3]) < 1.6 * side * 8 ** (height / 2)
 
@@ -163,7 +162,7 @@ def test_few_triangles_are_left_however_many_there_are():
 def test_a_search_is_hundreds_of_times_quicker_than_every_triangle():
     rng = np.random.default_rng(43)
     surface = tube(250, 200)
-    surface.prepare()
+    solver_copy(surface)
     asked = poked(rng, surface, 400, 3)
     few = [part[:5] for part in asked]
 
@@ -183,13 +182,13 @@ def test_a_search_is_hundreds_of_times_quicker_than_every_triangle():
 def test_a_root_of_nought_for_every_taxel_does_not_fill_the_memory():
     """All triangles are equally near, to each of many metrics: what one keeps is given back before the next."""
     surface = tube(60, 50)
-    surface.prepare()
+    solver_copy(surface)
     count = 1000
     asked = np.zeros((count, 3, 3)), np.ones((count, 3)), np.tile([-1.0, 0.0, 0.0], (count, 1))
-    before = resident(surface)[0].size
+    before = solver_copy(surface)[0].size
     found = nearest_to_rows(surface, *asked)
     # Measured 0.6 MB; if nothing were given back, 360 MB.
-    assert resident(surface)[0].size - before < 5e6
+    assert solver_copy(surface)[0].size - before < 5e6
     assert (found.triangles == found.triangles[0]).all()
     assert found.points[0, 0] == pytest.approx(surface.vertices[:, 0].max()), "first met by the push"
     np.testing.assert_array_equal(found.values, 3.0)
@@ -201,7 +200,7 @@ def test_which_of_equals_comes_first_in_the_tree_leaves_no_trace(monkeypatch):
     first = tube(40, 30)
     asked = random_metrics(rng, first, 60, "rank 1")
     found = nearest_to_rows(first, *asked)
-    halved = tree._halved
+    halved = search._halved
 
     def otherwise(centres):
         order = halved(centres)
@@ -210,9 +209,10 @@ def test_which_of_equals_comes_first_in_the_tree_leaves_no_trace(monkeypatch):
         order[:count] = order[:count].reshape(-1, 2)[:, ::-1].ravel()
         return order
 
-    monkeypatch.setattr(tree, "_halved", otherwise)
+    order = build_tree(first).order
+    monkeypatch.setattr(search, "_halved", otherwise)
     again = make_surface(first.vertices, first.triangles)
-    assert (again.tree.order != first.tree.order).any()
+    assert (build_tree(again).order != order).any()
     assert same(found, nearest_to_rows(again, *asked))
 
 
@@ -230,19 +230,18 @@ def test_of_triangles_equally_near_the_one_that_faces_the_push_most_is_named():
         assert surface.normals[triangle] @ push == pytest.approx(against.min(), abs=1e-9 * np.linalg.norm(push))
 
 
-def test_a_surface_travels_with_its_tree():
+def test_a_surface_that_travelled_gives_the_same_answers():
     surface = tube()
-    surface.prepare()
+    solver_copy(surface)
     again = pickle.loads(pickle.dumps(surface))
-    assert "tree" in vars(again)
     rng = np.random.default_rng(47)
     asked = random_metrics(rng, surface, 30, "full rank")
     assert same(nearest_to_rows(surface, *asked), nearest_to_rows(again, *asked))
-    np.testing.assert_array_equal(again.fans.starts, surface.fans.starts)
 
 
 def test_fans_hold_the_triangles_around_each_vertex():
     surface = tube(5, 4)
+    fans = find_fans(surface)
     for vertex in range(len(surface.vertices)):
-        own = surface.fans.triangles[surface.fans.starts[vertex] : surface.fans.starts[vertex + 1]]
+        own = fans.triangles[fans.starts[vertex] : fans.starts[vertex + 1]]
         assert sorted(own) == sorted(np.flatnonzero((surface.triangles == vertex).any(axis=1)))

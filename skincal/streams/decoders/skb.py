@@ -3,8 +3,12 @@
 A frame is COBS(body + CRC) and a 0. The body is little-endian: u8 type, u8 source, u16 seq, u32 t_us, payload, at most
 1024 bytes; the CRC-16/CCITT-FALSE of the body follows as u16. Types: 1 skin u16[n], 2 wrench float32[6] and u32 status
 (bit 0 saturated, bit 1 invalid), 3 skin u8[n], 4 skin float32[n], 5 joints float32[n] in degrees, 16 header, the UTF-8
-text `key=value,...`. Other types are skipped. `seq` counts each type of each source alone; `source` is not told apart
+text `key=value,...`. Other types are skipped. `seq` counts each type of each source alone; `source` is not looked at
 otherwise.
+
+COBS writes bytes without the byte 0. A block is a code byte c and c - 1 bytes that are not 0; it stands for those bytes
+and a 0 after them, except where c is 255 or the block is the last. Source: Cheshire and Baker, "Consistent Overhead Byte
+Stuffing", IEEE/ACM Transactions on Networking 7(2), 1999.
 """
 
 from __future__ import annotations
@@ -16,10 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from skincal.model.readings import Loss, Stream
-from skincal.streams.formats import cobs
-from skincal.streams.formats.collector import DeviceTime, Sequence
-from skincal.streams.formats.header import header_problem, parse_header
-from skincal.streams.formats.pieces import PieceFormat
+from skincal.streams.decoders.base import DeviceTime, PieceDecoder, SequenceCounter, header_problem, parse_header
 
 CRC_START = 0xFFFF
 HEAD = struct.Struct("<BBHI")
@@ -33,8 +34,11 @@ HEADER_TYPE = 16
 SKIN_TYPES = {1: np.dtype("<u2"), 3: np.dtype("u1"), 4: np.dtype("<f4")}
 ANGLE = np.dtype("<f4")
 
+FULL_BLOCK = 255
+"""Code of a block of 254 bytes without a 0 after it."""
 
-class Skb(PieceFormat):
+
+class SkbDecoder(PieceDecoder):
     """Decodes SKB/1."""
 
     name: ClassVar[str] = "SKB/1"
@@ -44,13 +48,13 @@ class Skb(PieceFormat):
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._times: dict[int, DeviceTime] = {}
-        self._counters: dict[int, tuple[DeviceTime, Sequence]] = {}
+        self._counters: dict[int, tuple[DeviceTime, SequenceCounter]] = {}
         """By type and source, in one number: the clock of the source and the counter of its type."""
 
     def _decode(self, piece: bytes) -> Loss | None:
         if not piece:
             return None
-        frame = cobs.decode(piece)
+        frame = unstuffed(piece)
         if frame is None or len(frame) < HEAD.size + CRC_BYTES:
             return Loss.UNREADABLE
         body = frame[:-CRC_BYTES]
@@ -75,8 +79,8 @@ class Skb(PieceFormat):
             return self._values(Stream.JOINTS, ANGLE, body, seq, device_s)
         return self._values(Stream.SKIN, SKIN_TYPES[kind], body, seq, device_s)
 
-    def _new_counters(self, kind: int, source: int) -> tuple[DeviceTime, Sequence]:
-        counters = self._times.setdefault(source, DeviceTime()), Sequence()
+    def _new_counters(self, kind: int, source: int) -> tuple[DeviceTime, SequenceCounter]:
+        counters = self._times.setdefault(source, DeviceTime()), SequenceCounter()
         self._counters[kind << 8 | source] = counters
         return counters
 
@@ -104,3 +108,40 @@ class Skb(PieceFormat):
         self.good += 1
         self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
         return None
+
+
+def unstuffed(piece: bytes) -> bytes | None:
+    """Return what `piece` stands for; None if it is no stuffed piece.
+
+    Parameters
+    ----------
+    piece : the bytes between two zeros, without either
+    """
+    if 0 in piece:
+        return None
+    if FULL_BLOCK in piece:
+        return _decode_with_full_blocks(piece)
+    out = bytearray(piece)
+    end = len(out)
+    at = 0
+    while at < end:
+        code = out[at]
+        out[at] = 0
+        at += code
+    return bytes(memoryview(out)[1:]) if at == end and end else None
+
+
+def _decode_with_full_blocks(piece: bytes) -> bytes | None:
+    out = bytearray()
+    end = len(piece)
+    at = 0
+    while at < end:
+        code = piece[at]
+        stop = at + code
+        if stop > end:
+            return None
+        out += piece[at + 1 : stop]
+        if code != FULL_BLOCK and stop < end:
+            out.append(0)
+        at = stop
+    return bytes(out)

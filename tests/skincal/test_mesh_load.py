@@ -1,17 +1,24 @@
+import gc
 import hashlib
 import io
 import struct
+import subprocess
+import sys
 import time
+import weakref
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skincal.mesh.geodesics import geodesics_of
+from skincal.mesh.load import FindingKind, load_surface
+from skincal.mesh.read import read_mesh
+from skincal.mesh.search import solver_copy
+from skincal.mesh.surface import make_surface
 from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
-from skincal.surface.files import read_mesh
-from skincal.surface.mesh import FindingKind, load_surface
 
 
 def tube_mesh(around=24, along=12, turn=0.6, radius=40.0, length=150.0):
@@ -334,3 +341,28 @@ def test_a_hundred_thousand_triangles_load_in_about_a_second(tmp_path, suffix):
     assert len(surface.vertices) == 251 * 201
     # Measured 0.4 s (STL) and 0.7 s (OBJ) alone; the bar on the processor's time allows for a busy machine.
     assert took < 3.0
+
+
+def test_a_mesh_is_read_without_scipy_or_a_mesh_library():
+    """Their import costs every command about as much as a solve does (docs/decisions/mesh-readers.md)."""
+    told = (
+        "import sys\n"
+        "from skincal.mesh.load import load_surface\n"
+        "from skincal.model.scene import load_scene, resource\n"
+        "load_surface(load_scene(resource('scenes/icub-forearm/scene.toml')).surface)\n"
+        "print(sorted({'scipy', 'trimesh', 'vtkmodules'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_what_is_worked_out_on_a_surface_is_kept_with_it_and_gone_with_it():
+    vertices, triangles = tube_mesh()
+    surface = make_surface(vertices * 1e-3, triangles)
+    made = geodesics_of(surface), solver_copy(surface)
+    assert made[0] is geodesics_of(surface)
+    assert made[1] is solver_copy(surface)
+    gone = [weakref.ref(surface), weakref.ref(made[0]), weakref.ref(made[1][0])]
+    del surface, made
+    gc.collect()
+    assert [reference() for reference in gone] == [None, None, None]

@@ -16,8 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 from skincal.model.readings import Loss, Stream
-from skincal.streams.formats.collector import NO_SEQ, TIME_MODULUS_US, Collector
-from skincal.streams.formats.pieces import PieceFormat
+from skincal.streams.decoders.base import NO_SEQ, TIME_MODULUS_US, Collector, PieceDecoder
 
 MAX_LINE = 65536
 """Bytes. Some 4,200 values of 12 characters fit."""
@@ -27,7 +26,7 @@ NUMBER_MAX = 1e18
 """Largest number or clock that is taken for one: what a batch's integers hold."""
 
 
-class Text(PieceFormat):
+class TextDecoder(PieceDecoder):
     """Decodes delimited lines."""
 
     name: ClassVar[str] = "text"
@@ -38,7 +37,7 @@ class Text(PieceFormat):
         super().__init__(channels, carries)
         self._carries = carries
         self._columns = LeadingColumns()
-        self._rows = Rows(self._collector if Stream.SKIN in carries else None)
+        self._rows = FrameRows(self._collector if Stream.SKIN in carries else None)
 
     def _decode(self, piece: bytes) -> Loss | None:
         line = piece.strip()
@@ -140,8 +139,8 @@ class LeadingColumns:
         return number + self._wraps_us
 
 
-class Rows:
-    """Rows of one frame, until the blank line that ends it."""
+class FrameRows:
+    """FrameRows of one frame, until the blank line that ends it."""
 
     def __init__(self, collector: Collector | None) -> None:
         self._collector = collector

@@ -12,16 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.surface.edges import neighbours
-
-if TYPE_CHECKING:
-    from skincal.surface.mesh import Surface
+from skincal.mesh.surface import Surface, neighbours, once_for_each
 
 _PULL = 1e-9
 """A walk through less than this of a triangle, over the way to its middle, passes a vertex: it is pulled to the middle by that
@@ -33,7 +30,7 @@ _CROSSINGS_MAX = 20_000
 _Walk: TypeAlias = tuple[float, ...]
 """Place (2) and direction (2) in a triangle's plane, and how far it still goes, metres."""
 _Triangle: TypeAlias = tuple[tuple[float, float], list[tuple[float, ...]]]
-"""The middle, and of each side its row of `_table` and the triangle behind it, below nought at the rim."""
+"""The middle, and of each side its row of `_table` and the triangle behind it, below zero at the rim."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +59,7 @@ class Walked:
     """(n,) whether a walk ends past the rim."""
 
 
-class Unfolded:
+class Geodesics:
     """A surface, ready to be walked on.
 
     Parameters
@@ -71,22 +68,23 @@ class Unfolded:
     """
 
     def __init__(self, surface: Surface) -> None:
-        self.surface = surface
+        # Not the surface itself: what is kept for each must not hold it.
+        self._corners, self._normals = surface.corners, surface.normals
         self._over = neighbours(surface.triangles)
         self._known: dict[int, _Triangle] = {}
 
     @cached_property
     def _frames(self) -> tuple[FloatArray, FloatArray]:
         """Two unit directions in the plane of each triangle, (nt, 3) each, right-handed about its normal."""
-        corners = self.surface.corners
+        corners = self._corners
         along = corners[:, 1] - corners[:, 0]
         e1: FloatArray = along / _length(along)[:, None]
-        return e1, np.asarray(np.cross(self.surface.normals, e1), dtype=np.float64)
+        return e1, np.asarray(np.cross(self._normals, e1), dtype=np.float64)
 
     @cached_property
     def _table(self) -> FloatArray:
         """(nt, 3, 7): of each side its outward normal in the triangle's plane, its distance from the first corner, `_turns`."""
-        flat = self._flat(self.surface.corners)
+        flat = self._flat(self._corners)
         along = flat[:, [1, 2, 0]] - flat
         along = along / np.sqrt(along[..., 0] ** 2 + along[..., 1] ** 2)[..., None]
         away = flat[..., 0] * along[..., 1] - flat[..., 1] * along[..., 0]
@@ -96,7 +94,7 @@ class Unfolded:
     def _turns(self) -> FloatArray:
         """(nt, 3, 4): cosine, sine and shift that carry a triangle's plane into that of the neighbour at each side."""
         e1, e2 = self._frames
-        corners = self.surface.corners
+        corners = self._corners
         next_at = np.maximum(self._over, 0) // 3
         there_1, there_2 = e1[next_at], e2[next_at]
         edge = corners[:, [1, 2, 0]] - corners
@@ -113,7 +111,7 @@ class Unfolded:
     def _flat(self, points: FloatArray) -> FloatArray:
         """Return (nt, k, 2) of (nt, k, 3): points of each triangle in its plane, from its first corner."""
         e1, e2 = self._frames
-        own = points - self.surface.corners[:, :1]
+        own = points - self._corners[:, :1]
         return np.stack([_dot(own, e1[:, None]), _dot(own, e2[:, None])], axis=2)
 
     def walk(self, start: Footing, ways: FloatArray) -> Walked:
@@ -126,7 +124,7 @@ class Unfolded:
         """
         at = start.triangles.copy()
         e1, e2 = (axes[at] for axes in self._frames)
-        own = start.points - self.surface.corners[at, 0]
+        own = start.points - self._corners[at, 0]
         c, s = _dot(start.x, e1), _dot(start.x, e2)
         left = np.sqrt(ways[:, 0] ** 2 + ways[:, 1] ** 2)
         far = left > 0
@@ -156,7 +154,7 @@ class Unfolded:
             if way < left and pulled != at and abs(way) < _PULL * (abs(middle_x - x) + abs(middle_y - y)):
                 x, y, pulled = x + _PULL * (middle_x - x), y + _PULL * (middle_y - y), at
                 continue
-            # Below nought from past the rim, and by rounding.
+            # Below zero from past the rim, and by rounding.
             way = max(way, 0.0)
             over = side[7]
             if way >= left or over < 0:
@@ -180,18 +178,24 @@ class Unfolded:
     @cached_property
     def _middles(self) -> FloatArray:
         """(nt, 2) the middle of each triangle in its plane."""
-        flat = self._flat(self.surface.corners)
+        flat = self._flat(self._corners)
         return (flat[:, 0] + flat[:, 1] + flat[:, 2]) / 3.0
 
     def _raised(self, walks: FloatArray, at: IntArray, share: FloatArray) -> Footing:
         """Return the ends in space."""
         e1, e2 = (axes[at] for axes in self._frames)
         x, y, ahead_x, ahead_y, _ = walks
-        points = self.surface.corners[at, 0] + x[:, None] * e1 + y[:, None] * e2
+        points = self._corners[at, 0] + x[:, None] * e1 + y[:, None] * e2
         # The start's x is the way turned back by its angle.
         own_x = share[:, 0] * ahead_x + share[:, 1] * ahead_y
         own_y = share[:, 0] * ahead_y - share[:, 1] * ahead_x
         return Footing(at, points, own_x[:, None] * e1 + own_y[:, None] * e2)
+
+
+@once_for_each
+def geodesics_of(surface: Surface) -> Geodesics:
+    """Return the surface ready to be walked on."""
+    return Geodesics(surface)
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -1,5 +1,6 @@
-"""Which format a link speaks, from the bytes and the host's stamps of its chunks alone, so that a replay decides alike.
+"""The decoders by their names, and which of them a link needs.
 
+That is found from the bytes and the host's stamps of its chunks alone, so that a replay decides alike.
 SKB/1 and SKT/1 prove themselves: one record with a good checksum decides. Until then both are tried side by side, and
 delimited text with them; 300 ms after the first bytes the readings of the text are let through. A board that sends words
 first and records later is still found: text is final only when it has given a reading.
@@ -9,32 +10,58 @@ from __future__ import annotations
 
 from collections import Counter
 
+from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
-from skincal.streams.formats import AUTO, Format, make_format
-from skincal.streams.formats.skb import Skb
-from skincal.streams.formats.skt import Skt
-from skincal.streams.formats.text import Text
+from skincal.streams.decoders.base import PieceDecoder
+from skincal.streams.decoders.delimited import TextDecoder
+from skincal.streams.decoders.skb import SkbDecoder
+from skincal.streams.decoders.skt import SktDecoder
+from skincal.streams.decoders.yarp_log import CsvDecoder, YarpDecoder, YarpRxDecoder, YarpTxRxDecoder
 
+AUTO = "auto"
+_CLASSES: dict[str, type[PieceDecoder]] = {
+    "skb": SkbDecoder,
+    "skt": SktDecoder,
+    "text": TextDecoder,
+    "yarp": YarpDecoder,
+    "yarp-tx-rx": YarpTxRxDecoder,
+    "yarp-rx": YarpRxDecoder,
+    "csv": CsvDecoder,
+}
+"""By the name in a link's description."""
+NAMES = (AUTO, *_CLASSES)
 TEXT_AFTER_NS = 300_000_000
 """Nanoseconds of bytes without a good checksum before text is believed: six frames at 20 Hz, ten at 35 Hz."""
 TEXT_AFTER_BYTES = 65536
 """Bytes after which text is believed at once: a file is read faster than it was recorded."""
 
 
-class Decoder:
+def make_decoder(name: str, channels: int | None, carries: tuple[Stream, ...]) -> PieceDecoder:
+    """Return a new decoder by its name.
+
+    Raises
+    ------
+    InputError : no format has this name
+    """
+    if name not in _CLASSES:
+        raise InputError(f"A link's format is {name!r}; expected one of {', '.join(NAMES)}.")
+    return _CLASSES[name](channels, carries)
+
+
+class LinkDecoder:
     """Decodes a link's bytes, in a format that is given or found."""
 
     def __init__(self, format_name: str, channels: int | None, carries: tuple[Stream, ...]) -> None:
-        self._chosen: Format | None = None
-        self._probes: tuple[Skb, Skt] | None = None
-        self._text = Text(channels, carries)
+        self._chosen: PieceDecoder | None = None
+        self._probes: tuple[SkbDecoder, SktDecoder] | None = None
+        self._text = TextDecoder(channels, carries)
         self._held: list[tuple[int, Batch]] = []
         self._first_ns: int | None = None
         self._bytes = 0
         if format_name == AUTO:
-            self._probes = Skb(channels, carries), Skt(channels, carries)
+            self._probes = SkbDecoder(channels, carries), SktDecoder(channels, carries)
         else:
-            self._chosen = make_format(format_name, channels, carries)
+            self._chosen = make_decoder(format_name, channels, carries)
 
     @property
     def name(self) -> str:
@@ -49,8 +76,7 @@ class Decoder:
     @property
     def note(self) -> str:
         """What the board got wrong or said last, a sentence; empty if nothing."""
-        note = getattr(self._chosen, "note", "")
-        return note if isinstance(note, str) else ""
+        return "" if self._chosen is None else self._chosen.note
 
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:
         """Return the readings that `data` completes, each batch with the arrival of its last bytes."""
@@ -79,7 +105,7 @@ class Decoder:
             self._settle(self._text)
         return held
 
-    def _settle(self, chosen: Format) -> None:
+    def _settle(self, chosen: PieceDecoder) -> None:
         self._chosen = chosen
         self._probes = None
         self._held = []

@@ -2,7 +2,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from surface_support import (
+from mesh_support import (
     facing_minima,
     folded,
     part_of,
@@ -14,8 +14,8 @@ from surface_support import (
     tube,
 )  # fmt: skip
 
-from skincal.surface.mesh import make_surface
-from skincal.surface.nearest import nearest_to_rows, second_to_rows
+from skincal.mesh.search import nearest_to_rows, second_to_rows
+from skincal.mesh.surface import make_surface
 
 TIE = 1e-12
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from skincal.mesh.lay import lay, subdivided
+from skincal.mesh.surface import Surface, make_surface
 from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Anchor, Layout, Module, ModuleKind
-from skincal.surface.lay import lay, subdivided
-from skincal.surface.mesh import Surface, make_surface
 
 
 def grid_surface(shape, u, v) -> Surface:

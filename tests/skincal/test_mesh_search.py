@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from surface_support import tube
+from mesh_support import tube
 
+from skincal.mesh.search import Nearest, nearest_in_metric, nearest_points, nearest_to_rows
+from skincal.mesh.surface import Surface, make_surface
 from skincal.studies.closed_form import closest_in_triangles
-from skincal.surface.mesh import Surface, make_surface
-from skincal.surface.nearest import Nearest, nearest_in_metric, nearest_points, nearest_to_rows
 
 
 def to_rows(surface, root, offset, push):

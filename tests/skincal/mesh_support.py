@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from skincal.mesh.search import NearestMany
+from skincal.mesh.surface import Surface, make_surface
 from skincal.studies.closed_form import closest_in_triangles
-from skincal.surface.mesh import Surface, make_surface
-from skincal.surface.nearest import NearestMany
 
 
 def grid(points) -> Surface:

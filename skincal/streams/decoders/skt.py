@@ -19,9 +19,16 @@ import math
 from typing import ClassVar
 
 from skincal.model.readings import Loss, Stream
-from skincal.streams.formats.collector import SEQ_MODULUS, TIME_MODULUS_US, WRENCH_WIDTH, DeviceTime, Sequence
-from skincal.streams.formats.header import header_problem, parse_header
-from skincal.streams.formats.pieces import PieceFormat
+from skincal.streams.decoders.base import (
+    SEQ_MODULUS,
+    TIME_MODULUS_US,
+    WRENCH_WIDTH,
+    DeviceTime,
+    PieceDecoder,
+    SequenceCounter,
+    header_problem,
+    parse_header,
+)
 
 CRC_START = 0xFFFF
 MAX_LINE = 4096
@@ -33,7 +40,7 @@ LEADING = 3
 """Fields before the values: letter, seq, t_us."""
 
 
-class Skt(PieceFormat):
+class SktDecoder(PieceDecoder):
     """Decodes SKT/1."""
 
     name: ClassVar[str] = "SKT/1"
@@ -43,7 +50,7 @@ class Skt(PieceFormat):
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._time = DeviceTime()
-        self._sequences = {stream: Sequence() for stream in Stream}
+        self._sequences = {stream: SequenceCounter() for stream in Stream}
 
     def _decode(self, piece: bytes) -> Loss | None:
         line = piece.removesuffix(b"\r")

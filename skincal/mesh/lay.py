@@ -1,7 +1,7 @@
 """A flat layout laid on the part: where its maker's plan says that each taxel is.
 
 A board bends with the surface and does not stretch, so a point of the layout at distance d and angle a from the anchor
-lies at the end of the straight geodesic that leaves the anchor at angle a and is d long (`unfold.py`). Boards stretch on a
+lies at the end of the straight geodesic that leaves the anchor at angle a and is d long (`geodesics.py`). Boards stretch on a
 doubly curved part; that is left out.
 """
 
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.geodesics import Footing, geodesics_of
+from skincal.mesh.search import nearest_in_metric
+from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout
-from skincal.surface.mesh import Surface
-from skincal.surface.nearest import nearest_in_metric
-from skincal.surface.unfold import Footing
 
 OUTLINE_STEP = 0.002
 """m. Longest piece of a drawn outline: on a forearm of 40 mm radius it leaves the surface by 0.01 mm."""
@@ -97,7 +97,7 @@ def _tangents(x: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray
 
 def _on_surface(flat: FloatArray, anchor: Anchor, surface: Surface, name: str) -> Laid:
     start = stand(surface, anchor, name).take(np.zeros(len(flat), dtype=np.int64))
-    walked = surface.unfolded.walk(start, flat)
+    walked = geodesics_of(surface).walk(start, flat)
     return walked.end.points, surface.normals[walked.end.triangles], walked.past
 
 

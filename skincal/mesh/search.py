@@ -1,0 +1,375 @@
+"""The surface's point nearest to a target in a metric, exactly: the optimum over all triangles (paper, II-B).
+
+The metric is given by its root: minimise |root p - offset|^2, so nothing is squared. How it is found, and why each answer
+has the same bits whichever others are asked with it and wherever the search starts: `skincal/solver/source/search.h`.
+
+The search goes down a wide tree over the triangles. These are ordered by halving along the longest side of their box; each
+eight that follow one another are a node, eight such nodes a node of the next level, and so on. Of a node are kept: a point
+of the surface, the centre; the radius of a ball about it that holds all its triangles; the middle of their normals, and how
+far these turn from it. Surface and tree are written into the solver's memory once, and are gone with the surface.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.surface import Surface, once_for_each
+from skincal.solver.machine import INTEGER, Call, Machine
+
+GRAZING = 1e-12
+"""A triangle faces a push when push . normal is below minus this (both unit); the solver's own, for those who compare."""
+_NO_RANK = 1e-15
+"""Eigenvalues of a metric below this share of the largest are zero: rounding of the sums that made it."""
+LEVELS = 16
+"""Levels of a tree for which there is room: eight children a node make 16 enough for any mesh."""
+_HALVINGS = 3
+WIDTH = 1 << _HALVINGS
+"""Children of a node: fewer cost more steps, more cost more numbers."""
+ROUND = 1e-6
+"""Share by which radii are widened: ten times the rounding of single precision."""
+_TOP = WIDTH
+"""Nodes of the first level, at most: all of them are tried with every metric."""
+_CONE_SLACK = 1e-6
+"""Sine of an angle by which a cone of normals is widened: ten times the rounding of its numbers."""
+_NOWHERE = -1e15
+"""m. The radius of a node without triangles: its lower bound exceeds every distance."""
+Level = NDArray[np.float32]
+"""The nodes of one level in groups of eight that have one parent, (groups, 64): the first components of their centres (8), the
+second, the third, their radii, the middles of their normals (24), their sines. The last group is filled up.
+
+A node's triangles face a push surely where push . middle < -sine, and surely not where push . middle > sine."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearestMany:
+    """The best point of a surface for each of t metrics."""
+
+    points: FloatArray
+    """(t, 3) float, metres; NaN where there is none."""
+    triangles: IntArray
+    """(t,) int; -1 where no triangle faces the push."""
+    values: FloatArray
+    """(t,) float, |root p - offset|^2 there; infinite where there is none."""
+    tried: IntArray
+    """(t,) int: how many triangles were solved."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nearest:
+    """The best point of a surface."""
+
+    point: FloatArray
+    """(3,) float, metres."""
+    triangle: int
+    value: float
+    """(p - t)' M (p - t) there."""
+
+
+def nearest_in_metric(
+    surface: Surface, metric: FloatArray, target: FloatArray, push: FloatArray | None = None
+) -> Nearest | None:
+    """Minimise (p - t)' M (p - t) over the surface's points p, exactly.
+
+    Parameters
+    ----------
+    metric : (3, 3) float, M: symmetric, positive semi-definite, of any rank
+    target : (3,) float, t, metres
+    push : (3,) float or None; where given, only triangles with push . normal < 0 count
+
+    Returns
+    -------
+    As `nearest_to_rows`; None where no triangle faces the push.
+    """
+    values, axes = np.linalg.eigh(metric)
+    values = np.where(values > _NO_RANK * values[-1], values, 0.0)
+    root = np.sqrt(values)[:, None] * axes.T
+    found = nearest_to_rows(surface, root[None], (root @ target)[None], None if push is None else push[None])
+    return None if found.triangles[0] < 0 else Nearest(found.points[0], int(found.triangles[0]), float(found.values[0]))
+
+
+def nearest_to_rows(
+    surface: Surface,
+    roots: FloatArray,
+    offsets: FloatArray,
+    pushes: FloatArray | None,
+    start: IntArray | None = None,
+    every: bool = False,
+) -> NearestMany:
+    """Minimise |root p - offset|^2 over the surface's points p, exactly, for each of t metrics.
+
+    Parameters
+    ----------
+    roots : (t, 3, 3) float, of any rank
+    offsets : (t, 3) float
+    pushes : (t, 3) float or None; where given, only triangles with push . normal < 0 count
+    start : (t,) int or None; a triangle where each optimum is likely, -1 for none: quicker, with the same answer
+    every : try every triangle: slower, with the same answer
+
+    Returns
+    -------
+    Among equally near points the one first met by the push, then the triangle that faces it most, then the lowest
+    index.
+    """
+    count = len(roots)
+    machine, place = solver_copy(surface)
+    with machine.call() as call:
+        asked = _asked(call, place, roots, offsets, pushes, every)
+        starting = call.give(np.full(count, -1) if start is None else start, INTEGER)
+        return _searched(call, "nearest", asked, [starting, 0, 0, 0], np.full(count, -1))
+
+
+def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Find for each of `points` (n, 3), metres, the surface's nearest point, exactly.
+
+    Returns
+    -------
+    nearest : (n, 3) float, metres
+    triangles : (n,) int; of equally near ones the lowest
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    found = nearest_to_rows(surface, np.broadcast_to(np.eye(3), (len(points), 3, 3)), points, None)
+    return found.points, found.triangles
+
+
+def second_to_rows(
+    surface: Surface,
+    roots: FloatArray,
+    offsets: FloatArray,
+    pushes: FloatArray,
+    best: NearestMany,
+    radius: FloatArray,
+    limit: FloatArray,
+    every: bool = False,
+) -> NearestMany:
+    """Find for each of t metrics the least separate minimum beside the best, where there is one.
+
+    What a minimum is, and when it is separate: `skincal/solver/source/rival.h`.
+
+    Parameters
+    ----------
+    roots, offsets, pushes, every : as for `nearest_to_rows`
+    best : what that found
+    radius : (t,) float, metres
+    limit : (t,) float: values of |root p - offset|^2 above it do not count
+
+    Returns
+    -------
+    As `nearest_to_rows`; triangle -1 where there is none.
+    """
+    machine, place = solver_copy(surface)
+    with machine.call() as call:
+        asked = _asked(call, place, roots, offsets, pushes, every)
+        beside = [0, call.give(best.points), call.give(radius), call.give(limit)]
+        return _searched(call, "second", asked, beside, best.triangles)
+
+
+def _asked(call: Call, place: int, roots: FloatArray, offsets: FloatArray, pushes: FloatArray | None, every: bool) -> list[int]:
+    """Return the first words of `Search` in `skincal/solver/source/solver.c`."""
+    given = 0 if pushes is None else call.give(pushes)
+    return [place, len(roots), int(every), call.give(roots), call.give(offsets), given]
+
+
+def _searched(call: Call, name: str, asked: list[int], beside: list[int], triangles: IntArray) -> NearestMany:
+    count = len(triangles)
+    points, values, tried = call.room((count, 3)), call.room((count,)), call.room((count,), INTEGER)
+    found = call.changed(triangles, INTEGER)
+    call.run(name, [*asked, *beside, points, values, found, tried])
+    numbers = [call.taken(place).astype(np.int64) for place in (found, tried)]
+    return NearestMany(call.taken(points), numbers[0], call.taken(values), numbers[1])
+
+
+class SurfaceTable(ctypes.Structure):
+    """`Surface` of `skincal/solver/source/search.h`."""
+
+    _fields_ = (
+        ("triangle_count", ctypes.c_uint32),
+        ("level_count", ctypes.c_uint32),
+        ("levels", ctypes.c_uint32 * LEVELS),
+        ("node_counts", ctypes.c_uint32 * LEVELS),
+        ("order", ctypes.c_uint32),
+        ("places", ctypes.c_uint32),
+        ("corners", ctypes.c_uint32),
+        ("vertices", ctypes.c_uint32),
+        ("triangles", ctypes.c_uint32),
+        ("normals", ctypes.c_uint32),
+        ("slim", ctypes.c_uint32),
+        ("fan_starts", ctypes.c_uint32),
+        ("fans", ctypes.c_uint32),
+        ("walked", ctypes.c_uint32),
+        ("lowest", ctypes.c_uint32),
+        ("lowest_stamp", ctypes.c_uint32),
+        ("stamp", ctypes.c_int32),
+        ("origin", ctypes.c_double * 3),
+        ("extent", ctypes.c_double),
+    )
+
+
+@once_for_each
+def solver_copy(surface: Surface) -> tuple[Machine, int]:
+    """Return the machine that holds a copy of `surface` with its search tree, and the place of its table there."""
+    machine, tree, fans = Machine(), build_tree(surface), find_fans(surface)
+    table = SurfaceTable(
+        triangle_count=len(surface.triangles),
+        level_count=len(tree.levels),
+        stamp=0,
+        extent=tree.extent,
+        origin=tuple(tree.origin),
+    )
+    for i, level in enumerate(tree.levels):
+        table.levels[i], table.node_counts[i] = machine.keep(level), level.size // 8
+    for name, numbers in (("order", tree.order), ("places", tree.places), ("triangles", surface.triangles)):
+        setattr(table, name, machine.keep(numbers.astype(np.int32)))
+    table.fan_starts, table.fans = machine.keep(fans.starts.astype(np.int32)), machine.keep(fans.triangles.astype(np.int32))
+    for name, lengths in (("corners", tree.corners), ("vertices", surface.vertices), ("normals", surface.normals)):
+        setattr(table, name, machine.keep(lengths))
+    table.slim = machine.keep(surface.slim.astype(np.uint8))
+    table.walked = machine.keep(np.zeros(len(surface.triangles), dtype=np.int32))
+    table.lowest = machine.keep(np.zeros(len(surface.vertices)))
+    table.lowest_stamp = machine.keep(np.zeros(len(surface.vertices), dtype=np.int32))
+    return machine, machine.keep(np.frombuffer(bytes(table), dtype=np.uint8))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchTree:
+    """The nodes over a surface's nt triangles; node i of a level has the nodes 8 i to 8 i + 7 of the level before."""
+
+    origin: FloatArray
+    """(3,) float, metres: the middle of the surface's box."""
+    extent: float
+    """m. No vertex is farther from the origin."""
+    order: IntArray
+    """(nt,) the triangle that is node i of level 0."""
+    places: IntArray
+    """(nt,) the node that each triangle is."""
+    corners: FloatArray
+    """(nt, 3, 3) float, metres, from the origin: of the triangles in the order of the nodes."""
+    levels: tuple[Level, ...]
+
+
+def build_tree(surface: Surface) -> SearchTree:
+    """Build the tree over a surface's triangles; there is at least one."""
+    corners = surface.corners
+    points = corners.reshape(-1, 3)
+    low, high = points.min(axis=0), points.max(axis=0)
+    origin = (low + high) / 2
+    columns = np.ascontiguousarray(corners.transpose(2, 1, 0)) - origin[:, None, None]
+    order = _halved((columns[:, 0] + columns[:, 1] + columns[:, 2]) / 3)
+    columns, facing = columns.take(order, axis=2), surface.normals.T.take(order, axis=1)
+    levels, size = [_packed(_leaves(columns, facing))], 1
+    while size * _TOP < len(order):
+        size *= WIDTH
+        levels.append(_packed(_joined(columns, facing, size)))
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    extent = float(np.linalg.norm(high - low) / 2)
+    return SearchTree(origin, extent, order, places, np.ascontiguousarray(columns.transpose(2, 1, 0)), tuple(levels))
+
+
+@dataclass(slots=True)
+class _Nodes:
+    centres: FloatArray
+    """(3, n)"""
+    radii: FloatArray
+    middles: FloatArray
+    """(3, n), unit."""
+    sines: FloatArray
+    """(n,) of the angle by which normals turn from the middle; 2 where that is a right angle or more."""
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    return vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2]
+
+
+def _leaves(columns: FloatArray, normals: FloatArray) -> _Nodes:
+    """Return each triangle as a node: a ball about the middle of its longest side where that holds it, else about its mean."""
+    sides = [_squares(columns[:, (i + 1) % 3] - columns[:, i]) for i in range(3)]
+    longest = np.argmax(sides, axis=0)
+    column = np.arange(len(longest))
+    middle = (columns[:, longest, column] + columns[:, (longest + 1) % 3, column]) / 2
+    half = np.sqrt(np.maximum.reduce(sides)) / 2
+    obtuse = _squares(columns[:, (longest + 2) % 3, column] - middle) <= half * half
+    centres = np.where(obtuse, middle, columns.mean(axis=1))
+    radii = np.sqrt(np.maximum.reduce([_squares(columns[:, i] - centres) for i in range(3)]))
+    return _Nodes(centres, radii, normals, np.zeros(len(radii)))
+
+
+def _joined(columns: FloatArray, normals: FloatArray, size: int) -> _Nodes:
+    """Join each `size` triangles that follow one another: a ball about the corner that is nearest to their mean."""
+    count = int(columns.shape[2])
+    groups = -(-count // size)
+    # The last triangle again and again fills up the last group; no ball and no cone grows by it.
+    filled = np.minimum(np.arange(groups * size), count - 1)
+    corners = columns.take(filled, axis=2).reshape(3, 3, groups, size).transpose(0, 2, 1, 3).reshape(3, groups, 3 * size)
+    normals = normals.take(filled, axis=1).reshape(3, groups, size)
+    nearest = _squares(corners - corners.mean(axis=2)[:, :, None]).argmin(axis=1)
+    centre = corners[:, np.arange(groups), nearest]
+    radii = np.sqrt(_squares(corners - centre[:, :, None]).max(axis=1))
+    middle = normals.sum(axis=2)
+    length = np.sqrt(_squares(middle))
+    middle = np.divide(middle, length, out=np.zeros_like(middle), where=length > 0)
+    # Of the chord, since a cosine near 1 has lost the angle.
+    chord = _squares(normals - middle[:, :, None]).max(axis=1)
+    sine = np.where((chord < 2) & (length > 0), np.sqrt(chord * np.maximum(1 - chord / 4, 0.0)), 2.0)
+    return _Nodes(centre, radii, middle, sine)
+
+
+def _packed(nodes: _Nodes) -> Level:
+    """Round to single precision, outward, and fill up the last group with nodes that no bound keeps."""
+    count = len(nodes.radii)
+    groups = -(-count // WIDTH)
+    filled = np.minimum(np.arange(groups * WIDTH), count - 1)
+    table = np.empty((8, groups * WIDTH))
+    table[:3], table[4:7] = nodes.centres.take(filled, axis=1), nodes.middles.take(filled, axis=1)
+    table[3], table[7] = nodes.radii.take(filled) * (1 + ROUND), nodes.sines.take(filled) + _CONE_SLACK
+    table[3, count:] = _NOWHERE
+    single = table.astype(np.float32)
+    return np.ascontiguousarray(single.reshape(8, groups, WIDTH).transpose(1, 0, 2)).reshape(groups, 8 * WIDTH)
+
+
+def _halved(centres: FloatArray) -> IntArray:
+    """Order points (3, n) so that those that follow one another are near: halves along the longest side, down to 8."""
+    count = int(centres.shape[1])
+    order, starts = np.arange(count), np.zeros(1, dtype=np.int64)
+    while True:
+        sizes = np.diff(starts, append=count)
+        if sizes.max() <= WIDTH:
+            return order
+        ranked = centres.take(order, axis=1)
+        low, high = np.minimum.reduceat(ranked, starts, axis=1), np.maximum.reduceat(ranked, starts, axis=1)
+        side = (high - low).argmax(axis=0)
+        segment = np.repeat(np.arange(len(starts)), sizes)
+        low, high = low[side, np.arange(len(starts))], high[side, np.arange(len(starts))]
+        span = np.where(high > low, high - low, 1.0) * 1.001
+        # The segment before the point, the place within it behind it: one sort for all segments.
+        key = segment + (ranked[side[segment], np.arange(count)] - low[segment]) / span[segment]
+        # Stable: which of equals comes first must not depend on the processor.
+        order = order[key.argsort(kind="stable")]
+        cut = np.where(sizes > WIDTH, starts + _first_half(sizes), count)
+        starts = np.union1d(starts, cut[cut < count])
+
+
+def _first_half(sizes: IntArray) -> IntArray:
+    """Return about half of each of `sizes` such that all blocks of 8, 64, 512 ... but the last are whole."""
+    exponent = np.frexp(np.maximum(sizes - 1, 1).astype(float))[1] - 1
+    whole = 1 << (exponent // _HALVINGS * _HALVINGS)
+    return np.where(sizes > 2 * whole, -(-(sizes // 2) // whole) * whole, whole << (exponent % _HALVINGS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fans:
+    """The triangles around each of nv vertices."""
+
+    starts: IntArray
+    """(nv + 1,) vertex i has the triangles starts[i] to starts[i + 1]."""
+    triangles: IntArray
+
+
+def find_fans(surface: Surface) -> Fans:
+    """Find the triangles around each vertex."""
+    flat, count = surface.triangles.ravel(), len(surface.vertices)
+    return Fans(np.r_[0, np.cumsum(np.bincount(flat, minlength=count))], flat.argsort(kind="stable") // 3)

@@ -1,0 +1,141 @@
+"""A surface: triangles with outward normals, which of them meet at which edge, and how flat each is.
+
+A side of a triangle is numbered h = 3 triangle + side; side s runs from corner s to corner (s + 1) mod 3.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry.arrays import FloatArray, IntArray
+
+SLIVER_RATIO = 100.0
+"""Longest side over height of a triangle that is reported as a sliver: its smallest angle is below 0.6 degrees."""
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A triangle mesh, link frame, metres. Two copies of a surface are never equal; compare `sha256`."""
+
+    vertices: FloatArray
+    """(nv, 3) float."""
+    triangles: IntArray
+    """(nt, 3) int, counter-clockwise seen from outside."""
+    normals: FloatArray
+    """(nt, 3) float, unit, outward."""
+    sha256: str
+    """Of the file's bytes, hexadecimal."""
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """(nt, 3, 3) float: the vertices of each triangle."""
+        return self.vertices[self.triangles]
+
+    @cached_property
+    def centres(self) -> FloatArray:
+        """(3, nt) float: centres of balls that hold the triangles."""
+        return np.ascontiguousarray(self.corners.mean(axis=1).T)
+
+    @cached_property
+    def radii(self) -> FloatArray:
+        """(nt,) float: radii of those balls, metres."""
+        return np.linalg.norm(self.corners - self.centres.T[:, None], axis=2).max(axis=1)
+
+    @cached_property
+    def slim(self) -> NDArray[np.bool_]:
+        """(nt,) whether a triangle is a sliver: over `SLIVER_RATIO` times as long as high."""
+        height, longest = heights(self.corners)
+        return longest > SLIVER_RATIO * height
+
+
+def make_surface(vertices: FloatArray, triangles: IntArray, sha256: str = "") -> Surface:
+    """Return the surface of `triangles` (nt, 3) as wound over `vertices` (nv, 3), metres, link frame; none has zero area."""
+    vertices = np.ascontiguousarray(vertices, dtype=float)
+    triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+    return Surface(vertices, triangles, triangle_normals(vertices[triangles]), sha256)
+
+
+def once_for_each(make: Callable[[Surface], Made]) -> Callable[[Surface], Made]:
+    """Return `make` such that it works once for each surface; what it made is gone with the surface, and must not hold it."""
+    kept: WeakKeyDictionary[Surface, Made] = WeakKeyDictionary()
+    lock = threading.Lock()
+
+    @wraps(make)
+    def find(surface: Surface) -> Made:
+        with lock:
+            if surface not in kept:
+                kept[surface] = make(surface)
+            return kept[surface]
+
+    return find
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """The edges of a set of triangles."""
+
+    open: IntArray
+    """(k,) sides that no other triangle shares: the rim."""
+    non_manifold: int
+    """Edges shared by three or more triangles."""
+    pairs: IntArray
+    """(m, 2) sides that two triangles share."""
+    against: IntArray
+    """(m,) 1 where both triangles of the pair run along the edge in the same direction, so one is turned; else 0."""
+
+
+def find_edges(triangles: IntArray) -> Edges:
+    """Find the edges of `triangles` (nt, 3)."""
+    start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    order = np.argsort(low * (int(triangles.max(initial=0)) + 1) + high, kind="stable")
+    low, high = low[order], high[order]
+    first = np.flatnonzero(np.r_[True, (low[1:] != low[:-1]) | (high[1:] != high[:-1])]) if len(order) else order
+    counts = np.diff(np.r_[first, len(order)])
+    shared = first[counts == 2]
+    pairs = np.stack([order[shared], order[shared + 1]], axis=1)
+    against = (start[pairs[:, 0]] == start[pairs[:, 1]]).astype(np.int64)
+    return Edges(order[first[counts == 1]], int((counts > 2).sum()), pairs, against)
+
+
+def neighbours(triangles: IntArray) -> IntArray:
+    """Return (nt, 3): the side on the other side of each side, -1 at the rim and at non-manifold edges."""
+    pairs = find_edges(triangles).pairs
+    other = np.full(triangles.size, -1, dtype=np.int64)
+    other[pairs[:, 0]], other[pairs[:, 1]] = pairs[:, 1], pairs[:, 0]
+    return other.reshape(-1, 3)
+
+
+def triangle_normals(corners: FloatArray) -> FloatArray:
+    """Return (nt, 3) unit normals of `corners` (nt, 3, 3) as wound, right-handed."""
+    normals, _ = _across(corners)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def heights(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the smallest height and the longest side of each triangle of `corners` (nt, 3, 3), metres."""
+    normals, longest = _across(corners)
+    double_area = np.linalg.norm(normals, axis=1)
+    return np.divide(double_area, longest, out=np.zeros_like(longest), where=longest > 0), longest
+
+
+def _across(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return normals (nt, 3) of twice the area's length, and the longest sides (nt,).
+
+    The two shortest sides are crossed: they lose the fewest digits for a needle.
+    """
+    sides = corners[:, [1, 2, 0]] - corners
+    lengths = np.linalg.norm(sides, axis=2)
+    longest = lengths.argmax(axis=1)
+    row = np.arange(len(corners))
+    normals = np.cross(sides[row, (longest + 1) % 3], sides[row, (longest + 2) % 3])
+    return np.asarray(normals, dtype=np.float64), lengths[row, longest]
