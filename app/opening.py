@@ -89,7 +89,7 @@ def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Road:
     InputError
         The folder cannot be made or is taken.
     """
-    from skincal.session.journal import create_session
+    from skincal.journal.writer import create_session
     from skincal.session.road import Road
 
     folder.parent.mkdir(parents=True, exist_ok=True)

@@ -60,7 +60,10 @@ class Storage:
 
     def _copy(self, target: Path) -> None:
         try:
-            shutil.copytree(self.folder, target, ignore=shutil.ignore_patterns(LOCK_NAME), dirs_exist_ok=True)
+            # Lines before the bytes that they vouch for, as they are read: the recording goes on meanwhile.
+            for other in ("*.mcap", "*.jsonl"):
+                left_out = shutil.ignore_patterns(LOCK_NAME, other)
+                shutil.copytree(self.folder, target, ignore=left_out, dirs_exist_ok=True)
         except (OSError, shutil.Error) as error:
             raise InputError(f"{target}: the session cannot be kept there ({error}); free some space and try again.") from error
 

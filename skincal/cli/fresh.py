@@ -28,7 +28,7 @@ def new_folder(folder: Path) -> Generator[Fresh]:
     The same command with its input put right then finds its folder free. What was there before stays, and what another
     program makes there meanwhile.
     """
-    from skincal.session.scene_copy import SCENE_FOLDER
+    from skincal.journal.scene_copy import SCENE_FOLDER
 
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     fresh = Fresh()
@@ -39,7 +39,7 @@ def new_folder(folder: Path) -> Generator[Fresh]:
     except InputError:
         if fresh.made:
             shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
-            for segment in folder.glob("segment-*.mcap*"):
+            for segment in folder.glob("segment-*"):
                 segment.unlink()
         for place in missing:
             # One that is not empty is in use by others.

@@ -58,7 +58,7 @@ def find_scene(path: Path) -> Scene:
 
 def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Road:
     """Open a new session's journal and the road into it; the mesh is loaded where the scene has one."""
-    from skincal.session.journal import create_session
+    from skincal.journal.writer import create_session
     from skincal.session.road import Road
 
     surface = None

@@ -13,11 +13,11 @@ import typer
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.reference import error_summary
 from skincal.geometry.arrays import FloatArray
+from skincal.journal.documents import LinkTotals
 from skincal.model.readings import LinkHealth, LinkState
 from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
 from skincal.session.snapshot import Snapshot
-from skincal.session.totals import LinkTotals
 from skincal.taxels.result import Estimate, Method, State
 
 

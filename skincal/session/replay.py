@@ -11,17 +11,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skincal.journal.documents import Ending, SegmentMark, Taken, Totals
 from skincal.journal.lock import SessionLock
+from skincal.journal.reader import LogItem, LogState, SessionLog
+from skincal.journal.recovery import recover_session
+from skincal.journal.writer import open_segment
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, with_layout
 from skincal.session.actions import Stamped
-from skincal.session.journal import Ending, open_segment
-from skincal.session.log import LogItem, LogState, SegmentMark, SessionLog, find_segments
-from skincal.session.recovery import recover_session
 from skincal.session.road import Road
-from skincal.session.segment import has_end
-from skincal.session.taken import Taken
-from skincal.session.totals import Totals
 from skincal.streams.links import LinkSpec
 
 if TYPE_CHECKING:
@@ -75,25 +73,24 @@ def load(folder: Path, layout: Path | None = None) -> Road:
     InputError
         As for `replay`.
     """
-    return _load(SessionLog(folder), layout)[0]
+    return _load(SessionLog(folder), layout)
 
 
-def _load(log: SessionLog, layout: Path | None = None) -> tuple[Road, bool]:
-    """Return the road, and whether every segment is known to be whole."""
+def _load(log: SessionLog, layout: Path | None = None) -> Road:
     if log.scene_changed or not log.has_notes:
-        return _played(log, layout), False
+        return _played(log, layout)
     road = _new_road(log, layout)
     misfits: list[str] = []
     for item in log.state():
         if log.scene_changed or not log.has_notes:
-            return _played(SessionLog(log.folder, own=log.own), layout), False
+            return _played(SessionLog(log.folder, own=log.own), layout)
         try:
             _load_step(road, item)
         except InputError as error:
             misfits.append(f"{_MISFIT}: {error}")
     road.renew_detector()
     road.findings = (*log.findings, *misfits)
-    return road, log.whole
+    return road
 
 
 def _new_road(log: SessionLog, layout: Path | None) -> Road:
@@ -134,16 +131,10 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Road:
 
 
 def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -> Road:
-    said: tuple[str, ...] = ()
-    if not all(has_end(path) for path in find_segments(folder)):
-        said = recover_session(folder)
-    road, whole = _load(SessionLog(folder, own=True))
-    if not whole and not said:
-        said = recover_session(folder)
-        road = _load(SessionLog(folder, own=True))[0] if said else road
+    said = recover_session(folder)
+    road = _load(SessionLog(folder, own=True))
     links = road.links if links is None else tuple(links)
-    journal = open_segment(folder, road.scene, links, lock)
-    road.begin_segment(links, journal)
+    road.begin_segment(links, open_segment(folder, road.scene, links, lock))
     road.findings = (*said, *road.findings)
     return road
 

@@ -15,15 +15,14 @@ import numpy as np
 from skincal.contacts.detector import ContactDetector, Doubt, Known
 from skincal.contacts.outcome import Contact, Outcome, PressPhase
 from skincal.geometry.arrays import FloatArray
+from skincal.journal.documents import Ending, Item, Note, Taken, Totals
+from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.actions import Action, Stamped
-from skincal.session.journal import Ending, Item, JournalFailure, JournalWriter, Note
 from skincal.session.session import Session
 from skincal.session.snapshot import LiveView, Snapshot
-from skincal.session.taken import Taken
-from skincal.session.totals import Totals
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 

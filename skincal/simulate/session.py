@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from skincal.files.reference import TRUTH_NAME
+from skincal.journal.writer import create_session
 from skincal.mesh.surface import Surface
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
-from skincal.session.journal import create_session
 from skincal.session.road import Road
 from skincal.simulate.device import DeviceSettings, Timeline
 from skincal.simulate.operator import Auto, Habits

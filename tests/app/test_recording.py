@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from app.recording import Recording
+from skincal.journal import writer
 from skincal.model.errors import InputError
-from skincal.session import journal
 from skincal.session.actions import Exclude
 from skincal.session.replay import load, replay, resume
 from skincal.session.road import Road
@@ -24,7 +24,7 @@ class Folder:
 def recording(tmp_path, monkeypatch):
     monkeypatch.setattr(Recording, "start", lambda _: None)  # nothing to read: the test feeds the road
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, journal.create_session(tmp_path / "s", scene, LINKS))
+    road = Road(scene, LINKS, None, writer.create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(some_pokes(scene, 2).samples):
         road.feed(item)
     yield Recording(road, Folder(tmp_path / "s"))
@@ -50,10 +50,10 @@ def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, t
     def refuse(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(journal, "JournalWriter", refuse)
+    monkeypatch.setattr(writer, "JournalWriter", refuse)
     with pytest.raises(InputError, match="No space left"):
         recording.go_on()
-    monkeypatch.setattr(journal, "JournalWriter", type(recording.road.journal))
+    monkeypatch.setattr(writer, "JournalWriter", type(recording.road.journal))
     recording.road.act(Exclude(1), 1)  # still recorded
     recording.go_on()
     recording.road.act(Exclude(2), 2)

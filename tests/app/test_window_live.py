@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
+from skincal.session.journal import create_session
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import changed, pixels
 
@@ -28,7 +29,6 @@ from app.words import LinkLook
 from skincal.journal.lock import SessionLock
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene, resource
-from skincal.session.journal import create_session
 from skincal.session.replay import replay
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method, State

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import binascii
+import contextlib
+import json
+import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
 
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import Outcome
 from skincal.geometry.arrays import FloatArray
+from skincal.journal.lock import SessionLock
+from skincal.journal.writer import open_segment
+from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream
 from skincal.model.scene import ArmSpec, ContactSettings, NoiseSettings, Scene, SkinSpec, load_scene
 from skincal.model.skin import KINDS, Layout, Module
@@ -215,6 +224,31 @@ def outcome_key(outcome: Outcome) -> tuple[object, ...]:
 def killed(road):
     """What was buffered is on the disk, and nothing more comes: what the system does to a process that dies."""
     road.journal.sync()
-    road.journal._file.close()
+    road.journal._abandon()
     road.journal._lock._file.close()
     return road
+
+
+def torn(folder, size, number=1):
+    """Cut a segment's MCAP file off at `size`, and its lines where they speak of more: they are written after it."""
+    path = folder / f"segment-{number:04d}.mcap"
+    path.write_bytes(path.read_bytes()[:size])
+    found, items = 0, set()
+    with contextlib.suppress(McapError, struct.error), path.open("rb") as file:
+        for record in StreamReader(file).records:
+            if isinstance(record, Channel) and (record.topic == "/events" or record.topic.startswith("/raw/")):
+                items.add(record.id)
+            found += isinstance(record, Message) and record.channel_id in items
+    beside = path.with_suffix(".jsonl")
+    lines = beside.read_bytes().splitlines(keepends=True)
+    beside.write_bytes(b"".join(line for line in lines if json.loads(line)[1] <= found and b'"closed"' not in line[-12:]))
+
+
+def next_segment(folder, scene, links):
+    """The journal of a session that goes on, as `resume` opens it."""
+    lock = SessionLock(folder)
+    try:
+        return open_segment(folder, scene, links, lock)
+    except InputError:
+        lock.release()
+        raise

@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,13 +14,13 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.journal.reader import SessionLog
+from skincal.journal.writer import JournalWriter, create_session
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
-from skincal.session.journal import JournalWriter, create_session, open_next_segment
-from skincal.session.log import read_session
-from skincal.session.replay import replay, resume
+from skincal.session.replay import load, replay, resume
 from skincal.session.road import Road
-from tests.skincal.poke_script import LINKS, as_chunks, outcome_key, some_pokes, write_scene
+from tests.skincal.poke_script import LINKS, as_chunks, next_segment, outcome_key, some_pokes, torn, write_scene
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def recorded(tmp_path_factory):
     for item in as_chunks(some_pokes(scene, 4).samples):
         road.feed(item)
     road.close()
-    return folder / "s", list(read_session(folder / "s").items())
+    return folder / "s", list(SessionLog(folder / "s").items())
 
 
 def damaged_copy(recorded, tmp_path, change):
@@ -42,11 +43,12 @@ def damaged_copy(recorded, tmp_path, change):
         (target / "scene" / path.name).write_bytes(path.read_bytes())
     data = bytearray((folder / "segment-0001.mcap").read_bytes())
     (target / "segment-0001.mcap").write_bytes(change(data))
+    shutil.copy(folder / "segment-0001.jsonl", target)
     return target, items
 
 
 def read_all(folder):
-    log = read_session(folder)
+    log = SessionLog(folder)
     return list(log.items()), log.findings
 
 
@@ -113,8 +115,10 @@ def test_zeros_at_the_end_are_cut_off(recorded, tmp_path):
 
 
 def test_a_torn_session_is_recovered_and_goes_on(recorded, tmp_path):
-    folder, _ = damaged_copy(recorded, tmp_path, lambda data: data[: len(data) * 2 // 3])
+    folder, items = damaged_copy(recorded, tmp_path, lambda data: data)
+    torn(folder, (folder / "segment-0001.mcap").stat().st_size * 2 // 3)
     before, _ = read_all(folder)
+    assert len(items) / 4 < len(before) < len(items)
     road = resume(folder)
     assert (folder / "segment-0001.mcap.damaged").exists()
     assert "recovered" in road.findings[0]
@@ -135,26 +139,93 @@ def test_a_torn_session_is_recovered_and_goes_on(recorded, tmp_path):
 def test_segments_after_a_hole_are_put_aside(recorded, tmp_path):
     folder, items = damaged_copy(recorded, tmp_path, lambda data: data)
     resume(folder).close()
-    path = folder / "segment-0001.mcap"
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    torn(folder, (folder / "segment-0001.mcap").stat().st_size // 2)
     back, findings = read_all(folder)
     assert back == items[: len(back)]
     assert "segment-0002.mcap: not read" in findings[1]
+    assert "segment-0002.mcap: not read" in load(folder).findings[1]
     road = resume(folder)
     road.close()
-    assert (folder / "segment-0002.mcap.after-damage").exists()
+    assert {path.name for path in folder.glob("segment-0002*after-damage")} == {
+        "segment-0002.mcap.after-damage",
+        "segment-0002.jsonl.after-damage",
+    }
     assert any("put aside" in sentence for sentence in road.findings)
+    assert load(folder).findings == replay(folder).findings == ()
+
+
+def test_lost_bytes_of_an_earlier_segment_cost_no_poke(recorded, tmp_path):
+    """The lines tell what was made of them; playing the bytes ends there, and says so."""
+    folder, _ = damaged_copy(recorded, tmp_path, lambda data: data)
+    resume(folder).close()
+    path = folder / "segment-0001.mcap"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    for _ in range(2):
+        loaded, played = load(folder), replay(folder)
+        assert loaded.findings == ()
+        assert 0 < len(played.session.contacts) < len(loaded.session.contacts) == 4
+        assert "lost" in played.findings[0]
+        assert "not read, since what comes before it has a hole" in played.findings[1]
+        road = resume(folder)
+        assert len(road.session.contacts) == 4
+        road.close()
+    assert [path.name for path in folder.glob("*.damaged")] == ["segment-0001.mcap.damaged"]
+    assert list(folder.glob("*after-damage")) == []
+
+
+def test_torn_lines_are_read_up_to_there_and_the_bytes_with_them(recorded, tmp_path):
+    """A disk that loses power keeps what was forced onto it, and of the rest any beginning of each file."""
+    rng = random.Random(3)
+    data = (recorded[0] / "segment-0001.jsonl").read_bytes()
+    counts = []
+    for at in [0, 1, *sorted(rng.sample(range(data.index(b"\n") + 1, len(data)), 12))]:
+        folder, _ = damaged_copy(recorded, tmp_path, lambda data: data[: len(data) - 40])  # no end, either
+        lines = folder / "segment-0001.jsonl"
+        lines.write_bytes(lines.read_bytes()[:at] + bytes(rng.randrange(200)))
+        loaded, played = load(folder), replay(folder)
+        assert loaded.findings
+        assert same_session(loaded, played)
+        counts.append(len(loaded.session.contacts))
+        road = resume(folder)
+        for item in as_chunks(some_pokes(road.scene, 1, seed=3).samples):
+            road.feed(item)
+        road.close()
+        assert same_session(road, load(folder))
+        assert same_session(road, replay(folder))
+    assert counts[0] == counts[1] == 4, "without a line there is the MCAP file"
+    assert counts[2:] == sorted(counts[2:])
+    assert counts[2] < 4
+
+
+def same_session(first, second):
+    one, other = ([outcome_key(record.outcome) for record in road.snapshot().pokes] for road in (first, second))
+    return one == other
+
+
+def test_a_flipped_bit_of_a_line_costs_nothing_while_the_bytes_are_whole(recorded, tmp_path):
+    rng = random.Random(4)
+    data = (recorded[0] / "segment-0001.jsonl").read_bytes()
+    whole = load(recorded[0])
+    for _ in range(25):
+        folder, items = damaged_copy(recorded, tmp_path, lambda data: data)
+        changed = bytearray(data)
+        changed[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        (folder / "segment-0001.jsonl").write_bytes(changed)
+        loaded = load(folder)
+        assert same_session(loaded, whole)
+        assert "segment-0001.jsonl" in loaded.findings[0]
+        assert read_all(folder)[0] == items
 
 
 def test_reading_is_lazy(recorded):
-    log = read_session(recorded[0])
+    log = SessionLog(recorded[0])
     assert len(list(islice(log.items(), 5))) == 5
 
 
 RECORDER = """
 import sys, time
 from pathlib import Path
-from skincal.session.journal import create_session
+from skincal.journal.writer import create_session
 from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
@@ -195,7 +266,7 @@ def test_kill_9_loses_at_most_the_poke_in_progress(tmp_path, wait_s):
     scene = write_scene(tmp_path / "source")
     items = as_chunks(some_pokes(scene, 60).samples)
     whole = Road(scene, LINKS, None)
-    read = [item for item in read_session(tmp_path / "s").items() if isinstance(item, Chunk)]
+    read = [item for item in SessionLog(tmp_path / "s").items() if isinstance(item, Chunk)]
     chunks = [item for item in items if isinstance(item, Chunk)]
     assert read == chunks[: len(read)]
     lost_s = (chunks[fed - 2].host_ns - read[-1].host_ns) * 1e-9
@@ -211,7 +282,7 @@ FULL_DISK = """
 import resource, sys
 from pathlib import Path
 from skincal.contacts.outcome import Contact
-from skincal.session.journal import create_session
+from skincal.journal.writer import create_session
 from skincal.session.replay import replay
 from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
@@ -260,7 +331,7 @@ def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
     assert sum(isinstance(one.outcome, Contact) for one in road.snapshot().pokes) == 2
     monkeypatch.undo()
     with pytest.raises(InputError, match="open the session again"):
-        road.begin_segment(LINKS, open_next_segment(tmp_path / "s", scene, LINKS))
+        road.begin_segment(LINKS, next_segment(tmp_path / "s", scene, LINKS))
     (tmp_path / "s" / "segment-0002.mcap").unlink()
     kept = replay(tmp_path / "s").session.contacts
     assert len(kept) == 1

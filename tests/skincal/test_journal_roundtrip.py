@@ -10,12 +10,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from skincal.journal import cdr
+from skincal.journal.documents import SegmentMark
+from skincal.journal.reader import SessionLog
+from skincal.journal.writer import JournalWriter, create_session
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample
-from skincal.session import cdr
 from skincal.session.actions import Exclude, MarkDead, Stamped, Undo
-from skincal.session.journal import JournalWriter, create_session
-from skincal.session.log import SegmentMark, read_session
 from skincal.session.replay import replay, resume
 from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, outcome_key, same_estimates, some_pokes, write_scene
@@ -61,7 +62,7 @@ def test_every_item_comes_back_as_it_was(scene, tmp_path):
     for item in items:
         journal.write(item)
     journal.close()
-    log = read_session(tmp_path / "s")
+    log = SessionLog(tmp_path / "s")
     begin, *back = log.items()
     assert isinstance(begin, SegmentMark)
     assert begin.number == 1
@@ -73,7 +74,7 @@ def test_every_item_comes_back_as_it_was(scene, tmp_path):
 def test_a_session_carries_its_scene(scene, tmp_path):
     create_session(tmp_path / "s", scene, LINKS).close()
     shutil.rmtree(scene.path.parent)
-    log = read_session(shutil.move(tmp_path / "s", tmp_path / "elsewhere"))
+    log = SessionLog(shutil.move(tmp_path / "s", tmp_path / "elsewhere"))
     assert log.scene.skin.layout.channels.tolist() == list(range(24))
     assert log.findings == ()
 
@@ -89,7 +90,7 @@ def test_files_that_lie_elsewhere_are_copied_and_named_anew(scene, tmp_path):
     from skincal.model.scene import load_scene
 
     create_session(tmp_path / "s", load_scene(path), LINKS).close()
-    copied = read_session(tmp_path / "s").scene
+    copied = SessionLog(tmp_path / "s").scene
     assert copied.surface.path == tmp_path / "s" / "scene" / "part.stl"
     assert copied.surface.path.read_bytes() == b"a mesh"
     assert copied.skin.layout is not None
@@ -182,14 +183,14 @@ def test_what_is_no_session_is_refused_with_a_sentence(tmp_path, name):
     if name == "other":
         (tmp_path / name / "segment-0001.mcap").write_bytes(b"not an MCAP file at all")
     with pytest.raises(InputError):
-        read_session(tmp_path / name)
+        SessionLog(tmp_path / name)
 
 
 def test_a_missing_segment_is_said(scene, tmp_path):
     record(scene, tmp_path / "s", pokes=1).close()
     (tmp_path / "s" / "segment-0001.mcap").rename(tmp_path / "s" / "segment-0002.mcap")
     with pytest.raises(InputError, match=r"segment-0001\.mcap is missing"):
-        read_session(tmp_path / "s")
+        SessionLog(tmp_path / "s")
 
 
 def test_other_programs_read_the_decoded_readings(scene, tmp_path):
@@ -272,7 +273,7 @@ def test_what_is_buffered_is_written_after_half_a_second(scene, tmp_path):
     assert path.stat().st_size == size
     journal.tick(1_600_000_000)
     assert path.stat().st_size > size + 5000
-    assert list(read_session(tmp_path / "s").items())[1].host_ns == 1_000_000_000
+    assert list(SessionLog(tmp_path / "s").items())[1].host_ns == 1_000_000_000
     journal.close()
 
 

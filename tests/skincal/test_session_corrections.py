@@ -12,6 +12,8 @@ from skincal.files.calibration import LandmarkCheck, landmark_check
 from skincal.files.export import write_calibration
 from skincal.files.json_file import read_json
 from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.journal.documents import Taken
+from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
@@ -20,11 +22,9 @@ from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.session.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.session.corrections import correct_action
-from skincal.session.journal import create_session
 from skincal.session.replay import load, replay
 from skincal.session.road import Road
 from skincal.session.session import Session
-from skincal.session.taken import Taken
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import RigErrors

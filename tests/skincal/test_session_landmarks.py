@@ -8,11 +8,11 @@ import pytest
 
 from skincal.cli import main
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene, resource
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, Undo, from_json, to_json
-from skincal.session.journal import create_session
 from skincal.session.replay import load, replay
 from skincal.session.road import Road
 from skincal.session.session import Session

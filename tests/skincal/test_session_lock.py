@@ -12,17 +12,17 @@ import pytest
 
 from skincal.cli import main
 from skincal.journal.lock import LOCK_NAME, SessionLock, writer_of
+from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
-from skincal.session.journal import create_session, open_next_segment
 from skincal.session.replay import load, replay, resume
 from skincal.session.road import Road
-from tests.skincal.poke_script import LINKS, as_chunks, killed, outcome_key, some_pokes, write_scene
+from tests.skincal.poke_script import LINKS, as_chunks, killed, next_segment, outcome_key, some_pokes, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDER = """
 import sys
 from pathlib import Path
-from skincal.session.journal import create_session
+from skincal.journal.writer import create_session
 from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
@@ -138,7 +138,7 @@ def test_a_killed_writer_holds_no_lock(recording, tmp_path):
 def test_within_one_process_too(tmp_path):
     scene = write_scene(tmp_path / "source")
     journal = create_session(tmp_path / "s", scene, LINKS)
-    for opener in (lambda: resume(tmp_path / "s"), lambda: open_next_segment(tmp_path / "s", scene, LINKS)):
+    for opener in (lambda: resume(tmp_path / "s"), lambda: next_segment(tmp_path / "s", scene, LINKS)):
         with pytest.raises(InputError, match=f"is being recorded by process {os.getpid()}"):
             opener()
     with pytest.raises(InputError, match="is being recorded"):
@@ -159,7 +159,7 @@ def refuse(_):
 def test_a_refused_opening_leaves_no_lock(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
     create_session(tmp_path / "s", scene, LINKS).close()
-    for opener in (lambda: resume(tmp_path / "s"), lambda: open_next_segment(tmp_path / "s", scene, LINKS)):
+    for opener in (lambda: resume(tmp_path / "s"), lambda: next_segment(tmp_path / "s", scene, LINKS)):
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", refuse)
             with pytest.raises(InputError, match="No space left"):

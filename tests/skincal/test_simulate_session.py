@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.journal.reader import SessionLog
 from skincal.model.readings import Chunk
-from skincal.session.log import read_session
 from skincal.simulate.device import DeviceSettings
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
@@ -24,7 +24,7 @@ def record(folder, pokes=4, seed=3, name="icub-forearm", habits=None, **options)
 
 
 def recorded_bytes(folder):
-    return [(item.link, item.host_ns, item.data) for item in read_session(folder).items() if isinstance(item, Chunk)]
+    return [(item.link, item.host_ns, item.data) for item in SessionLog(folder).items() if isinstance(item, Chunk)]
 
 
 def test_pokes_become_contacts_near_the_taxels_that_answer(tmp_path):

@@ -1,17 +1,16 @@
 """What arrived and what the operator did, on the disk as it happens.
 
-A session is a folder: `segment-0001.mcap`, `segment-0002.mcap` ... (one each time it is opened to go on) and `scene/`. The
-evidence in a segment is its *items*: chunks as read (`/raw/LINK`), and changes of links and actions of the operator
-(`/events`, JSON). Items are numbered from 0 in the order in which they were taken, in the MCAP message's `sequence`; the
-first is an event that says what the segment is, and the last of one that was put down in good order says so. Beside them
-stand *notes* (`/session`, JSON): what the session took from the detector with an item, and how many readings there were.
-Events and notes tell the session without the bytes; their `n` counts both together, and a segment that is closed ends with all
-of them once more in one piece (`outline`). Decoded readings (`/wrench`, `/taxels`,
-`/joints`) are for other programs, such as Foxglove and PlotJuggler; skincal does not read them back.
+A session is a folder: `segment-0001.mcap` with `segment-0001.jsonl` beside it, `segment-0002...`, and `scene/`. A new segment
+begins each time the session is opened to go on, and every ten minutes, so that MCAP's own index of what is open stays small.
 
-Every half second, and at every contact, what is buffered becomes one compressed chunk with a checksum, so that a kill loses
-half a second at most; at every contact it is also forced onto the medium. An item with notes has a chunk of its own with
-them: whatever is cut off, an item is there with all its notes or not at all, and notes are found without opening the rest.
+The MCAP file holds everything, for replay and for other programs: chunks of bytes as read (`/raw/LINK`) and events (`/events`,
+JSON), which are the segment's *items*, numbered from 0 in MCAP's `sequence` in the order in which they were taken; notes on
+what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrench`, `/taxels`,
+`/joints`), which skincal does not read back. The other file holds events and notes alone, a line each: see `lines`.
+
+Every half second, and at every event and note, what is buffered becomes a chunk with a checksum in the MCAP file, and then is
+vouched for in the lines; at every contact both are forced onto the medium. So a kill costs half a second of bytes, and whatever
+the lines say, the bytes of it are there.
 """
 
 from __future__ import annotations
@@ -20,51 +19,41 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from mcap.writer import Writer
 
 from skincal import __version__
 from skincal.geometry.arrays import FloatArray
+from skincal.journal import cdr
+from skincal.journal.documents import FORMAT, Ending, Item, Note, event_to_json, link_to_json, note_to_json
+from skincal.journal.lines import LineWriter, key_of, lines_path
 from skincal.journal.lock import SessionLock, writer_of
+from skincal.journal.scene_copy import SCENE_FOLDER, copy_scene, scene_digest
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, LinkEvent, Sample, Stream
+from skincal.model.readings import Chunk, Sample
 from skincal.model.scene import Scene
-from skincal.session import cdr
-from skincal.session.actions import Stamped, to_json
-from skincal.session.outline import MEDIA_TYPE, NAME, OutlineWriter
-from skincal.session.packed import ChunkIndexes
-from skincal.session.scene_copy import SCENE_FOLDER, copy_scene, scene_digest
-from skincal.session.taken import Taken, taken_to_json
-from skincal.session.totals import Totals, totals_to_json
 from skincal.streams.links import LinkSpec
 
-FORMAT = 2
-"""Version of the folder's form; a reader refuses a newer one. 1 had no notes."""
 FLUSH_NS = 500_000_000
 """ns. What is buffered for so long is written: the most that a kill may cost."""
+SEGMENT_NS = 600_000_000_000
+"""ns. A segment that is so long is followed by another: the library's index of an open one takes 2 kB a second."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
 RAW_TOPIC = "/raw/"
 EVENT_TOPIC = "/events"
 NOTE_TOPIC = "/session"
-_CHUNK_SIZE = 16 << 20
-"""Bytes. More than half a second brings, so that MCAP's writer never parts an item from its notes."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """Here the session was put down in good order."""
-
-    host_ns: int
-
-
-Item: TypeAlias = Chunk | LinkEvent | Stamped | Ending
-Note: TypeAlias = Taken | Totals
+_DECODED = {
+    "/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/taxels": "skincal_msgs/msg/Taxels",
+    "/joints": "sensor_msgs/msg/JointState",
+}
+CHUNK_BYTES = 16 << 20
+"""More than half a second brings, so that MCAP's writer never parts an item from its notes."""
 
 
 class JournalFailure(Exception):  # noqa: N818 - it is the failure of a device, as LinkFailure is
@@ -104,16 +93,6 @@ def _demand_empty(folder: Path) -> None:
         raise InputError(f"{folder}: there is a folder {folder / 'scene'} already; name an empty or new folder.")
 
 
-def open_next_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> JournalWriter:
-    """Open the segment after the last of a session that nobody writes; `InputError` where that is not possible."""
-    lock = SessionLock(folder)
-    try:
-        return open_segment(folder, scene, links, lock)
-    except InputError:
-        lock.release()
-        raise
-
-
 def open_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock) -> JournalWriter:
     """Open the segment after the last of a session; `InputError` where that is not possible.
 
@@ -125,44 +104,40 @@ def open_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: Se
     path = folder / SEGMENT_NAME.format(number)
     try:
         return JournalWriter(path, number, scene, links, lock)
-    except (OSError, JournalFailure) as error:
-        why = error.strerror if isinstance(error, OSError) else error
+    except OSError as error:
+        why = error.strerror
         raise InputError(f"{path}: cannot be written ({why}); check the folder's rights and the space on the disk.") from None
 
 
 class JournalWriter:
-    """One segment, open for writing.
+    """A session, open for writing.
 
     Parameters
     ----------
-    path : a file that does not exist yet
-    number : of the segment, from 1
-    scene, links : written at the start
-    lock : of the session's folder, let go with the segment's end
+    path : of the first segment, a file that does not exist yet
+    number : of that segment, from 1
+    scene, links : written at the start of each segment
+    lock : of the session's folder, let go at the end
+
+    Raises
+    ------
+    OSError
+        The segment cannot be written; what was made of it is taken away again.
     """
 
     def __init__(self, path: Path, number: int, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock) -> None:
         self.path = path
-        self._lock = lock
-        self._holds_lock = False  # before it stands, the lock is the caller's
         self.failed = ""
         """Why nothing is written any more; empty while all is well."""
-        self._file: BufferedWriter = path.open("xb")
-        self._mcap = Writer(self._file, chunk_size=_CHUNK_SIZE)
-        # The library has no way to do this. Where it names its list otherwise, memory grows and nothing else happens.
-        vars(self._mcap)["_Writer__chunk_indices"] = ChunkIndexes()
-        self._channels: dict[str, int] = {}
-        self._items = 0
-        self._told = 0
-        self._outline = OutlineWriter()
+        self._number = number
+        self._scene, self._links = scene, tuple(links)
         self._frames = 0
-        self._flushed_ns: int | None = None
-        self._buffered = False
         # Chunks carry the monotonic clock; files of other programs want the time of day. One pair of both maps them.
         self._monotonic_ns, self._unix_ns = time.monotonic_ns(), time.time_ns()
-        self._frame = scene.link
-        self._guarded(lambda: self._begin(number, scene, links))
+        self._flushed_ns: int | None = None
+        self._lock = lock
         self._holds_lock = True
+        self._open_segment(self._monotonic_ns, continues=False)
 
     def write(self, item: Item, notes: Sequence[Note] = ()) -> None:
         """Append one item and what it led to.
@@ -203,7 +178,7 @@ class JournalWriter:
     def close(self) -> None:
         """Finish the segment, with its index, and let others write."""
         if not self._file.closed:
-            self._guarded(self._finish)
+            self._guarded(self._close_segment)
         self._let_go()
 
     def open_next(self, scene: Scene, links: Sequence[LinkSpec]) -> JournalWriter:
@@ -222,16 +197,36 @@ class JournalWriter:
         """Return the time of day of a moment of the monotonic clock, ns since 1970."""
         return max(0, host_ns - self._monotonic_ns + self._unix_ns)
 
-    def _begin(self, number: int, scene: Scene, links: Sequence[LinkSpec]) -> None:
+    def _open_segment(self, host_ns: int, *, continues: bool) -> None:
+        self._items = self._vouched = self._documents = 0
+        self._lines_due: list[tuple[int, str, bytes]] = []
+        self._begun_ns: int | None = None
+        self._file: BufferedWriter = self.path.open("xb")
+        try:
+            self._lines = LineWriter(lines_path(self.path))
+            try:
+                self._begin(host_ns, continues=continues)
+            except OSError:
+                self._abandon()
+                lines_path(self.path).unlink()
+                raise
+        except OSError:
+            self._file.close()
+            self.path.unlink()
+            raise
+
+    def _begin(self, host_ns: int, *, continues: bool) -> None:
+        self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES)
         self._mcap.start(profile="ros2", library=f"skincal {__version__}")
         about = {
             "format": FORMAT,
-            "segment": number,
+            "segment": self._number,
+            "continues": continues,
             "skincal": __version__,
             "numpy": np.__version__,
-            "scene": scene.text,
+            "scene": self._scene.text,
             "scene_digest": scene_digest(self.path.parent / SCENE_FOLDER),
-            "links": [_link_json(link) for link in links],
+            "links": [link_to_json(link) for link in self._links],
             "monotonic_ns": self._monotonic_ns,
             "unix_ns": self._unix_ns,
         }
@@ -239,55 +234,49 @@ class JournalWriter:
         self._mcap.add_metadata("skincal", texts)
         schemas = {name: self._mcap.register_schema(name, "ros2msg", text.encode()) for name, text in cdr.SCHEMAS.items()}
         json_schema = self._mcap.register_schema("skincal.event", "jsonschema", b'{"type": "object"}')
-        for topic in (EVENT_TOPIC, NOTE_TOPIC):
-            self._channels[topic] = self._mcap.register_channel(topic, "json", json_schema)
-        for link in links:
-            topic = RAW_TOPIC + link.name
-            self._channels[topic] = self._mcap.register_channel(topic, "cdr", schemas["skincal_msgs/msg/Chunk"])
-        for topic, name in (
-            ("/wrench", "geometry_msgs/msg/WrenchStamped"),
-            ("/taxels", "skincal_msgs/msg/Taxels"),
-            ("/joints", "sensor_msgs/msg/JointState"),
-        ):
-            self._channels[topic] = self._mcap.register_channel(topic, "cdr", schemas[name])
-        self._add_event(self._monotonic_ns, {"type": "segment", **about})
+        carried = {RAW_TOPIC + link.name: "skincal_msgs/msg/Chunk" for link in self._links} | _DECODED
+        self._channels = {topic: self._mcap.register_channel(topic, "json", json_schema) for topic in (EVENT_TOPIC, NOTE_TOPIC)}
+        self._channels |= {topic: self._mcap.register_channel(topic, "cdr", schemas[name]) for topic, name in carried.items()}
+        self._add_event({"host_ns": host_ns, "type": "segment", **about})
         self._flush(sync=True)
 
     def _write(self, item: Item, notes: Sequence[Note]) -> None:
-        apart = bool(notes) or isinstance(item, Stamped | Ending)
-        if apart:
-            self._flush()
-        self._add(item)
-        for note in notes:
-            kind, body = ("taken", taken_to_json(note)) if isinstance(note, Taken) else ("totals", totals_to_json(note))
-            self._add_json(NOTE_TOPIC, item.host_ns, {"type": kind, **body}, self._items - 1, note)
-        if apart:
-            self._flush()
-        self.tick(item.host_ns)
-
-    def _add(self, item: Item) -> None:
+        if self._begun_ns is None:
+            self._begun_ns = item.host_ns
+        # An ending belongs to what it ends; its successor may be open already.
+        if item.host_ns - self._begun_ns >= SEGMENT_NS and not isinstance(item, Ending):
+            self._follow(item.host_ns)
         if isinstance(item, Chunk):
             at = self.unix_ns(item.host_ns)
             data = cdr.encode_chunk(item.host_ns, item.data)
             self._mcap.add_message(self._channels[RAW_TOPIC + item.link], at, data, at, sequence=self._items)
             self._items += 1
             self._buffered = True
-        elif isinstance(item, LinkEvent):
-            event = {"type": "link", "link": item.link, "state": item.state.value, "text": item.text}
-            self._add_event(item.host_ns, event)
-        elif isinstance(item, Ending):
-            self._add_event(item.host_ns, {"type": "end"})
         else:
-            self._add_event(item.host_ns, {"type": "action", **to_json(item.action)})
+            self._add_event(event_to_json(item))
+        for note in notes:
+            self._add_document(NOTE_TOPIC, item.host_ns, note_to_json(note), self._items - 1, key_of(note))
+        if self._lines_due:
+            self._flush()
+        self.tick(item.host_ns)
+
+    def _follow(self, host_ns: int) -> None:
+        """Go on in another segment."""
+        self._close_segment()
+        self._number += 1
+        self.path = self.path.with_name(SEGMENT_NAME.format(self._number))
+        self._open_segment(host_ns, continues=True)
+        self._begun_ns = host_ns
 
     def _write_sample(self, sample: Sample) -> None:
         at = self.unix_ns(round(sample.host_s * 1e9))
-        values = cdr.encode_taxels(at, self._frame, self._frames, 0, sample.skin)
+        frame = self._scene.link
+        values = cdr.encode_taxels(at, frame, self._frames, 0, sample.skin)
         self._frames += 1
         self._mcap.add_message(self._channels["/taxels"], at, values, at)
         if sample.angles is not None:
             names = tuple(f"joint{k}" for k in range(len(sample.angles)))
-            self._mcap.add_message(self._channels["/joints"], at, cdr.encode_joints(at, self._frame, names, sample.angles), at)
+            self._mcap.add_message(self._channels["/joints"], at, cdr.encode_joints(at, frame, names, sample.angles), at)
         self._buffered = True
 
     def _write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
@@ -296,41 +285,54 @@ class JournalWriter:
             self._mcap.add_message(self._channels["/wrench"], at, cdr.encode_wrench(at, "ft_sensor", wrench), at)
         self._buffered = True
 
-    def _add_event(self, host_ns: int, event: dict[str, Any]) -> None:
-        self._add_json(EVENT_TOPIC, host_ns, {"host_ns": host_ns, **event}, self._items)
+    def _add_event(self, event: dict[str, Any]) -> None:
         self._items += 1
+        self._add_document(EVENT_TOPIC, event["host_ns"], event, self._items - 1)
 
-    def _add_json(self, topic: str, host_ns: int, document: dict[str, Any], sequence: int, note: Note | None = None) -> None:
+    def _add_document(self, topic: str, host_ns: int, document: dict[str, Any], sequence: int, key: str = "") -> None:
         at = self.unix_ns(host_ns)
-        data = json.dumps({"n": self._told, **document}, allow_nan=False).encode()
-        self._outline.add(data, note)
+        data = json.dumps({"n": self._documents, **document}, allow_nan=False).encode()
         self._mcap.add_message(self._channels[topic], at, data, at, sequence=sequence)
-        self._told += 1
+        self._documents += 1
+        self._lines_due.append((self._items, key, data))
         self._buffered = True
 
     def _flush(self, *, sync: bool = False) -> None:
         self._mcap.flush()  # a chunk without messages is not written
-        self._buffered = False
         if sync:
             os.fsync(self._file.fileno())
+        # Only now: a line vouches for what lies in the other file.
+        for line in self._lines_due:
+            self._lines.add(*line)
+        if self._lines_due:
+            self._lines_due = []
+        elif self._items > self._vouched:
+            self._lines.vouch(self._items)
+        self._vouched = self._items
+        self._lines.flush(sync=sync)
+        self._buffered = False
 
-    def _finish(self) -> None:
+    def _close_segment(self) -> None:
         self._flush()
-        outline = self._outline.finish()
-        if outline:
-            now_ns = time.time_ns()
-            self._mcap.add_attachment(now_ns, now_ns, NAME, MEDIA_TYPE, outline)
         self._mcap.finish()
         self._file.flush()
         os.fsync(self._file.fileno())
+        self._lines.close(self._items)
         self._file.close()
+
+    def _abandon(self) -> None:
+        """Close the files as they are; closing tries to write once more, and closes them all the same."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+        with contextlib.suppress(OSError, AttributeError):
+            self._lines.abandon()
 
     def _let_go(self) -> None:
         if self._holds_lock:
             self._lock.release()
 
     def _guarded(self, work: Callable[[], None]) -> None:
-        """Do work on the file; a refusal of the disk ends the journal, once."""
+        """Do work on the files; a refusal of the disk ends the journal, once."""
         if self.failed:
             return
         try:
@@ -340,29 +342,6 @@ class JournalWriter:
                 f"{self.path}: cannot be written any more ({error.strerror}). Pokes from here on are kept in memory only: "
                 "export the calibration now, make space, and open the session again to record on."
             )
-            with contextlib.suppress(OSError):
-                self._file.close()  # tries to write once more, and is closed all the same
+            self._abandon()
             self._let_go()
             raise JournalFailure(self.failed) from error
-
-
-def _link_json(link: LinkSpec) -> dict[str, Any]:
-    return {
-        "name": link.name,
-        "address": link.address,
-        "carries": [stream.value for stream in link.carries],
-        "format": link.format,
-    }
-
-
-def link_specs(documents: Iterable[dict[str, Any]]) -> tuple[LinkSpec, ...]:
-    """Return the links that a segment was recorded from."""
-    return tuple(
-        LinkSpec(
-            name=str(link["name"]),
-            address=str(link["address"]),
-            carries=tuple(Stream(value) for value in link["carries"]),
-            format=str(link["format"]),
-        )
-        for link in documents
-    )

@@ -1,4 +1,4 @@
-"""The outline of a closed segment: the same session as its notes give, in one piece, and never instead of the truth."""
+"""The lines beside a segment: the same session as the MCAP file gives, and never instead of the truth."""
 
 import json
 import shutil
@@ -8,14 +8,14 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.contacts.outcome import Reason, Rejection
-from skincal.session import log, outline, segment
+from skincal.journal import reader
+from skincal.journal.documents import Taken, Totals
+from skincal.journal.lines import LineWriter, key_of, lines_path, read_lines
+from skincal.journal.reader import SessionLog
+from skincal.journal.writer import create_session
 from skincal.session.actions import Exclude, MarkDead, Restore, Undo
-from skincal.session.journal import create_session
-from skincal.session.log import read_session
-from skincal.session.outline import MEDIA_TYPE, NAME, OutlineWriter, read_outline
 from skincal.session.replay import load, replay, resume
 from skincal.session.road import Road
-from skincal.session.taken import Taken
 from tests.skincal.poke_script import (
     LINKS,
     SPOTS,
@@ -49,9 +49,9 @@ def record(scene, folder, script, actions=()):
 
 
 def from_notes(folder):
-    """The session as it is read where there is no outline."""
+    """The session as it is read where there are no lines."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(log, "read_outline", lambda _: None)
+        patch.setattr(reader, "read_lines", lambda _: None)
         return load(folder)
 
 
@@ -68,13 +68,6 @@ def assert_same(first, second):
 
 def path_of(folder, number=1):
     return folder / f"segment-{number:04d}.mcap"
-
-
-def place_of(path):
-    """Where the outline lies in the file: start and length of its record."""
-    with path.open("rb") as file:
-        (index,) = make_reader(file).get_summary().attachment_indexes
-    return index.offset, index.length
 
 
 def crowded(scene):
@@ -95,7 +88,7 @@ def crowded(scene):
     ],
     ids=["plain", "with actions", "judged anew", "judged anew by an action"],
 )
-def test_the_outline_gives_the_session_that_the_notes_give(scene, tmp_path, script, actions):
+def test_the_lines_give_the_session_that_the_notes_give(scene, tmp_path, script, actions):
     live = record(scene, tmp_path / "s", script(scene), actions)
     live.close()
     loaded = load(tmp_path / "s")
@@ -110,12 +103,12 @@ def test_the_outline_gives_the_session_that_the_notes_give(scene, tmp_path, scri
 
 def test_what_the_next_line_replaces_is_left_out(scene, tmp_path):
     record(scene, tmp_path / "s", some_pokes(scene, 5)).close()
-    taken = [json.loads(line) for line in read_outline(path_of(tmp_path / "s"))]
+    taken = [json.loads(line) for line in read_lines(path_of(tmp_path / "s")).documents]
     first, *lines = [line for line in taken if line["type"] not in ("link", "end")]
     assert first["type"] == "segment"
     assert [line["type"] for line in lines] == ["taken"] * 5 + ["totals"]
     assert [line["outcomes"][0]["final"] for line in lines[:5]] == [True] * 5
-    notes = [item for item in read_session(tmp_path / "s").state() if isinstance(item, Taken)]
+    notes = [item for item in SessionLog(tmp_path / "s").state() if isinstance(item, Taken)]
     assert len(notes) == 5
 
 
@@ -128,57 +121,52 @@ def test_a_first_outcome_stays_where_something_was_done_before_the_second(scene,
         if len(road.session.contacts) == 2 and not road.session.outcome(2).final and not road.session.excluded:
             road.act(Exclude(1), item.host_ns)
     road.close()
-    assert [line.count('"poke"') for line in read_outline(path_of(tmp_path / "s")) if "taken" in line] == [1, 1, 1]
+    assert [line.count(b'"poke"') for line in read_lines(path_of(tmp_path / "s")).documents if b"taken" in line] == [1, 1, 1]
     assert_same(load(tmp_path / "s"), road)
     assert road.snapshot().can_undo == "exclusion of poke 1"
 
 
-def test_an_outline_is_read_in_one_piece(scene, tmp_path, monkeypatch):
+def test_opening_reads_the_lines_alone(scene, tmp_path, monkeypatch):
     record(scene, tmp_path / "s", some_pokes(scene, 6)).close()
-    monkeypatch.setattr(segment, "parts", lambda _: pytest.fail("the file was stepped through"))
-    opened = []
-    original = segment.open_chunk
-    monkeypatch.setattr(segment, "open_chunk", lambda chunk: opened.append(chunk) or original(chunk))
+    for name in ("StreamReader", "make_reader"):
+        monkeypatch.setattr(reader, name, lambda *_, **__: pytest.fail("the MCAP file was read"))
     assert len(load(tmp_path / "s").session.contacts) == 6
-    assert len(opened) == 1  # the segment's beginning, which says what it is
 
 
-def test_a_damaged_outline_is_not_believed(scene, tmp_path):
+def test_a_damaged_line_is_not_believed(scene, tmp_path):
     live = record(scene, tmp_path / "s", some_pokes(scene, 3))
     live.close()
-    path = path_of(tmp_path / "s")
+    path = lines_path(path_of(tmp_path / "s"))
     whole = path.read_bytes()
-    start, length = place_of(path)
-    for at in range(start, start + length, 37):
+    told = read_lines(path_of(tmp_path / "s")).documents
+    for at in range(0, len(whole), 37):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 16]) + whole[at + 1 :])
-        assert read_outline(path) is None
-    loaded = load(tmp_path / "s")
-    assert_same(loaded, live)
+        back = read_lines(path_of(tmp_path / "s"))
+        assert back is None or (not back.closed and back.lost)
+        assert back is None or len(back.documents) <= len(told)
+    assert_same(load(tmp_path / "s"), live)
 
 
-def test_a_damaged_end_is_not_believed(scene, tmp_path):
-    live = record(scene, tmp_path / "s", some_pokes(scene, 2))
-    live.close()
-    path = path_of(tmp_path / "s")
-    whole = path.read_bytes()
-    start, length = place_of(path)
-    told = list(read_outline(path))
-    for at in range(start + length, len(whole)):
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-        back = read_outline(path)
-        assert back is None or list(back) == told
+def test_a_line_that_is_lost_or_moved_is_missed(scene, tmp_path):
+    record(scene, tmp_path / "s", some_pokes(scene, 3)).close()
+    path = lines_path(path_of(tmp_path / "s"))
+    lines = path.read_bytes().splitlines(keepends=True)
+    for k in range(1, len(lines) - 1):
+        for changed in ([*lines[:k], *lines[k + 1 :]], [*lines[:k], lines[k + 1], lines[k], *lines[k + 2 :]]):
+            path.write_bytes(b"".join(changed))
+            assert read_lines(path_of(tmp_path / "s")).size == len(b"".join(lines[:k]))
 
 
-def test_a_session_that_was_cut_off_has_none_and_loses_nothing(scene, tmp_path):
+def test_a_session_that_was_cut_off_loses_nothing(scene, tmp_path):
     live = record(scene, tmp_path / "s", some_pokes(scene, 3))
     killed(live)
-    assert read_outline(path_of(tmp_path / "s")) is None
+    assert not read_lines(path_of(tmp_path / "s")).closed
     loaded = load(tmp_path / "s")
     assert any("was not closed" in sentence for sentence in loaded.findings)
     assert len(loaded.session.contacts) == 3
     again = resume(tmp_path / "s")
     again.close()
-    assert read_outline(path_of(tmp_path / "s", 2)) is not None
+    assert all(read_lines(path_of(tmp_path / "s", number)).closed for number in (1, 2))
     assert same_estimates(load(tmp_path / "s").snapshot(), again.snapshot())
 
 
@@ -205,53 +193,51 @@ def test_damaged_readings_and_notes_of_a_closed_segment_cost_no_poke(scene, tmp_
     third.close()
 
 
-def test_other_programs_see_an_attachment(scene, tmp_path):
+def test_other_programs_read_the_lines_and_the_notes(scene, tmp_path):
     record(scene, tmp_path / "s", some_pokes(scene, 1)).close()
+    lines = [json.loads(line) for line in lines_path(path_of(tmp_path / "s")).read_text().splitlines()]
+    assert [line[1] for line in lines] == sorted(line[1] for line in lines)
     with path_of(tmp_path / "s").open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        (attachment,) = reader.iter_attachments()
-        assert reader.get_summary().statistics.attachment_count == 1
-        assert list(reader.iter_messages(topics=["/session"]))
-    assert (attachment.name, attachment.media_type) == (NAME, MEDIA_TYPE)
+        messages = list(make_reader(file, validate_crcs=True).iter_messages(topics=["/session", "/events"]))
+    told = [line[3] for line in lines if len(line) == 4]
+    assert told == sorted((json.loads(message.data) for _, _, message in messages), key=lambda document: document["n"])
 
 
-def test_an_outline_outlives_a_damaged_index(scene, tmp_path):
-    """A segment that was torn behind its outline is closed anew, with it."""
+def test_lines_outlive_a_damaged_index(scene, tmp_path):
+    """A segment that was torn behind its data is closed anew."""
     live = record(scene, tmp_path / "s", some_pokes(scene, 3))
     live.close()
     path = path_of(tmp_path / "s")
-    start, length = place_of(path)
-    told = list(read_outline(path))
-    path.write_bytes(path.read_bytes()[: start + length + 40])
-    resume(tmp_path / "s").close()
-    assert list(read_outline(path)) == told
+    told = read_lines(path)
+    path.write_bytes(path.read_bytes()[:-400])
+    again = resume(tmp_path / "s")
+    assert "nothing is lost" in again.findings[0]
+    again.close()
+    assert read_lines(path) == told
     with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        assert [one.name for one in reader.iter_attachments()] == [NAME]
-        assert reader.get_summary().statistics.attachment_count == 1
+        assert make_reader(file, validate_crcs=True).get_summary().statistics.message_count > 0
     shutil.rmtree(tmp_path / "source")
     assert_same(load(tmp_path / "s"), replay(tmp_path / "s"))
 
 
-def test_an_outline_that_no_reader_would_take_is_not_written(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(outline, "RECORD_LIMIT", 100)
-    live = record(scene, tmp_path / "s", some_pokes(scene, 2))
-    live.close()
-    assert read_outline(path_of(tmp_path / "s")) is None
-    assert_same(load(tmp_path / "s"), live)
-
-
-def test_only_a_second_outcome_of_the_same_kind_takes_the_place_of_the_first():
+def test_only_a_second_outcome_of_the_same_kind_takes_the_place_of_the_first(tmp_path):
     """What was a contact and is none any more leaves the steps of undo, so both are told."""
     contact, other = some_pokes(small_scene(), 1).run()
     rejection = Rejection(1, 0.0, 1.0, Reason.SLID, 1.0, 0.5, "", np.empty(0, dtype=np.int64), final=True)
-    writer = OutlineWriter()
-    writer.add(b"first", Taken([(contact, None)]))
-    writer.add(b"second", Taken([(other, None)]))
-    writer.add(b"dead", Taken([(other, None)], {3: "stuck"}))
-    writer.add(b"both", Taken([(contact, None), (other, None)]))
-    writer.add(b"event", None)
-    writer.add(b"third", Taken([(other, None)]))
-    writer.add(b"rejected", Taken([(rejection, None)]))
-    lines = list(outline._lines(writer.finish()))
-    assert lines == ["second\n", "dead\n", "both\n", "event\n", "third\n", "rejected\n"]
+    writer = LineWriter(tmp_path / "x.jsonl")
+    for document, note in (
+        ("first", Taken([(contact, None)])),
+        ("second", Taken([(other, None)])),
+        ("counts", Totals()),
+        ("third", Taken([(contact, None)])),
+        ("dead", Taken([(other, None)], {3: "stuck"})),
+        ("both", Taken([(contact, None), (other, None)])),
+        ("event", None),
+        ("more counts", Totals()),
+        ("fourth", Taken([(other, None)])),
+        ("rejected", Taken([(rejection, None)])),
+    ):
+        writer.add(7, key_of(note), json.dumps(document).encode())
+    writer.close(7)
+    kept = [json.loads(document) for document in read_lines(tmp_path / "x.mcap").documents]
+    assert kept == ["third", "dead", "both", "event", "fourth", "rejected", "more counts"]

@@ -1,0 +1,324 @@
+"""What a session is without its bytes, as JSON documents that come back bit for bit.
+
+*Events* are what happened: a segment begins, a link opens or goes, the operator acts, the session is put down. *Notes* are
+what was made of the bytes: outcomes of pokes, dead channels, counts of readings. Floats are written by their shortest exact
+decimals; NaN is null, and what is infinite is a word.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+
+from skincal.contacts.detector import Doubt
+from skincal.contacts.gates import FinishedPress, StillMean
+from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
+from skincal.contacts.tare import Tare
+from skincal.geometry.arrays import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
+from skincal.session.actions import Stamped, from_json, to_json
+from skincal.streams.links import LinkSpec
+
+FORMAT = 3
+"""Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments."""
+FORMAT_WITH_NOTES = 2
+_INTEGERS = ("channels",)
+"""Arrays of whole numbers; all others are float."""
+_MISSING = ("still", "link_from_sensor", "after", "force", "moment")
+"""What may be missing; elsewhere null is a float that is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """Outcomes, each with what it may be judged by again, and the dead channels where they changed."""
+
+    outcomes: Sequence[tuple[Outcome, Doubt | None]]
+    dead: Mapping[int, str] | None = None
+    """Every channel found to be dead, with the reason; None: as before."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTotals:
+    """Counts of one link over a whole session."""
+
+    link: str
+    format: str
+    """Name of the format found last; empty while unknown."""
+    readings: int
+    losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """Counts of a whole session, through all its segments."""
+
+    links: tuple[LinkTotals, ...] = ()
+    unpaired: int = 0
+    """Skin frames that found no wrench."""
+
+    def plus(self, health: Sequence[LinkHealth], unpaired: int) -> Totals:
+        """Return the totals with the counts of one more segment."""
+        links = {link.link: link for link in self.links}
+        for new in health:
+            old = links.get(new.link, LinkTotals(new.link, "", 0))
+            losses = Counter(old.losses) + Counter(new.losses)
+            links[new.link] = LinkTotals(new.link, new.format or old.format, old.readings + new.readings, losses)
+        return Totals(tuple(links.values()), self.unpaired + unpaired)
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentMark:
+    """Here a segment begins, as its writer described it."""
+
+    number: int
+    host_ns: int
+    links: tuple[LinkSpec, ...]
+    format: int
+    scene: str
+    """Text of the scene's file."""
+    digest: str | None
+    """Of the scene's folder; None where the format has none."""
+    continues: bool
+    """Nothing happened but that the segment before was long enough; else the session was opened here to go on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """Here the session was put down in good order."""
+
+    host_ns: int
+
+
+Item: TypeAlias = Chunk | LinkEvent | Stamped | Ending
+Note: TypeAlias = Taken | Totals
+SessionEvent: TypeAlias = SegmentMark | LinkEvent | Stamped | Ending
+
+
+def event_to_json(event: LinkEvent | Stamped | Ending) -> dict[str, Any]:
+    """Return an event as a JSON object."""
+    if isinstance(event, LinkEvent):
+        body = {"type": "link", "link": event.link, "state": event.state.value, "text": event.text}
+    elif isinstance(event, Ending):
+        body = {"type": "end"}
+    else:
+        body = {"type": "action", **to_json(event.action)}
+    return {"host_ns": event.host_ns, **body}
+
+
+def note_to_json(note: Note) -> dict[str, Any]:
+    """Return a note as a JSON object."""
+    if isinstance(note, Taken):
+        return {"type": "taken", **taken_to_json(note)}
+    return {"type": "totals", **totals_to_json(note)}
+
+
+def from_document(document: Mapping[str, Any], path: Path) -> SessionEvent | Note:
+    """Return the event or the note of a JSON object.
+
+    Parameters
+    ----------
+    path : of the file that it is from, for messages
+
+    Raises
+    ------
+    InputError
+        It is of a newer version, or not one that skincal wrote.
+    """
+    body = {key: value for key, value in document.items() if key not in ("n", "type", "host_ns")}
+    kind, host_ns = document.get("type"), int(document.get("host_ns", 0))
+    if kind in _NOTES:
+        try:
+            return _NOTES[kind](body)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}: a note of kind {kind!r} does not fit ({error!r}); play the session from its bytes."
+            ) from None
+    if kind == "link":
+        return LinkEvent(body["link"], host_ns, LinkState(body["state"]), body["text"])
+    if kind == "action":
+        return Stamped(host_ns, from_json(body))
+    if kind == "end":
+        return Ending(host_ns)
+    if kind == "segment":
+        return _mark(host_ns, body, path)
+    raise InputError(f"{path}: has an event or note {kind!r}, which this version does not know; open it with a newer skincal.")
+
+
+def _mark(host_ns: int, body: Mapping[str, Any], path: Path) -> SegmentMark:
+    if body["format"] > FORMAT:
+        raise InputError(f"{path}: was written by skincal {body['skincal']}, a newer one; expected format {FORMAT} at most.")
+    return SegmentMark(
+        number=int(body["segment"]),
+        host_ns=host_ns,
+        links=tuple(map(_link_from_json, body["links"])),
+        format=int(body["format"]),
+        scene=body["scene"],
+        digest=body.get("scene_digest"),
+        continues=bool(body.get("continues", False)),
+    )
+
+
+def link_to_json(link: LinkSpec) -> dict[str, Any]:
+    """Return what a link is as a JSON object."""
+    carries = [stream.value for stream in link.carries]
+    return {"name": link.name, "address": link.address, "carries": carries, "format": link.format}
+
+
+def _link_from_json(link: Mapping[str, Any]) -> LinkSpec:
+    carries = tuple(Stream(value) for value in link["carries"])
+    return LinkSpec(str(link["name"]), str(link["address"]), carries, str(link["format"]))
+
+
+def taken_to_json(taken: Taken) -> dict[str, Any]:
+    """Return it as a JSON object."""
+    document: dict[str, Any] = {"outcomes": [_outcome_to_json(outcome, doubt) for outcome, doubt in taken.outcomes]}
+    if taken.dead is not None:
+        document["dead"] = {str(channel): why for channel, why in taken.dead.items()}
+    return document
+
+
+def taken_from_json(document: Mapping[str, Any]) -> Taken:
+    """Return what `taken_to_json` was given.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        It is not one that skincal wrote.
+    """
+    dead = document.get("dead")
+    return Taken(
+        outcomes=[_outcome_from_json(entry) for entry in document["outcomes"]],
+        dead=None if dead is None else {int(channel): str(why) for channel, why in dead.items()},
+    )
+
+
+def _outcome_to_json(outcome: Outcome, doubt: Doubt | None) -> dict[str, Any]:
+    document = {"is": "contact" if isinstance(outcome, Contact) else "rejection", **_to_json(outcome)}
+    if doubt is not None:
+        document["doubt"] = {"poke": _to_json(doubt.poke), "after": _to_json(doubt.after)}
+    return document
+
+
+def _outcome_from_json(document: Mapping[str, Any]) -> tuple[Outcome, Doubt | None]:
+    doubt = _doubt(document.get("doubt"))
+    if document["is"] == "contact":
+        return _contact(document), doubt
+    values = _values({key: value for key, value in document.items() if key not in ("is", "doubt")})
+    values["reason"] = Reason[values["reason"]]
+    return Rejection(**values), doubt
+
+
+def _contact(document: Mapping[str, Any]) -> Contact:
+    # Written out, and not as `_values` does it: a session has ten thousand of these, and opening it waits for them.
+    return Contact(
+        poke=document["poke"],
+        start_s=_number(document["start_s"]),
+        end_s=_number(document["end_s"]),
+        force=np.array(document["force"], dtype=np.float64),
+        moment=np.array(document["moment"], dtype=np.float64),
+        channels=np.array(document["channels"], dtype=np.int64),
+        responses=np.array(document["responses"], dtype=np.float64),
+        link_from_sensor=_pose(np.array(document["link_from_sensor"], dtype=np.float64).tobytes()),
+        pose=document["pose"],
+        tare_change=_number(document["tare_change"]),
+        final=document["final"],
+    )
+
+
+@lru_cache(maxsize=64)
+def _pose(raw: bytes) -> FloatArray:
+    """Return a pose, (4, 4), from its bytes: one array for all pokes in it, and not to be written to."""
+    return np.frombuffer(raw).reshape(4, 4)
+
+
+def _number(value: float | str | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _doubt(document: Mapping[str, Any] | None) -> Doubt | None:
+    if document is None:
+        return None
+    values = _values(document["poke"])
+    still = values["still"]
+    before = _tare(document["poke"]["before"])
+    assert before is not None
+    values |= {"before": before, "still": None if still is None else StillMean(**_values(still))}
+    return Doubt(FinishedPress(**values), _tare(document["after"]))
+
+
+def _tare(document: Mapping[str, Any] | None) -> Tare | None:
+    # The skin's baseline has done its work in the poke's responses; hundreds of numbers stay out of the journal.
+    return None if document is None else Tare(**_values(document), skin=np.empty(0))
+
+
+def _to_json(value: Any) -> Any:
+    """Return a number, array, enum or frozen dataclass as JSON."""
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None if math.isnan(value) else str(float(value))
+    if isinstance(value, np.ndarray):
+        return [_to_json(row) for row in cast("list[Any]", value.tolist())]
+    if isinstance(value, list):
+        return [_to_json(item) for item in cast("list[Any]", value)]
+    if isinstance(value, Reason):
+        return value.name
+    left_out = ("skin",) if isinstance(value, Tare) else ()
+    return {item.name: _to_json(getattr(value, item.name)) for item in fields(value) if item.name not in left_out}
+
+
+def _values(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a dataclass: lists as arrays, null as NaN where a float belongs."""
+    return {key: _value(key, value) for key, value in document.items()}
+
+
+def _value(key: str, value: Any) -> Any:
+    if isinstance(value, list):
+        # As a float, null becomes NaN and "inf" infinity.
+        return np.array(value, dtype=np.int64 if key in _INTEGERS else np.float64)
+    if value is None:
+        return None if key in _MISSING else math.nan
+    if value in ("inf", "-inf"):
+        return float(value)
+    return value
+
+
+def totals_to_json(totals: Totals) -> dict[str, Any]:
+    """Return totals as a JSON object."""
+    links = {
+        link.link: {
+            "format": link.format,
+            "readings": link.readings,
+            "lost": {loss.name: count for loss, count in link.losses.items() if count},
+        }
+        for link in totals.links
+    }
+    return {"links": links, "unpaired": totals.unpaired}
+
+
+def totals_from_json(document: Mapping[str, Any]) -> Totals:
+    """Return what `totals_to_json` was given.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        It is not one that skincal wrote.
+    """
+    links = tuple(
+        LinkTotals(
+            str(name), str(link["format"]), int(link["readings"]), {Loss[loss]: int(n) for loss, n in link["lost"].items()}
+        )
+        for name, link in document["links"].items()
+    )
+    return Totals(links, int(document["unpaired"]))
+
+
+_NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": taken_from_json, "totals": totals_from_json}

@@ -1,0 +1,210 @@
+"""A long session lies in several segments; where one ends and the next begins leaves no trace in it."""
+
+import json
+import random
+import shutil
+
+import pytest
+from mcap.reader import make_reader
+
+from skincal.journal import writer
+from skincal.journal.lines import lines_path, read_lines
+from skincal.journal.reader import SessionLog
+from skincal.journal.writer import create_session
+from skincal.model.readings import Chunk
+from skincal.model.scene import resource
+from skincal.session.actions import Exclude, MarkDead, Undo
+from skincal.session.replay import load, replay, resume
+from skincal.session.road import Road
+from tests.skincal.poke_script import (
+    LINKS,
+    as_chunks,
+    killed,
+    outcome_key,
+    same_estimates,
+    some_pokes,
+    write_scene,
+)
+
+SEGMENT_NS = 700_000_000
+"""Shorter than a poke takes until it is final."""
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "SEGMENT_NS", SEGMENT_NS)
+    return write_scene(tmp_path / "source")
+
+
+def recorded(scene, folder, actions=(), pokes=4):
+    road = Road(scene, LINKS, None, create_session(folder, scene, LINKS))
+    items = as_chunks(some_pokes(scene, pokes).samples)
+    due = {round(share * len(items)): action for share, action in actions}
+    for k, item in enumerate(items):
+        road.feed(item)
+        if k in due:
+            road.act(due[k], item.host_ns)
+    return road
+
+
+def assert_same(*roads):
+    first, *others = (road.snapshot() for road in roads)
+    for other in others:
+        assert [outcome_key(one.outcome) for one in first.pokes] == [outcome_key(one.outcome) for one in other.pokes]
+        assert [one.excluded for one in first.pokes] == [one.excluded for one in other.pokes]
+        assert first.dead == other.dead
+        assert first.can_undo == other.can_undo
+        assert same_estimates(first, other)
+
+
+def test_segments_follow_each_other_in_the_middle_of_a_poke(scene, tmp_path, monkeypatch):
+    actions = [(0.4, Exclude(1)), (0.6, MarkDead(2)), (0.8, Undo())]
+    live = recorded(scene, tmp_path / "s", actions)
+    live.close()
+    monkeypatch.undo()
+    whole = recorded(scene, tmp_path / "whole", actions)
+    whole.close()
+    assert len(list((tmp_path / "s").glob("*.mcap"))) > 6
+    assert len(list((tmp_path / "whole").glob("*.mcap"))) == 1
+    assert_same(live, whole, load(tmp_path / "s"), replay(tmp_path / "s"))
+    assert load(tmp_path / "s").totals() == replay(tmp_path / "s").totals() == whole.totals()
+    assert load(tmp_path / "s").findings == replay(tmp_path / "s").findings == ()
+    one, other = ([item for item in SessionLog(tmp_path / name).items() if isinstance(item, Chunk)] for name in ("s", "whole"))
+    assert one == other
+    for path in (tmp_path / "s").glob("*.mcap"):
+        with path.open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            topics = {channel.topic for channel in reader.get_summary().channels.values()}
+            assert [metadata.name for metadata in reader.iter_metadata()] == ["skincal"]
+        assert {"/raw/wrench", "/raw/skin", "/wrench", "/taxels", "/joints", "/events", "/session"} <= topics
+
+
+def test_times_go_on_from_one_segment_to_the_next(scene, tmp_path):
+    recorded(scene, tmp_path / "s").close()
+    ends = []
+    for path in sorted((tmp_path / "s").glob("*.mcap")):
+        with path.open("rb") as file:
+            times = [message.log_time for _, _, message in make_reader(file).iter_messages(topics=["/raw/skin"])]
+        ends += [times[0], times[-1]] if times else []
+    assert ends == sorted(ends)
+    assert ends[-1] - ends[0] < 12e9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_kill_at_any_moment_leaves_a_session_that_goes_on(scene, tmp_path, seed):
+    """The folder copied in the middle of the recording is what a kill leaves."""
+    rng = random.Random(seed)
+    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    items = as_chunks(some_pokes(scene, 4).samples)
+    moments = sorted(rng.sample(range(20, len(items)), 4))
+    final = {}
+    for k, item in enumerate(items):
+        road.feed(item)
+        if k in moments:
+            shutil.copytree(tmp_path / "s", tmp_path / f"killed-{k}")
+            final[k] = [outcome_key(one.outcome) for one in road.snapshot().pokes if one.outcome.final]
+    road.close()
+    for k in moments:
+        folder = tmp_path / f"killed-{k}"
+        loaded, played = load(folder), replay(folder)
+        assert_same(loaded, played)
+        assert [outcome_key(one.outcome) for one in loaded.snapshot().pokes][: len(final[k])] == final[k]
+        again = resume(folder)
+        for item in as_chunks(some_pokes(scene, 1, seed=8).samples):
+            again.feed(item)
+        again.close()
+        assert_same(again, load(folder), replay(folder))
+        assert replay(folder).findings == ()
+
+
+def test_a_kill_between_two_segments(scene, tmp_path):
+    """The one is closed, and the other has nothing in it yet, or not even a file beside it."""
+    live = killed(recorded(scene, tmp_path / "s"))
+    last = max((tmp_path / "s").glob("*.mcap"))
+    contents = [b"", b"\x89MCAP0\r\n", last.read_bytes()[:150]]
+    for k, data in enumerate(contents):
+        folder = shutil.copytree(tmp_path / "s", tmp_path / f"k{k}")
+        (folder / last.name).write_bytes(data)
+        lines_path(folder / last.name).write_bytes(b"") if k else lines_path(folder / last.name).unlink()
+        before = load(folder)
+        assert 2 <= len(before.session.contacts) <= len(live.session.contacts)
+        again = resume(folder)
+        assert any(last.name in sentence for sentence in again.findings)
+        again.close()
+        assert_same(again, load(folder), replay(folder))
+        assert load(folder).findings == replay(folder).findings == ()
+
+
+def test_lines_without_a_byte_of_the_other_file_still_tell_the_session(scene, tmp_path):
+    live = recorded(scene, tmp_path / "s")
+    live.close()
+    for path in (tmp_path / "s").glob("*.mcap"):
+        path.write_bytes(bytes(5000))
+    assert_same(live, load(tmp_path / "s"))
+    again = resume(tmp_path / "s")
+    assert all("were lost" in sentence for sentence in again.findings)
+    again.close()
+    assert_same(again, load(tmp_path / "s"))
+    assert "lost" in replay(tmp_path / "s").findings[0]
+
+
+def test_a_pause_of_a_long_session(scene, tmp_path):
+    """What ends a segment belongs to it, also where its successor is open already."""
+    road = recorded(scene, tmp_path / "s")
+    following = road.journal.open_next(scene, LINKS)
+    road.close()
+    road.begin_segment(LINKS, following)
+    for item in as_chunks(some_pokes(scene, 1, seed=8).samples):
+        road.feed(item)
+    road.close()
+    assert_same(road, load(tmp_path / "s"), replay(tmp_path / "s"))
+    assert load(tmp_path / "s").findings == ()
+
+
+def test_a_disk_that_takes_no_further_segment_ends_the_journal(scene, tmp_path, monkeypatch):
+    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    items = as_chunks(some_pokes(scene, 3).samples)
+    for item in items[: len(items) // 2]:
+        road.feed(item)
+    begun = len(list((tmp_path / "s").glob("*.mcap")))
+
+    def refuse(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writer, "LineWriter", refuse)
+    for item in items[len(items) // 2 :]:
+        road.feed(item)
+    assert "No space left" in road.journal_failure
+    assert len(road.session.contacts) == 3
+    assert len(list((tmp_path / "s").glob("*.mcap"))) == begun
+    assert len(load(tmp_path / "s").session.contacts) >= 1
+    assert_same(load(tmp_path / "s"), replay(tmp_path / "s"))
+
+
+def test_a_session_without_lines_goes_on_with_them(tmp_path):
+    """The one that ships was recorded before there were lines: it is opened from the notes in its MCAP file."""
+    folder = shutil.copytree(resource("sessions/sample"), tmp_path / "s")
+    path = folder / "segment-0001.mcap"
+    before = path.read_bytes()
+    assert read_lines(path) is None
+    first = load(folder)
+    assert len(first.session.contacts) > 10
+    again = resume(folder)
+    assert again.findings == ()
+    again.act(Exclude(first.session.contacts[0].poke), 1)
+    again.close()
+    assert path.read_bytes() == before
+    lines = [json.loads(line) for line in lines_path(folder / "segment-0002.mcap").read_text().splitlines()]
+    assert [line[3]["type"] for line in lines if len(line) == 4] == ["segment", "action", "end", "totals"]
+    assert_same(again, load(folder))
+    cut = len(before) * 3 // 4
+    path.write_bytes(before[:cut])
+    for beside in folder.glob("segment-0002*"):
+        beside.unlink()
+    torn = load(folder)
+    assert "lost" in torn.findings[0]
+    again = resume(folder)
+    assert "recovered" in again.findings[0]
+    assert_same(torn, again, load(folder))
+    again.close()
+    assert load(folder).findings == ()
