@@ -6,12 +6,12 @@ only pytest runs: `python3 check.py tests/skincal -k clock`.
 
 import sys
 
-from tools import python_version
+from tools.checkout import require_python
 
 
 def main() -> int:
     """Prepare the environment, run every check, and say which failed."""
-    python_version.require()
+    require_python()
     from tools import launch  # an older Python could not read it
 
     return launch.check(sys.argv[1:])

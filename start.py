@@ -6,12 +6,12 @@ the same session without a window. Any skincal command works the same way: `pyth
 
 import sys
 
-from tools import python_version
+from tools.checkout import require_python
 
 
 def main() -> int:
     """Prepare the environment and become skincal."""
-    python_version.require()
+    require_python()
     from tools import launch  # an older Python could not read it
 
     return launch.start(sys.argv[1:])

@@ -14,19 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.background import Background
-from app.link_server import LinkServer
 from app.pace import BEHIND_MS, TICK_MS, Pace
 from app.panels.message_bar import Message
 from app.plan import Plan, find_scene, link_specs
 from app.recording import Recording, stop_all
 from app.running import Running
 from app.storage import Storage
+from app.workers.device_process import DeviceProcess
+from app.workers.processes import ProcessService
+from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from app.opening import Part
-    from app.review_server import ReviewServer
+    from app.workers.review_client import ReviewClient
     from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
     from skincal.session.actions import Action
@@ -93,8 +94,11 @@ class Controller(QObject):
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._documents = documents
-        self._background = Background()
-        self._server: LinkServer | None = None
+        self._threads = ThreadService("background", self)
+        self._processes = ProcessService()
+        self._news = False
+        """The background brought something that is not shown yet."""
+        self._server: DeviceProcess | None = None
         self._links: tuple[LinkSpec, ...] = ()
         self._truth = b""
         self._wish = ""
@@ -102,8 +106,7 @@ class Controller(QObject):
         self._storage: Storage | None = None
         self._part: Part | None = None
         self._recording: Recording | None = None
-        self._reviewing: ReviewServer | None = None
-        self._opening = 0
+        self._reviewing: ReviewClient | None = None
         self._shown: Snapshot | None = None
         self._pace = Pace()
         self.running = Running.OPENING
@@ -136,14 +139,15 @@ class Controller(QObject):
 
     def _release(self) -> None:
         """Let go of what is open; its end takes too long for the window and happens in the background."""
-        self._opening += 1
+        self._threads.renew()
         server, self._server = self._server, None
         if server is not None:
             server.release()
         recording, self._recording = self._recording, None
         reviewing, self._reviewing = self._reviewing, None
         if reviewing is not None:
-            reviewing.release()
+            reviewing.stop()
+            reviewing.deleteLater()
         storage, self._storage = self._storage, None
         self._part = self._shown = None
         self._links, self._truth, self._wish, self._pace = (), b"", "", Pace()
@@ -155,7 +159,7 @@ class Controller(QObject):
     def stop(self) -> None:
         """Stop the timer, then the readers: nothing comes to the window any more."""
         self._timer.stop()
-        self._opening += 1
+        self._threads.renew()
         if self._recording is not None:
             stop_all(self._recording.let_go())
 
@@ -169,7 +173,8 @@ class Controller(QObject):
         if self._reviewing is not None:
             self._reviewing.stop()
             self._reviewing = None
-        self._background.close()
+        self._processes.close()
+        self._threads.close()
         try:
             if recording is not None:
                 recording.end()
@@ -179,7 +184,7 @@ class Controller(QObject):
             self._storage = None
 
     def _start_server(self, command: tuple[str, ...]) -> None:
-        self._server = LinkServer(self)
+        self._server = DeviceProcess(self)
         self._server.said_truth.connect(self._take_truth)
         self._server.served.connect(self._take_links)
         self._server.failed.connect(self._fail)
@@ -255,11 +260,8 @@ class Controller(QObject):
 
     def tick(self) -> None:
         """Take what arrived, and tell the window if something changed."""
-        before = self._recording
-        delivered = self._background.deliver()
         recording = self._recording
-        if recording is None or recording is not before:
-            # What was just opened is shown already: one picture a tick.
+        if recording is None:
             return
         drained = self._take_in(recording)
         snapshot = recording.road.snapshot(SOLVE_S)
@@ -268,7 +270,7 @@ class Controller(QObject):
         if self._timer.interval() != wanted:
             self._timer.setInterval(wanted)
         now_ns = time.monotonic_ns()
-        if self._pace.is_due(now_ns, behind=behind, news=drained or delivered) or snapshot is not self._shown:
+        if self._pace.is_due(now_ns, behind=behind, news=drained or self._news) or snapshot is not self._shown:
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
@@ -282,7 +284,7 @@ class Controller(QObject):
 
     def _publish(self, recording: Recording, snapshot: Snapshot, now_ns: int) -> None:
         self._pace.show(now_ns)
-        self._shown = snapshot
+        self._shown, self._news = snapshot, False
         if snapshot.landmarks:
             self._review(recording.road.session, snapshot)
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
@@ -294,9 +296,9 @@ class Controller(QObject):
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process tell what landmark pokes say of the rig."""
         if self._reviewing is None:
-            from app.review_server import ReviewServer
+            from app.workers.review_client import ReviewClient
 
-            self._reviewing = ReviewServer(session, self)
+            self._reviewing = ReviewClient(session, self._processes, self)
             self._reviewing.reviewed.connect(self.reviewed)
             self._reviewing.failed.connect(self._review_failed)
         self._reviewing.follow(snapshot)
@@ -431,21 +433,12 @@ class Controller(QObject):
         failed: Callable[[str], None] | None = None,
     ) -> None:
         """Do `work` in the background; where something else was opened meanwhile, what it brings goes to `dropped`."""
-        opening = self._opening
 
         def take(result: Any) -> None:
-            if opening == self._opening:
-                done(result)
-            elif dropped is not None:
-                dropped(result)
+            self._news = True
+            done(result)
 
-        def fail(error: BaseException) -> None:
-            if not isinstance(error, InputError):
-                raise error
-            if opening == self._opening:
-                (failed or self._fail)(str(error))
-
-        self._background.run(work, take, fail)
+        self._threads.submit(work, take, failed or self._fail, dropped)
 
     def _fail(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))

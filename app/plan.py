@@ -57,7 +57,7 @@ def find_scene(scene: Path | None) -> Path:
 def server_command(scene: Path | None) -> tuple[str, ...]:
     """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP.
 
-    Its operator follows the target that the window tells it (`LinkServer.tell`).
+    Its operator follows the target that the window tells it (`DeviceProcess.tell`).
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
     simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tools import apt, launch, places, python_env, python_version, system_libs, words
+from tools import checkout as places
+from tools import launch, packages, system
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 posix_only = pytest.mark.skipif(os.name == "nt", reason="paths of a POSIX environment")
@@ -21,11 +22,11 @@ linux_only = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="on
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A checkout with an empty lock and no environment."""
     venv = tmp_path / ".venv"
-    for name, value in {"CHECKOUT": tmp_path, "VENV": venv, "LOG": venv / "install.log", "SYSTEM": venv / "system"}.items():
-        monkeypatch.setattr(places, name, value)
-    monkeypatch.setattr(system_libs, "SYSTEM", venv / "system")
-    monkeypatch.setattr(python_env, "STAMP", venv / "skincal-installed.txt")
-    monkeypatch.setattr(python_env, "UNFINISHED", venv / "skincal-unfinished.txt")
+    monkeypatch.setattr(places, "CHECKOUT", tmp_path)
+    monkeypatch.setattr(places, "VENV", venv)
+    monkeypatch.setattr(system, "SYSTEM", venv / "system")
+    for name, file in {"STAMP": "skincal-installed.txt", "UNFINISHED": "skincal-unfinished.txt", "LOG": "install.log"}.items():
+        monkeypatch.setattr(packages, name, venv / file)
     lock = tmp_path / "requirements.lock"
     lock.write_text("# nothing\n", encoding="utf-8")
     return lock
@@ -33,17 +34,17 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.skipif(importlib.util.find_spec("ensurepip") is None, reason="this Python comes without pip")
 def test_an_environment_is_made_once_and_again_when_it_is_stale(checkout: Path) -> None:
-    assert python_env.ensure(checkout)
+    assert packages.ensure(checkout)
     assert places.interpreter().exists()
-    assert not python_env.ensure(checkout)
+    assert not packages.ensure(checkout)
 
     checkout.write_text("# another lock\n", encoding="utf-8")
-    assert python_env.ensure(checkout)
-    assert not python_env.ensure(checkout)
+    assert packages.ensure(checkout)
+    assert not packages.ensure(checkout)
 
-    python_env.UNFINISHED.touch()  # as pip leaves it when it is killed while it unpacks
-    assert not python_env.is_ready(checkout)
-    assert not python_env._venv_is_right()
+    packages.UNFINISHED.touch()  # as pip leaves it when it is killed while it unpacks
+    assert not packages.is_ready(checkout)
+    assert not packages._venv_is_right()
 
 
 def test_an_environment_of_another_python_is_not_taken(checkout: Path) -> None:
@@ -53,8 +54,8 @@ def test_an_environment_of_another_python_is_not_taken(checkout: Path) -> None:
     this = f"{sys.version_info.major}.{sys.version_info.minor}.9"
     for key, version, right in (("version", this, True), ("version_info", this, True), ("version", "3.9.2", False)):
         configuration.write_text(f"home = /usr/bin\n{key} = {version}\n", encoding="utf-8")
-        python_env.STAMP.write_text(python_env._stamp_line(checkout), encoding="utf-8")
-        assert python_env.is_ready(checkout) is right
+        packages.STAMP.write_text(packages._stamp_line(checkout), encoding="utf-8")
+        assert packages.is_ready(checkout) is right
 
 
 @pytest.mark.usefixtures("checkout")
@@ -77,30 +78,40 @@ def test_help_is_told_before_anything_is_installed(word: str, capfd: pytest.Capt
     ],
 )
 def test_a_failed_installation_is_put_in_words(log: str, said: str, code: int) -> None:
-    failure = python_env._pip_failure(log)
+    failure = packages._pip_failure(log)
     assert said in str(failure)
     assert failure.code == code
 
 
-@pytest.mark.usefixtures("checkout")
-def test_an_environment_counts_as_unfinished_only_once_pip_changes_it() -> None:
-    places.VENV.mkdir()
-    lines = iter(["Collecting numpy==2.4.6\n", "Installing collected packages: numpy\n", "Successfully installed\n"])
-    told = python_env._told(lines)
-    assert next(told) == "Collecting numpy==2.4.6\n"
-    assert not python_env.UNFINISHED.exists()
-    assert next(told) == "Installing collected packages: numpy\n"
-    assert python_env.UNFINISHED.exists()
-    assert list(told) == ["Successfully installed\n"]
+@posix_only
+@pytest.mark.parametrize(
+    ("line", "code", "unfinished"),
+    [("Collecting numpy", 1, False), ("Installing collected packages: numpy", 1, True), ("Successfully installed", 0, False)],
+)
+def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
+    checkout: Path, line: str, code: int, unfinished: bool
+) -> None:
+    """As where the network is gone, and what is installed still runs; or where pip was killed while it unpacked."""
+    pip = places.interpreter()
+    pip.parent.mkdir(parents=True)
+    there = f"test -e {packages.UNFINISHED}"  # should it be killed now
+    pip.write_text(f"#!/bin/sh\n{there} || exit 9\necho '{line}' > {packages.LOG}\nexit {code}\n", encoding="utf-8")
+    pip.chmod(0o755)
+    if code:
+        with pytest.raises(places.StopError, match=line):
+            packages._pip_install(checkout)
+    else:
+        packages._pip_install(checkout)
+    assert packages.UNFINISHED.exists() is unfinished
 
 
 @posix_only
 def test_of_two_starts_one_waits(tmp_path: Path) -> None:
     with (tmp_path / "lock").open("w", encoding="utf-8") as first, (tmp_path / "lock").open("w", encoding="utf-8") as second:
-        assert python_env._held(first.fileno())
-        assert not python_env._held(second.fileno())
+        assert packages._held(first.fileno())
+        assert not packages._held(second.fileno())
         first.close()
-        assert python_env._held(second.fileno())
+        assert packages._held(second.fileno())
 
 
 @pytest.mark.parametrize("version", [(3, 10, 14), (3, 15, 0)])
@@ -109,12 +120,12 @@ def test_a_python_that_is_too_old_or_too_new_is_refused(
 ) -> None:
     monkeypatch.setattr(sys, "version_info", version)
     with pytest.raises(SystemExit) as end:
-        python_version.require()
+        places.require_python()
     assert end.value.code == 2
     assert f"this is Python {version[0]}.{version[1]}" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["start.py", "check.py", "tools/__init__.py", "tools/python_version.py"])
+@pytest.mark.parametrize("name", ["start.py", "check.py", "tools/__init__.py", "tools/checkout.py"])
 def test_an_old_python_can_read_its_refusal(name: str) -> None:
     text = (CHECKOUT / name).read_text(encoding="utf-8")
     ast.parse(text, feature_version=(3, 7))
@@ -125,11 +136,11 @@ def test_an_old_python_can_read_its_refusal(name: str) -> None:
 @pytest.mark.usefixtures("checkout")
 def test_a_missing_library_is_named_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[list[str]] = []
-    monkeypatch.setattr(system_libs, "loads", lambda name: name == "libc.so.6")
-    monkeypatch.setattr(apt, "is_here", lambda: True)
-    monkeypatch.setattr(apt, "provide", lambda packages, _: asked.append(packages))
-    with pytest.raises(words.StopError) as stop:
-        system_libs.provide({"libc.so.6": "libc6", "libxcb-cursor.so.0": "libxcb-cursor0"})
+    monkeypatch.setattr(system, "loads", lambda name: name == "libc.so.6")
+    monkeypatch.setattr(system, "has_apt", lambda: True)
+    monkeypatch.setattr(system, "apt_provide", asked.append)
+    with pytest.raises(places.StopError) as stop:
+        system.provide({"libc.so.6": "libc6", "libxcb-cursor.so.0": "libxcb-cursor0"})
     assert asked == [["libxcb-cursor0"]]
     assert "libxcb-cursor.so.0" in str(stop.value)
     assert "sudo apt-get install --no-install-recommends libxcb-cursor0" in str(stop.value)
@@ -139,45 +150,45 @@ def test_a_missing_library_is_named_with_the_line_that_installs_it(monkeypatch: 
 @linux_only
 @pytest.mark.usefixtures("checkout")
 def test_without_apt_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libs, "loads", lambda _: False)
-    monkeypatch.setattr(apt, "is_here", lambda: False)
-    with pytest.raises(words.StopError, match=r"lacks libEGL\.so\.1"):
-        system_libs.provide({"libEGL.so.1": "libegl1"})
+    monkeypatch.setattr(system, "loads", lambda _: False)
+    monkeypatch.setattr(system, "has_apt", lambda: False)
+    with pytest.raises(places.StopError, match=r"lacks libEGL\.so\.1"):
+        system.provide({"libEGL.so.1": "libegl1"})
 
 
 @linux_only
 @pytest.mark.usefixtures("checkout")
 def test_nothing_is_fetched_where_nothing_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libs, "loads", lambda _: True)
-    monkeypatch.setattr(apt, "provide", lambda *_: pytest.fail("apt was called"))
-    assert not system_libs.provide({"libEGL.so.1": "libegl1"})
-    assert system_libs.environment() == dict(os.environ)
+    monkeypatch.setattr(system, "loads", lambda _: True)
+    monkeypatch.setattr(system, "apt_provide", lambda *_: pytest.fail("apt was called"))
+    assert not system.provide({"libEGL.so.1": "libegl1"})
+    assert system.environment() == dict(os.environ)
 
 
 @linux_only
 @pytest.mark.usefixtures("checkout")
 def test_an_unpacked_library_is_found_by_the_started_program(monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = places.SYSTEM / "usr" / "lib" / "x86_64-linux-gnu"
+    folder = system.SYSTEM / "usr" / "lib" / "x86_64-linux-gnu"
     folder.mkdir(parents=True)
     (folder / "libxcb-cursor.so.0").touch()
-    monkeypatch.setattr(system_libs, "loads", lambda _: False)
+    monkeypatch.setattr(system, "loads", lambda _: False)
     monkeypatch.setenv("LD_LIBRARY_PATH", "/own")
-    assert not system_libs.provide({"libxcb-cursor.so.0": "libxcb-cursor0"})
-    assert system_libs.environment()["LD_LIBRARY_PATH"].split(":")[-2:] == [str(folder), "/own"]
+    assert not system.provide({"libxcb-cursor.so.0": "libxcb-cursor0"})
+    assert system.environment()["LD_LIBRARY_PATH"].split(":")[-2:] == [str(folder), "/own"]
 
 
 @linux_only
 @pytest.mark.usefixtures("checkout")
 def test_unpacked_fonts_are_listed() -> None:
-    fonts = places.SYSTEM / "usr" / "share" / "fonts"
+    fonts = system.SYSTEM / "usr" / "share" / "fonts"
     fonts.mkdir(parents=True)
-    system_libs._list_fonts()
-    assert f"<dir>{fonts}</dir>" in (places.SYSTEM / "fonts.conf").read_text(encoding="utf-8")
+    system._list_fonts()
+    assert f"<dir>{fonts}</dir>" in (system.SYSTEM / "fonts.conf").read_text(encoding="utf-8")
 
 
 def test_the_display_for_tests_is_asked_for_before_anything_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libs, "has_display", lambda: False)
-    monkeypatch.setattr(system_libs, "_can_provide_xvfb", lambda: False)
-    monkeypatch.setattr(system_libs.shutil, "which", lambda *_, **__: None)
-    with pytest.raises(words.StopError, match="Xvfb"):
-        system_libs.require_test_display()
+    monkeypatch.setattr(system, "has_display", lambda: False)
+    monkeypatch.setattr(system, "_can_provide_xvfb", lambda: False)
+    monkeypatch.setattr(system.shutil, "which", lambda *_, **__: None)
+    with pytest.raises(places.StopError, match="Xvfb"):
+        system.require_test_display()

@@ -13,7 +13,7 @@ import pytest
 
 from app.plan import server_command
 from skincal.model.scene import resource
-from tools import places, python_env
+from tools import checkout, packages
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 SAMPLE = resource("sessions/sample")
@@ -22,7 +22,7 @@ NAMES = ("typer.py", "numpy.py", "pickle.py", "pip.py", "app/__init__.py", "skin
 LIMIT_S = 60
 CONSOLE = f"import sys\nsys.path.append({str(CHECKOUT)!r})\nfrom app.__main__ import main\nsys.exit(main())\n"
 """What pip writes for `skincal`."""
-installed = pytest.mark.skipif(not python_env.is_ready(places.RUN_LOCK), reason="needs what start.py installs")
+installed = pytest.mark.skipif(not packages.is_ready(checkout.RUN_LOCK), reason="needs what start.py installs")
 
 
 @pytest.fixture
@@ -51,14 +51,14 @@ def test_the_poison_works(poisoned):
 
 @pytest.mark.parametrize("way", ["start.py", "skincal", "console script", "-P -m app", "-P -m skincal.cli"])
 def test_a_command_runs_nothing_of_the_working_folder(poisoned, way):
-    if way in ("start.py", "skincal") and not python_env.is_ready(places.RUN_LOCK):
+    if way in ("start.py", "skincal") and not packages.is_ready(checkout.RUN_LOCK):
         pytest.skip("needs what start.py installs")
     script = poisoned.parent / "bin" / "skincal"
     script.parent.mkdir()
     script.write_text(CONSOLE, encoding="utf-8")
     command = {
         "start.py": (sys.executable, CHECKOUT / "start.py"),
-        "skincal": (places.interpreter().with_name("skincal.cmd" if os.name == "nt" else "skincal"),),
+        "skincal": (checkout.interpreter().with_name("skincal.cmd" if os.name == "nt" else "skincal"),),
         "console script": (sys.executable, script),
     }.get(way, (sys.executable, *way.split()))
     done = run_there(poisoned, *command, "solve", str(SAMPLE), "--json")
@@ -129,6 +129,6 @@ def test_the_window_and_what_it_starts_run_nothing_of_the_working_folder(poisone
 @pytest.mark.usefixtures("poisoned")
 def test_installing_runs_nothing_of_the_working_folder(tmp_path):
     """Pip and the compiler of modules are run in the folder where the person stands."""
-    assert python_env._python("-m", "pip", "--version").returncode == 0
-    assert python_env._python("-c", "import pickle, numpy").returncode == 0
+    assert packages._python("-m", "pip", "--version").returncode == 0
+    assert packages._python("-c", "import pickle, numpy").returncode == 0
     assert not (tmp_path / "ran").exists()

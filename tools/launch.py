@@ -8,11 +8,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 
 from app.preflight import LIBRARIES, X_LIBRARIES
-from tools import places, python_env, system_libs
-from tools.words import USER_CAN_HELP, StopError, say
+from tools import checkout, packages, system
+from tools.checkout import USER_CAN_HELP, StopError, say
 
 INTERRUPTED = 130
 """Exit code of a program ended with Ctrl-C."""
@@ -37,6 +36,20 @@ CAPABILITIES = "GALLIUM_OVERRIDE_CPU_CAPS"
 PROCESSORS = ("sse2", "sse4.1", "avx")
 """As on which these tests run again."""
 
+PROBE = """
+import ctypes, importlib, pathlib, sys
+try:
+    for module in ("PySide6.QtWidgets", "PySide6.QtOpenGLWidgets", "PySide6.QtSvg", "vtkmodules.vtkRenderingOpenGL2",
+                   "matplotlib.font_manager", "pyvista.plotting", "scipy.optimize"):
+        importlib.import_module(module)
+    if sys.argv[1] == "show" and sys.platform.startswith("linux"):
+        qt = pathlib.Path(sys.modules["PySide6"].__file__).parent / "Qt"
+        ctypes.CDLL(str(qt / "plugins" / "platforms" / "libqxcb.so"))
+except (ImportError, OSError) as error:
+    sys.exit(str(error))
+"""
+"""Whether what the window is made of loads at all, found out in a process of its own. It leaves behind what a first start would
+otherwise wait for: compiled modules, and matplotlib's list of fonts, which pyvista asks for."""
 
 HELP = """\
 usage: python3 start.py [OPTIONS | COMMAND ...]
@@ -80,21 +93,21 @@ def _telling(command: Callable[[], int]) -> int:
 
 
 def _start(arguments: Sequence[str]) -> int:
-    if arguments and arguments[0] in ("-h", "--help") and not python_env.is_ready(places.RUN_LOCK):
+    if arguments and arguments[0] in ("-h", "--help") and not packages.is_ready(checkout.RUN_LOCK):
         sys.stdout.write(HELP)
         return 0
-    fresh = python_env.ensure(places.RUN_LOCK)
+    fresh = packages.ensure(checkout.RUN_LOCK)
     if _draws(arguments):
-        _provide_drawing(fresh, shown=system_libs.has_display() and "--headless" not in arguments)
-    return _become([str(places.interpreter()), "-P", "-m", "app", *arguments], system_libs.environment())
+        _provide_drawing(fresh, shown=system.has_display() and "--headless" not in arguments)
+    return _become([str(checkout.interpreter()), "-P", "-m", "app", *arguments], system.environment())
 
 
 def _check(arguments: Sequence[str]) -> int:
-    system_libs.require_test_display()
-    fresh = python_env.ensure(places.TEST_LOCK)
+    system.require_test_display()
+    fresh = packages.ensure(checkout.TEST_LOCK)
     _provide_drawing(fresh, shown=True)
-    system_libs.provide_test_display()
-    environment = system_libs.environment()
+    system.provide_test_display()
+    environment = system.environment()
     environment.pop("QT_QPA_PLATFORM", None)  # "offscreen" has no OpenGL; the tests look at real pixels
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
     failed = [] if arguments else [name for name, told in CHECKS.items() if _run(name, told, environment)]
@@ -111,27 +124,27 @@ def _draws(arguments: Sequence[str]) -> bool:
 
 def _provide_drawing(fresh: bool, *, shown: bool) -> None:
     wanted = {**LIBRARIES, **X_LIBRARIES} if shown else LIBRARIES
-    if system_libs.provide(wanted) or fresh:
+    if system.provide(wanted) or fresh:
         _probe("show" if shown else "draw")
 
 
 def _probe(depth: str) -> None:
     probe = subprocess.run(
-        [places.interpreter(), "-P", Path(__file__).with_name("probe.py"), depth],
-        env=system_libs.environment(),
+        [checkout.interpreter(), "-P", "-c", PROBE, depth],
+        env=system.environment(),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
     )
     if probe.returncode:
-        told = (probe.stdout + probe.stderr).strip() or f"it ended with {probe.returncode}"
+        told = probe.stderr.strip() or f"it ended with {probe.returncode}"
         raise StopError(f"Everything is installed, but Qt or VTK does not load here: {told}", USER_CAN_HELP)
 
 
 def _run(name: str, told: Sequence[str], environment: Mapping[str, str]) -> int:
     say(f"\n$ {name}")
-    return subprocess.call([places.interpreter(), *told], env=environment, cwd=places.CHECKOUT, stdin=subprocess.DEVNULL)
+    return subprocess.call([checkout.interpreter(), *told], env=environment, cwd=checkout.CHECKOUT, stdin=subprocess.DEVNULL)
 
 
 def _run_tests(environment: Mapping[str, str]) -> int:
@@ -139,9 +152,9 @@ def _run_tests(environment: Mapping[str, str]) -> int:
     alone, beside, quiet, pixels = (("-m", "pytest", "-p", "no:cacheprovider", *part) for part in (*HALVES, QUIET, PIXELS))
     with tempfile.TemporaryFile() as told:
         window = subprocess.Popen(
-            [places.interpreter(), *beside],
+            [checkout.interpreter(), *beside],
             env=environment,
-            cwd=places.CHECKOUT,
+            cwd=checkout.CHECKOUT,
             stdin=subprocess.DEVNULL,
             stdout=told,
             stderr=subprocess.STDOUT,

@@ -294,32 +294,14 @@ def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str)
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the figures as lines for a person."""
+    """Return the figures as lines for a person: times in milliseconds."""
 
-    def ms(name: str) -> str:
-        value = result[name]
-        return "-" if value is None else f"{value * 1e3:.0f} ms"
+    def words(name: str, value: object) -> str:
+        if isinstance(value, float):
+            return f"{value * 1e3:.0f} ms" if name.endswith("_s") else f"{value:.2f}"
+        return "-" if value is None else str(value)
 
-    rate = result["pictures_per_s_pressing"]
-    lines = [
-        ("first paint", ms("first_paint_s")),
-        ("first 3D picture", ms("first_picture_s")),
-        ("pictures a second while pressing", "-" if rate is None else f"{rate:.1f}  ({result['pressing_s']:.1f} s)"),
-        ("release to painted, median", f"{ms('release_to_painted_p50_s')}  ({result['releases']} pokes)"),
-        ("release to painted, p95", ms("release_to_painted_p95_s")),
-        ("end of dwell to sound, median", f"{ms('dwell_to_sound_p50_s')}  ({result['sounds']} by {result['sound_device']})"),
-        ("end of dwell to sound, p95", f"{ms('dwell_to_sound_p95_s')}  (longest {ms('dwell_to_sound_max_s')})"),
-        (
-            f"longest stall in the first {SETTLED_S:.0f} s",
-            f"{ms('longest_stall_starting_s')}  (own work {ms('longest_work_starting_s')})",
-        ),
-        ("longest stall after that", f"{ms('longest_stall_s')}  (own work {ms('longest_work_s')})"),
-        ("stalls above 100 ms after that", str(result["stalls_above_100_ms"])),
-        ("processor, shares of one core", f"{result['cpu_share']:.2f}"),
-    ]
-    if result["load_average"] is not None:
-        lines.append(("load of the machine, 1 min", f"{result['load_average']:.1f}  (times hold where it is below 2)"))
-    return "\n".join(f"{name:34} {value}" for name, value in lines)
+    return "\n".join(f"{name.removesuffix('_s').replace('_', ' '):34} {words(name, value)}" for name, value in result.items())
 
 
 def main() -> int:

@@ -1,13 +1,15 @@
 """What pokes at landmarks tell of the rig, and where the taxels lie with and without its correction.
 
-It takes some tenths of a second, so it is worked out beside the session (`review_process.py`), from what has changed since the
-last time.
+It takes some tenths of a second, so it is worked out in another process (`review_change`), from what has changed since the last
+time.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +17,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.methods import estimate_taxels
+from skincal.model.errors import InputError
 from skincal.model.scene import Landmark, Scene
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, UsedCorrection
@@ -28,6 +31,9 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
+
+PATIENCE_S = 5.0
+"""s. Work on an older change goes on after that: on a large part each poke would else end the work on the one before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +66,8 @@ class Change:
 
     generation: int
     """Counts up."""
+    since: int
+    """Generation of the change before; 0 where this one tells all."""
     pokes: Mapping[int, Outcome]
     """Pokes that count and are new or others than they were, in the right frame, by their number."""
     gone: tuple[int, ...]
@@ -78,17 +86,20 @@ class Asked:
     """What was asked last, on the side that asks."""
 
     generation: int = 0
+    known: int = 0
+    """Generation that the other side knows; 0 where it knows nothing."""
     pokes: Mapping[int, Outcome] = field(default_factory=dict[int, Outcome])
     used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections in use."""
 
     def change(self, session: Session, snapshot: Snapshot) -> Change:
         """Return what is new in a session, of which `snapshot` is the newest."""
-        before, now = self.pokes, session.framed()
-        self.generation, self.pokes = self.generation + 1, now
-        self.used = snapshot.corrections
+        before, now, since = self.pokes, session.framed(), self.known
+        self.generation = self.known = self.generation + 1
+        self.pokes, self.used = now, snapshot.corrections
         return Change(
             generation=self.generation,
+            since=since,
             pokes={number: poke for number, poke in now.items() if before.get(number) is not poke},
             gone=tuple(before.keys() - now.keys()),
             landmarks=snapshot.landmarks,
@@ -97,6 +108,10 @@ class Asked:
             dead=snapshot.dead,
             corrected=RIG in snapshot.corrections,
         )
+
+    def forget(self) -> None:
+        """Tell all with the next change."""
+        self.known, self.pokes = 0, {}
 
 
 class Reviewer:
@@ -114,6 +129,11 @@ class Reviewer:
         self._boards = None if layout is None else ModuleModel(layout, scene.skin.anchor, surface)
         self._pokes: dict[int, Outcome] = {}
         self._newest: Change | None = None
+
+    @property
+    def generation(self) -> int:
+        """Of the newest change; 0 before the first."""
+        return 0 if self._newest is None else self._newest.generation
 
     def take(self, change: Change) -> None:
         """Take what is new."""
@@ -161,3 +181,77 @@ class Reviewer:
             method: np.array([unknown if one.position is None else one.position for one in found.values()]).reshape(-1, 3)
             for method, found in solved.items()
         }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReviewedPart:
+    """What a session is of; the mesh is read again, which is quicker than to send it."""
+
+    scene: Scene
+    mesh_sha256: str | None
+
+    def load_surface(self) -> Surface | None:
+        """Load the mesh.
+
+        Raises
+        ------
+        InputError
+            It is gone, or another than the session's.
+        """
+        if self.scene.surface is None:
+            return None
+        from skincal.mesh.load import load_surface
+
+        surface, _ = load_surface(self.scene.surface)
+        if surface.sha256 != self.mesh_sha256:
+            raise InputError(f"{self.scene.surface.path}: the mesh changed since the session was opened; open it again.")
+        return surface
+
+
+class Unreviewed(Enum):
+    """Why there is no review."""
+
+    GIVEN_UP = "a newer change waits"
+    UNKNOWN = "what was told before this change is not known here"
+
+
+class _GivenUpError(Exception):
+    """A newer change waits."""
+
+
+_reviewers: dict[str, Reviewer] = {}
+"""The newest session of this process."""
+
+
+def review_change(session: str, part: ReviewedPart | None, change: Change, wanted: Callable[[], bool]) -> Review | Unreviewed:
+    """Take a change of a session and review it; what was told before is kept in this process.
+
+    Parameters
+    ----------
+    session : a name of it, unlike any other's
+    part : where the change tells all; else None
+    wanted : returns whether this change is the newest; the work on another is given up, unless it has taken long
+
+    Raises
+    ------
+    InputError
+        The mesh is gone, or another than the session's.
+    """
+    if part is not None:
+        _reviewers.clear()
+        _reviewers[session] = Reviewer(part.scene, part.load_surface())
+    reviewer = _reviewers.get(session)
+    if reviewer is None or reviewer.generation != change.since:
+        return Unreviewed.UNKNOWN
+    reviewer.take(change)
+    begun = time.monotonic()
+
+    def between() -> None:
+        if not wanted() and time.monotonic() - begun < PATIENCE_S:
+            raise _GivenUpError
+
+    try:
+        between()
+        return reviewer.review(between)
+    except _GivenUpError:
+        return Unreviewed.GIVEN_UP

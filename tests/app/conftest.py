@@ -13,12 +13,12 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
 from PySide6.QtWidgets import QApplication
 from whole_window import Bench
 
-from app.link_server import LinkServer
+from app.workers.device_process import DeviceProcess
 from skincal.model.scene import resource
 
 WAIT_S = 5.0
 """s. A thread that was told to stop has so long on a busy machine."""
-ENDING = ("reader ", "skincal-background", "skincal-sound", "scene3d")
+ENDING = ("reader ", "skincal-", "scene3d")
 """Names of the program's threads that must end with the window."""
 
 
@@ -97,12 +97,12 @@ def recorded(recorded_once, tmp_path):
 def said():
     """What the window's process was told, in order."""
     lines: list[str] = []
-    tell = LinkServer.tell
+    tell = DeviceProcess.tell
 
     def record(server, line):
         lines.append(line)
         tell(server, line)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LinkServer, "tell", record)
+        patch.setattr(DeviceProcess, "tell", record)
         yield lines

@@ -29,12 +29,12 @@ from app.error_words import (
     shown_range,
     source_words,
 )
-from app.link_server import LinkServer
 from app.opening import Part, load_part
 from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
 from app.panels.errors import ErrorsPanel
 from app.plan import Plan
 from app.theme import DARK, LIGHT
+from app.workers.device_process import DeviceProcess
 from skincal.files.reference import Origin, Reference
 from skincal.model.scene import resource
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorHistory, ErrorSeries, Recount, error_series
@@ -288,7 +288,6 @@ def test_a_panel_that_is_hidden_follows_nothing(panel, queue):
     panel.show_frame(at(poked(5)))
     assert not queue.waiting
     assert not len(panel._tracker.series().counts)
-    assert not panel._poll.isActive()
 
 
 def test_work_for_another_source_is_dropped(queue):
@@ -350,7 +349,7 @@ def test_a_panel_that_was_never_open_imports_no_plots():
         "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]);"
         "from app.panels.errors import ErrorsPanel; from app.error_tracker import ErrorTracker;"
         "from skincal.taxels.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
-        "sys.exit('pyqtgraph' in sys.modules or panel._poll.isActive())"
+        "sys.exit('pyqtgraph' in sys.modules or panel._threads is not None)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -476,7 +475,7 @@ def test_a_simulated_rig_tells_where_its_taxels_are_and_the_session_keeps_it(qtb
         "link": made.scene.link,
         "taxels": [{"channel": channel, "position_m": [0.0, 0.1, 0.2]}],
     }
-    server, order = LinkServer(), []
+    server, order = DeviceProcess(), []
     server.said_truth.connect(lambda truth: order.append(truth))
     with qtbot.waitSignal(server.served, timeout=OPEN_MS) as served:
         server.start((sys.executable, "-c", f"print({json.dumps(told)!r}, flush=True); input()"))

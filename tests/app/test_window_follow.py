@@ -11,11 +11,11 @@ from PySide6.QtCore import Qt
 from whole_window import OPEN_MS
 
 from app.controller import Controller
-from app.link_server import LinkServer
 from app.plan import server_command
 from app.running import Running
 from app.wishes import wish_of
 from app.words import peak_channel
+from app.workers.device_process import DeviceProcess
 from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
 
@@ -40,7 +40,7 @@ def test_the_wish_is_what_the_window_shows():
 
 def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
     heard = tmp_path / "heard"
-    server = LinkServer()
+    server = DeviceProcess()
     listen = f"import sys; print('{LINKS}', flush=True); open({str(heard)!r}, 'w').write(sys.stdin.read())"
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", listen))
@@ -52,7 +52,7 @@ def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
 
 
 def test_a_process_that_never_reads_holds_nothing_up(qtbot):
-    server = LinkServer()
+    server = DeviceProcess()
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", f"import time; print('{LINKS}', flush=True); time.sleep(60)"))
     for _ in range(5000):

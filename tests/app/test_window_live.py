@@ -18,7 +18,6 @@ from skincal.session.journal import create_session
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import changed, pixels
 
-from app.link_server import LinkServer, parse_links
 from app.panels.message_bar import Message
 from app.plan import Plan, server_command
 from app.run import GARBAGE, Faults
@@ -26,6 +25,7 @@ from app.running import Running
 from app.scene3d.probe import best_canvas
 from app.theme import Choice
 from app.words import LinkLook
+from app.workers.device_process import DeviceProcess, parse_links
 from skincal.journal.lock import SessionLock
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene, resource
@@ -299,7 +299,7 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     ],
 )
 def test_a_device_process_that_fails_is_said(qtbot, command, said):
-    server = LinkServer()
+    server = DeviceProcess()
     with qtbot.waitSignal(server.failed, timeout=OPEN_MS) as failed:
         server.start(command)
     assert said in failed.args[0]
@@ -309,7 +309,7 @@ def test_a_device_process_that_fails_is_said(qtbot, command, said):
 
 def test_a_device_process_ends_with_its_input(qtbot):
     line = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
-    server = LinkServer()
+    server = DeviceProcess()
     with qtbot.waitSignal(server.served, timeout=OPEN_MS) as served:
         server.start((sys.executable, "-c", f"print('{line}', flush=True); input()"))
     assert served.args[0] == parse_links(line.encode())

@@ -254,7 +254,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert bench.snapshot.can_undo == "end of the correction of the rig"
     assert moved(before, bench.snapshot.estimates) == 0.0
 
-    process = bench.controller._reviewing._process.processId()
+    process = bench.controller._processes.pid
     assert process
     bench.window.close()
     bench.until(lambda: not is_running(process), 5000)

@@ -1,27 +1,22 @@
 """What another process tells of a session: only what is new goes there, and back comes what the session itself finds."""
 
-import itertools
-import queue
-import threading
-import time
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
 from skincal.methods import estimate_taxels
+from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
 from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
-from skincal.session import review_process
+from skincal.session import review
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Uncorrect, Undo
 from skincal.session.corrections import correct_action
-from skincal.session.review import Asked, Reviewer
-from skincal.session.review_process import LENGTH, Part, Unpacker, load_part, packed, serve
+from skincal.session.review import Asked, ReviewedPart, Reviewer, Unreviewed, review_change
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.landmarks import poke_landmarks
@@ -166,23 +161,23 @@ def places(session, contacts):
     }
 
 
-def assert_is_of(session, review):
+def assert_is_of(session, answer):
     """Fail unless a review says what the session itself finds."""
     normals = {one.name: one.normal for one in session.landmarks}
     frame = diagnose(session.landmark_pokes, [normals[one.name] for one in session.landmark_pokes])
     rig = correct_rig(session.rig_request())
-    assert (review.frame is None) == (frame is None)
+    assert (answer.frame is None) == (frame is None)
     if frame is not None:
-        assert review.frame.words == frame.words
-    assert [one.poke for one in review.pokes] == [one.poke for one in session.landmark_pokes]
-    assert (review.rig.used, review.rig.sentences, review.rig.trust) == (rig.used, rig.sentences, rig.trust)
-    np.testing.assert_array_equal(review.rig.unknowns, rig.unknowns)
-    np.testing.assert_array_equal(review.channels, session.channels)
+        assert answer.frame.words == frame.words
+    assert [one.poke for one in answer.pokes] == [one.poke for one in session.landmark_pokes]
+    assert (answer.rig.used, answer.rig.sentences, answer.rig.trust) == (rig.used, rig.sentences, rig.trust)
+    np.testing.assert_array_equal(answer.rig.unknowns, rig.unknowns)
+    np.testing.assert_array_equal(answer.channels, session.channels)
     contacts = [one for one in session.framed().values() if isinstance(one, Contact)]
     corrected = RIG in session.corrections
     wanted = places(session, contacts) if corrected else {}
     offered = places(session, [rig.correction.corrected(one) for one in contacts]) if rig.used and not corrected else {}
-    for found, expected in ((review.before, wanted), (review.after, offered)):
+    for found, expected in ((answer.before, wanted), (answer.after, offered)):
         assert found.keys() == expected.keys()
         for method, known in expected.items():
             np.testing.assert_array_equal(found[method], known)
@@ -287,191 +282,102 @@ def test_work_is_given_up_at_any_step_and_can_be_done_again(session):
     np.testing.assert_array_equal(again.rig.unknowns, whole.rig.unknowns)
 
 
-# How it travels
-
-MESSAGES = st.lists(st.one_of(st.none(), st.binary(max_size=300), st.integers(), st.lists(st.text(max_size=5))), max_size=6)
+# In another process
 
 
-@settings(max_examples=40)
-@given(messages=MESSAGES, cuts=st.lists(st.integers(0, 2000), max_size=12))
-@example(messages=[b"", b"x" * 300], cuts=list(range(400)))
-def test_however_the_bytes_are_cut_the_messages_are_the_same(messages, cuts):
-    data = b"".join(map(packed, messages))
-    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
-    unpacker, found = Unpacker(), []
-    for begin, end in itertools.pairwise(edges):
-        found += unpacker.feed(data[begin:end])
-    assert found == messages
+def told(session, asked):
+    """The words of a request for the session as it stands, as they arrive in the process."""
+    change = asked.change(session, session.snapshot())
+    part = None if change.since else part_of(session.scene, session.surface)
+    return pickle.loads(pickle.dumps((part, change)))
 
 
-def test_a_message_comes_with_its_last_byte_and_not_before():
-    data, unpacker = packed("whole"), Unpacker()
-    assert int.from_bytes(data[:LENGTH], "little") == len(data) - LENGTH
-    assert list(unpacker.feed(data[:-1])) == []
-    assert list(unpacker.feed(data[-1:] + data[:3])) == ["whole"]
-    assert list(unpacker.feed(data[3:])) == ["whole"]
+def part_of(scene, surface):
+    return ReviewedPart(scene, None if surface is None else surface.sha256)
+
+
+def always():
+    return True
+
+
+def never():
+    return False
+
+
+@pytest.fixture(autouse=True)
+def _of_nothing(monkeypatch):
+    monkeypatch.setattr(review, "_reviewers", {})
 
 
 def test_a_review_and_a_change_arrive_as_they_were_sent(session):
     change = Asked().change(session, session.snapshot())
-    (there,) = Unpacker().feed(packed(change))
+    there = pickle.loads(pickle.dumps(change))
     assert there.at_landmarks == change.at_landmarks
     for number, poke in change.pokes.items():
         np.testing.assert_array_equal(there.pokes[number].force, poke.force)
     reviewer = Reviewer(session.scene, session.surface)
     reviewer.take(there)
-    (back,) = Unpacker().feed(packed(reviewer.review(lambda: None)))
+    back = pickle.loads(pickle.dumps(reviewer.review(lambda: None)))
     assert_is_of(session, back)
 
 
-class Feed:
-    """A source that blocks until bytes are put, and ends with empty ones."""
-
-    def __init__(self):
-        self.waiting = queue.SimpleQueue()
-
-    def read1(self, _most):
-        return self.waiting.get()
-
-    def put(self, *messages):
-        self.waiting.put(b"".join(map(packed, messages)))
-
-    def end(self):
-        self.waiting.put(b"")
-
-
-class Served:
-    """A server in a thread of its own."""
-
-    def __init__(self):
-        self.feed, self.answers = Feed(), queue.SimpleQueue()
-        self.thread = threading.Thread(target=serve, args=(self.feed, self.answers.put), daemon=True)
-        self.thread.start()
-
-    def answer(self):
-        return self.answers.get(timeout=60)
-
-    def ended(self):
-        self.thread.join(60)
-        return not self.thread.is_alive()
-
-
-def part_of(scene, surface):
-    return Part(scene, None if surface is None else surface.sha256)
-
-
-def test_what_is_asked_is_answered_until_the_input_ends(session):
-    served, asked = Served(), Asked()
-    served.feed.put(part_of(session.scene, session.surface), asked.change(session, session.snapshot()))
-    assert_is_of(session, served.answer())
+def test_what_is_told_bit_by_bit_is_answered_as_the_session_stands(session):
+    asked = Asked()
+    assert_is_of(session, review_change("a", *told(session, asked), always))
     session.act(AtLandmark(FIRST, ""))
-    served.feed.put(asked.change(session, session.snapshot()))
-    second = served.answer()
+    second = review_change("a", *told(session, asked), always)
     assert second.generation == 2
     assert len(second.pokes) == 7
-    served.feed.end()
-    assert served.ended()
-    assert served.answers.empty()
+    assert_is_of(session, second)
+
+
+def test_what_was_not_told_from_its_beginning_is_not_guessed(session):
+    asked = Asked()
+    first = told(session, asked)
+    assert review_change("a", None, first[1], always) is Unreviewed.UNKNOWN, "a new process knows no part"
+    review_change("a", *first, always)
+    told(session, asked)
+    session.act(Exclude(4))
+    third = told(session, asked)
+    assert review_change("a", *third, always) is Unreviewed.UNKNOWN, "the second never came"
+    assert review_change("b", *third, always) is Unreviewed.UNKNOWN, "another session's"
+    asked.forget()
+    everything = told(session, asked)
+    assert everything[1].generation == 4
+    assert len(everything[1].pokes) == 31
+    assert_is_of(session, review_change("a", *everything, always))
+    assert list(review._reviewers) == ["a"]
+    review_change("b", *told(session, Asked()), always)
+    assert list(review._reviewers) == ["b"], "one session at a time"
 
 
 @pytest.mark.parametrize("sha256", ["0" * 64, None])
-def test_a_mesh_that_changed_is_said_and_ends_it(sha256):
-    served = Served()
-    served.feed.put(Part(scene_and_surface()[0], sha256))
-    assert "the mesh changed since the session was opened" in served.answer()
-    assert served.ended()
-    served.feed.end()
+def test_a_mesh_that_changed_is_said(sha256):
+    with pytest.raises(InputError, match="the mesh changed since the session was opened"):
+        ReviewedPart(scene_and_surface()[0], sha256).load_surface()
 
 
-def test_a_mesh_that_is_gone_is_said_and_ends_it(tmp_path):
+def test_a_mesh_that_is_gone_is_said(tmp_path):
     scene = small_scene()
     scene = replace(scene, surface=SurfaceSpec(tmp_path / "gone.ply", 1.0, np.eye(4)))
-    served = Served()
-    served.feed.put(Part(scene, None))
-    assert "gone.ply" in served.answer()
-    assert served.ended()
-    served.feed.end()
+    with pytest.raises(InputError, match=r"gone\.ply"):
+        ReviewedPart(scene, None).load_surface()
 
 
 def test_a_part_without_a_mesh_needs_none():
-    assert load_part(Part(small_scene(), None)) is None
+    assert ReviewedPart(small_scene(), None).load_surface() is None
     scene, surface = scene_and_surface()
-    assert load_part(part_of(scene, surface)).sha256 == surface.sha256
+    assert part_of(scene, surface).load_surface().sha256 == surface.sha256
 
 
-@pytest.mark.parametrize("messages", [(), (Part(small_scene(), None),)], ids=["nothing", "part"])
-def test_an_input_that_ends_early_is_answered_nothing(messages):
-    served = Served()
-    if messages:
-        served.feed.put(*messages)
-    served.feed.end()
-    assert served.ended()
-    assert served.answers.empty()
-
-
-class Slow:
-    """A reviewer whose work takes until it is let go; asks at each step whether to go on."""
-
-    def __init__(self):
-        self.taken, self.begun, self.go_on = [], queue.SimpleQueue(), queue.SimpleQueue()
-
-    def take(self, change):
-        self.taken.append(change)
-
-    def review(self, between):
-        self.begun.put(list(self.taken))
-        while not self.go_on.get(timeout=60):
-            between()
-        return self.taken[-1]
-
-    def works_on(self):
-        """All that it was told, once it begins to work."""
-        return self.begun.get(timeout=60)
-
-
-@pytest.fixture
-def slow(monkeypatch):
-    """A slow reviewer that works on the first change, and its server."""
-    made = Slow()
-    monkeypatch.setattr(review_process, "Reviewer", lambda *_: made)
-    served = Served()
-    served.feed.put(Part(small_scene(), None), "one")
-    assert made.works_on() == ["one"]
-    yield made, served
-    served.feed.end()
-    assert served.ended()
-
-
-def queued(served, message):
-    """Ask, and wait until that lies before the reviewer."""
-    served.feed.put(message)
-    while not served.feed.waiting.empty():
-        time.sleep(0.001)
-    time.sleep(0.05)
-
-
-def test_newer_changes_end_the_work_on_older_ones_and_none_is_lost(slow):
-    reviewer, served = slow
-    reviewer.go_on.put(False)
-    queued(served, "two")
-    reviewer.go_on.put(False)
-    assert reviewer.works_on() == ["one", "two"]
-    served.feed.put("three", "four")
-    queued(served, "five")
-    reviewer.go_on.put(False)
-    assert reviewer.works_on() == ["one", "two", "three", "four", "five"], "all are taken, and the newest is worked on"
-    assert served.answers.empty()
-    reviewer.go_on.put(True)
-    assert served.answer() == "five"
-
-
-def test_work_that_took_long_is_finished_although_newer_changes_wait(slow, monkeypatch):
-    reviewer, served = slow
-    queued(served, "two")
-    monkeypatch.setattr(review_process, "PATIENCE_S", 0.0)
-    reviewer.go_on.put(False)
-    reviewer.go_on.put(True)
-    assert served.answer() == "one"
-    assert reviewer.works_on() == ["one", "two"]
-    reviewer.go_on.put(True)
-    assert served.answer() == "two"
+def test_work_gives_way_to_a_newer_change_and_what_it_was_told_is_kept(session, monkeypatch):
+    asked = Asked()
+    assert review_change("a", *told(session, asked), never) is Unreviewed.GIVEN_UP
+    session.act(AtLandmark(FIRST, ""))
+    steps = iter([True, True, False])
+    assert review_change("a", *told(session, asked), lambda: next(steps)) is Unreviewed.GIVEN_UP, "in the middle"
+    session.act(Exclude(4))
+    assert_is_of(session, review_change("a", *told(session, asked), always))
+    monkeypatch.setattr(review, "PATIENCE_S", 0.0)
+    session.act(Undo())
+    assert_is_of(session, review_change("a", *told(session, asked), never))

@@ -1,4 +1,4 @@
-"""Which of the window's system libraries are missing, and where they come from.
+"""Which of the window's system libraries are missing, and where they come from: apt, as root or unpacked beside `.venv`.
 
 Only Linux: the packages for Windows and macOS carry everything. What is not here could end the program without a word later
 (Qt aborts without libxcb-cursor, VTK crashes without any OpenGL), so it is looked for first.
@@ -7,19 +7,21 @@ Only Linux: the packages for Windows and macOS carry everything. What is not her
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import subprocess
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
 from app.preflight import loads
-from tools import apt
-from tools.places import SYSTEM
-from tools.words import StopError, say
+from tools.checkout import SYSTEM, StopError, say
 
 KEYBOARDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))
 """An Xvfb that was unpacked runs only where these are, as on every X desktop: their places are compiled into it."""
+NEVER_UNPACKED = frozenset({"libc6", "libc-bin", "libgcc-s1", "libstdc++6"})
+"""A second C library beside the system's own crashes whatever loads it."""
 
 
 def has_display() -> bool:
@@ -42,8 +44,8 @@ def provide(libraries: Mapping[str, str]) -> bool:
     missing = _missing(libraries)
     if not missing:
         return False
-    if apt.is_here():
-        apt.provide(_packages(missing, libraries), SYSTEM)
+    if has_apt():
+        apt_provide(_packages(missing, libraries))
         _list_fonts()
     still_missing = _missing(libraries)
     if still_missing:
@@ -70,13 +72,13 @@ def provide_test_display() -> None:
     if not sys.platform.startswith("linux") or shutil.which("Xvfb", path=environment().get("PATH")):
         return
     if _can_provide_xvfb():
-        apt.provide(["xvfb"], SYSTEM)
+        apt_provide(["xvfb"])
     else:
         say("There is no Xvfb here: the tests open their windows on this display.")
 
 
 def _can_provide_xvfb() -> bool:
-    return apt.is_here() and (os.geteuid() == 0 or all(place.exists() for place in KEYBOARDS))
+    return has_apt() and (os.geteuid() == 0 or all(place.exists() for place in KEYBOARDS))
 
 
 def environment() -> dict[str, str]:
@@ -148,6 +150,90 @@ def _sentence(missing: list[str], wanted: Mapping[str, str]) -> str:
 
 
 def _remedy(packages: list[str]) -> str:
-    if apt.is_here():
-        return f"Install it:  {apt.line_for(packages)}"
+    if has_apt():
+        return f"Install it:  {apt_line(packages)}"
     return "Install what provides it with your system's package manager, then run this again."
+
+
+# Packages on Debian, Ubuntu and their kin
+
+
+def has_apt() -> bool:
+    """Whether this system installs packages with apt."""
+    return bool(shutil.which("apt-get") and shutil.which("dpkg-deb"))
+
+
+def apt_line(packages: Sequence[str]) -> str:
+    """Return the command that installs the packages, for a person to run."""
+    return f"sudo apt-get install --no-install-recommends {' '.join(packages)}"
+
+
+def apt_provide(packages: Sequence[str]) -> None:
+    """Make packages available: install them as root, otherwise unpack them and what they depend on under `SYSTEM`.
+
+    Raises
+    ------
+    StopError
+        The packages could not be had; the sentence has the line that installs them.
+    """
+    if os.geteuid() == 0:
+        _install(packages)
+    else:
+        _unpack(packages)
+
+
+def _install(packages: Sequence[str]) -> None:
+    say(f"Installing system packages (apt-get install): {' '.join(packages)}")
+    environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+    # Its failure is not final: one unreachable source among many is common. The install tells.
+    _run(["apt-get", "update", "-qq"], environment)
+    command = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "-o", "DPkg::Lock::Timeout=300", *packages]
+    failed = _run(command, environment)
+    if failed.returncode:
+        raise _failure(packages, failed)
+
+
+def _unpack(packages: Sequence[str]) -> None:
+    say(f"Unpacking system packages into {SYSTEM} (no root needed): {' '.join(packages)}")
+    own = _own_folders(SYSTEM / "apt")
+    _run(["apt-get", *own, "update", "-qq"])
+    plan = _run(["apt-get", *own, "install", "--simulate", "--no-install-recommends", *packages])
+    if plan.returncode:
+        raise _failure(packages, plan)
+    archives = SYSTEM / "apt" / "archives"
+    for name, version in re.findall(r"^Inst (\S+) (?:\[\S+\] )?\((\S+)", plan.stdout, re.MULTILINE):
+        if name.partition(":")[0] in NEVER_UNPACKED:
+            continue
+        fetched = _run(["apt-get", *own, "download", f"{name}={version}"], folder=archives)
+        if fetched.returncode:
+            raise _failure(packages, fetched)
+    for archive in sorted(archives.glob("*.deb")):
+        done = _run(["dpkg-deb", "-x", str(archive), str(SYSTEM)])
+        if done.returncode:
+            raise _failure(packages, done)
+    shutil.rmtree(SYSTEM / "apt")
+
+
+def _own_folders(folder: Path) -> list[str]:
+    """Options that keep apt's lists and downloads out of the system's folders, which only root may write."""
+    for part in ("lists/partial", "archives/partial"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    return ["-o", f"Dir::State::lists={folder}/lists", "-o", f"Dir::Cache={folder}", "-o", "Debug::NoLocking=true"]
+
+
+def _run(
+    command: Sequence[str], environment: dict[str, str] | None = None, folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    english = (environment or dict(os.environ)) | {"LC_ALL": "C"}
+    return subprocess.run(
+        command, env=english, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+
+
+def _failure(packages: Sequence[str], failed: subprocess.CompletedProcess[str]) -> StopError:
+    said = (failed.stderr or failed.stdout).strip().splitlines()
+    reason = said[-1] if said else f"exit code {failed.returncode}"
+    return StopError(
+        f"System packages are missing and apt-get could not provide them: {reason}\n"
+        f"Check the network, or install them by hand:  {apt_line(packages)}"
+    )

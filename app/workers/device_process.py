@@ -1,4 +1,4 @@
-"""A process that serves links: started and read without ever blocking the window.
+"""The process that simulates devices: kept, read and told what the guide shows, without ever blocking the window.
 
 It prints one line of JSON that names its links, and, where it simulates them, its taxels; it runs until its standard input
 closes. On that input a simulated operator is told what the guide shows (`skincal/simulate/orders.py`).
@@ -7,11 +7,13 @@ closes. On that input a simulated operator is told what the guide shows (`skinca
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
+from pathlib import Path
 
-from PySide6.QtCore import QObject, QProcess, Signal
+from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, Signal
 
-from app.child import child_environment
+import skincal
 
 STOP_MS = 700
 """The process gets this long to end by itself after its input closed, before it is terminated."""
@@ -23,7 +25,7 @@ SPEAKER = "skincal: "
 """What such a sentence begins with."""
 
 
-class LinkServer(QObject):
+class DeviceProcess(QObject):
     """One process; `served` once it said its links, `failed` where it did not or ended by itself."""
 
     served = Signal(object)
@@ -43,7 +45,11 @@ class LinkServer(QObject):
 
     def start(self, command: Sequence[str]) -> None:
         """Start the process; returns at once."""
-        self._process.setProcessEnvironment(child_environment())
+        environment = QProcessEnvironment.systemEnvironment()
+        # The process finds the package where this one did.
+        paths = [str(Path(skincal.__file__).resolve().parent.parent), environment.value("PYTHONPATH")]
+        environment.insert("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+        self._process.setProcessEnvironment(environment)
         self._process.start(command[0], list(command[1:]))
 
     @property

@@ -8,19 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tools import apt, places
-from tools.words import OURS, StopError, say, say_over
+from tools import checkout, system
+from tools.checkout import OURS, StopError, say
 
-STAMP = places.VENV / "skincal-installed.txt"
-UNFINISHED = places.VENV / "skincal-unfinished.txt"
+STAMP = checkout.VENV / "skincal-installed.txt"
+UNFINISHED = checkout.VENV / "skincal-unfinished.txt"
+LOG = checkout.VENV / "install.log"
 OLDEST_GLIBC = (2, 34)
 """The locked packages for Linux are built for it: Debian 12, Ubuntu 22.04, Fedora 35 or later."""
 
@@ -54,7 +56,7 @@ def ensure(lock: Path) -> bool:
             if not is_ready(lock):
                 _install(lock)
     except OSError as error:
-        raise StopError(f"{places.VENV} could not be written: {error.strerror or error}.") from error
+        raise StopError(f"{checkout.VENV} could not be written: {error.strerror or error}.") from error
     return True
 
 
@@ -65,8 +67,8 @@ def is_ready(lock: Path) -> bool:
 
 def _venv_is_right() -> bool:
     """Whether `.venv` is whole and of the Python that runs this."""
-    configuration = places.VENV / "pyvenv.cfg"
-    if UNFINISHED.exists() or not places.interpreter().exists() or not configuration.exists():
+    configuration = checkout.VENV / "pyvenv.cfg"
+    if UNFINISHED.exists() or not checkout.interpreter().exists() or not configuration.exists():
         return False
     version = re.search(r"^version(?:_info)? *= *(\d+)\.(\d+)", configuration.read_text(encoding="utf-8"), re.MULTILINE)
     return version is not None and (int(version[1]), int(version[2])) == sys.version_info[:2]
@@ -82,45 +84,43 @@ def _install(lock: Path) -> None:
         _make_venv()
     STAMP.unlink(missing_ok=True)
     _provide_pip()
-    UNFINISHED.unlink(missing_ok=True)
-    say(f"Installing the Python packages of {lock.name} into {places.VENV} (once; a few hundred MB to fetch) ...")
+    say(f"Installing the Python packages of {lock.name} into {checkout.VENV} (once; a few hundred MB to fetch) ...")
     _pip_install(lock)
     _add_checkout()
-    held = (places.RUN_LOCK, places.TEST_LOCK) if lock == places.TEST_LOCK else (lock,)
+    held = (checkout.RUN_LOCK, checkout.TEST_LOCK) if lock == checkout.TEST_LOCK else (lock,)
     STAMP.write_text("\n".join(_stamp_line(each) for each in held) + "\n", encoding="utf-8")
-    UNFINISHED.unlink(missing_ok=True)
 
 
 def _make_venv() -> None:
     try:
         import venv
     except ImportError:
-        raise StopError(f"This Python has no venv module. Install it:  {apt.line_for(['python3-venv'])}") from None
-    say(f"Making a Python {sys.version_info.major}.{sys.version_info.minor} environment in {places.VENV} ...")
-    venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(places.VENV)
-    UNFINISHED.touch()  # until pip is in it
+        raise StopError(f"This Python has no venv module. Install it:  {system.apt_line(['python3-venv'])}") from None
+    say(f"Making a Python {sys.version_info.major}.{sys.version_info.minor} environment in {checkout.VENV} ...")
+    venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(checkout.VENV)
+    UNFINISHED.touch()
 
 
 def _provide_pip() -> None:
     """Put pip into `.venv`, also where Debian's Python came without it."""
     if _python("-c", "import pip").returncode == 0 or _python("-m", "ensurepip").returncode == 0:
         return
-    if not apt.is_here():
+    if not system.has_apt():
         raise StopError("This Python comes without pip (module ensurepip). Install your system's package for pip and venv.")
     if os.geteuid() == 0:
-        apt.provide([f"python{sys.version_info.major}.{sys.version_info.minor}-venv"], places.SYSTEM)
+        system.apt_provide([f"python{sys.version_info.major}.{sys.version_info.minor}-venv"])
         done = _python("-m", "ensurepip")
     else:
-        apt.provide(["python3-pip-whl"], places.SYSTEM)
-        wheel = next((places.SYSTEM / "usr" / "share" / "python-wheels").glob("pip-*.whl"))
+        system.apt_provide(["python3-pip-whl"])
+        wheel = next((checkout.SYSTEM / "usr" / "share" / "python-wheels").glob("pip-*.whl"))
         done = _python("-m", "pip", "install", "--quiet", "--no-index", str(wheel), PYTHONPATH=str(wheel))
     if done.returncode:
-        raise StopError(f"pip could not be put into {places.VENV}:\n{done.stdout}{done.stderr}", OURS)
+        raise StopError(f"pip could not be put into {checkout.VENV}:\n{done.stdout}{done.stderr}", OURS)
 
 
 def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [places.interpreter(), "-P", *arguments],
+        [checkout.interpreter(), "-P", *arguments],
         env=_pip_environment() | variables,
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -135,72 +135,55 @@ def _pip_environment() -> dict[str, str]:
 
 
 def _pip_install(lock: Path) -> None:
-    command = [places.interpreter(), "-P", "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
-    command += ["--retries", "2", "--progress-bar", "off", "-r", lock]
-    with (
-        places.LOG.open("w", buffering=1, encoding="utf-8") as log,
-        subprocess.Popen(
-            command,
-            env=_pip_environment(),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            close_fds=False,  # pip holds the lock too, should it outlive this process
-        ) as pip,
-    ):
-        assert pip.stdout is not None
-        log.writelines(_told(pip.stdout))
-    if pip.returncode:
-        raise _pip_failure(places.LOG.read_text(encoding="utf-8"))
-
-
-def _told(lines: Iterable[str]) -> Iterator[str]:
-    """Pass pip's lines on, tell how far it is, and mark `.venv` as unfinished once pip begins to change it."""
-    count = 0
-    for line in lines:
-        if line.startswith("Collecting "):
-            count += 1
-            say_over(f"  {count}: {line.split()[1]}")
-        elif line.startswith("Installing collected packages"):
-            UNFINISHED.touch()  # up to here nothing was changed
-            say_over("  unpacking")
-        yield line
-    say_over("")
+    """Let pip say on the terminal how far it is, and in the log all that it has to say."""
+    LOG.unlink(missing_ok=True)
+    UNFINISHED.touch()
+    command = [checkout.interpreter(), "-P", "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
+    command += ["--retries", "2", "--log", LOG, "-r", lock]
+    failed, log = OURS, ""
+    try:
+        # pip holds the lock of the checkout, too, should it outlive this process.
+        failed = subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
+    finally:
+        log = LOG.read_text(encoding="utf-8", errors="replace") if LOG.exists() else ""
+        if not failed or "Installing collected packages" not in log:
+            UNFINISHED.unlink()  # up to there it changes nothing
+    if failed:
+        raise _pip_failure(log)
 
 
 def _pip_failure(log: str) -> StopError:
     if "No space left on device" in log:
-        return StopError(f"The disk is full: {places.VENV} needs about 1.3 GB. Free some space and run this again.")
+        return StopError(f"The disk is full: {checkout.VENV} needs about 1.3 GB. Free some space and run this again.")
     if any(sign in log for sign in NETWORK_SIGNS):
         return StopError(
             "The Python package index could not be reached, so packages are missing.\n"
             "Connect this machine to the network (or set PIP_INDEX_URL, PIP_FIND_LINKS or a proxy) and run this again."
         )
     if "DO NOT MATCH THE HASHES" in log:
-        return StopError(f"A fetched package is not the one that was tested with this version: see {places.LOG}.")
+        return StopError(f"A fetched package is not the one that was tested with this version: see {LOG}.")
     unknown = re.search(r"No matching distribution found for (\S+)", log)
     if unknown:
-        return StopError(f"There is no {unknown[1]} for this kind of machine, or the network is filtered: see {places.LOG}.")
-    return StopError(f"pip failed; {places.LOG} has all it said. It ended with:\n" + "\n".join(log.splitlines()[-5:]), OURS)
+        return StopError(f"There is no {unknown[1]} for this kind of machine, or the network is filtered: see {LOG}.")
+    return StopError(f"pip failed; {LOG} has all it said. It ended with:\n" + "\n".join(log.splitlines()[-5:]), OURS)
 
 
 def _add_checkout() -> None:
     """Let this environment find `app` and `skincal`, also from other folders and in child processes; compile them."""
-    relative = os.path.relpath(places.CHECKOUT, places.site_packages())  # survives a move of the whole checkout
-    (places.site_packages() / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    packages = checkout.VENV / ("Lib" if os.name == "nt" else f"lib/{version}") / "site-packages"
+    relative = os.path.relpath(checkout.CHECKOUT, packages)  # survives a move of the whole checkout
+    (packages / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
     _add_command()
-    _python("-m", "compileall", "-q", *(str(places.CHECKOUT / name) for name in ("app", "skincal")))
+    _python("-m", "compileall", "-q", *(str(checkout.CHECKOUT / name) for name in ("app", "skincal")))
 
 
 def _add_command() -> None:
     """Put `skincal` into `.venv`: it is `start.py`, so that it finds unpacked system libraries and follows a new lock."""
     if os.name == "nt":
-        places.interpreter().with_name("skincal.cmd").write_text(WINDOWS_COMMAND, encoding="utf-8")
+        checkout.interpreter().with_name("skincal.cmd").write_text(WINDOWS_COMMAND, encoding="utf-8")
         return
-    command = places.interpreter().with_name("skincal")
+    command = checkout.interpreter().with_name("skincal")
     command.write_text(COMMAND, encoding="utf-8")
     command.chmod(0o755)
 
@@ -215,10 +198,7 @@ WINDOWS_COMMAND = '@"%~dp0python.exe" "%~dp0..\\..\\start.py" %*\n'
 def _require_glibc() -> None:
     if not sys.platform.startswith("linux"):
         return
-    try:
-        name, _, version = (os.confstr("CS_GNU_LIBC_VERSION") or "").partition(" ")
-    except (ValueError, OSError):
-        name, version = "", ""
+    name, version = platform.libc_ver()
     found = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
     if name != "glibc" or found < OLDEST_GLIBC:
         raise StopError(
@@ -230,7 +210,7 @@ def _require_glibc() -> None:
 @contextmanager
 def _alone() -> Iterator[None]:
     """Wait while another start of the same checkout installs."""
-    with (places.CHECKOUT / ".venv.lock").open("w", encoding="utf-8") as handle:
+    with (checkout.CHECKOUT / ".venv.lock").open("w", encoding="utf-8") as handle:
         os.set_inheritable(handle.fileno(), True)
         waiting = False
         while not _held(handle.fileno()):

@@ -1,0 +1,41 @@
+"""What tests have a process do; it imports this module, and nothing of Qt."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+from skincal.model.errors import InputError
+
+
+def own_pid(_wanted):
+    return os.getpid()
+
+
+def double(number, _wanted):
+    return 2 * number
+
+
+def refuse(sentence, _wanted):
+    raise InputError(sentence)
+
+
+def end_once(path, _wanted):
+    """End the process the first time, as where somebody kills it."""
+    if not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(60)
+    return "the second time"
+
+
+def end(_wanted):
+    os._exit(3)
+
+
+def until_unwanted(path, wanted):
+    path.touch()
+    while wanted():
+        time.sleep(0.001)
+    return "unwanted"
