@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-
 from app.plan import server_command
+
 from skincal.model.scene import resource
 from tools import places, python_env
 

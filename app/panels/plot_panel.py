@@ -9,8 +9,8 @@ from PySide6.QtCore import QTimer
 from PySide6.QtGui import QHideEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
-from app.frame import Frame
 from app.panels.texts import quiet
+from app.state.view_state import ViewState
 from app.theme import GAP
 
 POLL_MS = 30
@@ -27,7 +27,7 @@ class PlotPanel(QWidget):
         super().__init__(parent)
         self.ready = False
         """Whether the plots are there."""
-        self._frame: Frame | None = None
+        self._state: ViewState | None = None
         self._importer: threading.Thread | None = None
         self._failure = ""
         self._poll = QTimer(self)
@@ -44,8 +44,8 @@ class PlotPanel(QWidget):
         """Make the plots, with the colours that hold; pyqtgraph is imported."""
         raise NotImplementedError
 
-    def draw_frame(self, frame: Frame) -> None:
-        """Show a frame on the plots."""
+    def draw_state(self, state: ViewState) -> None:
+        """Show a tick on the plots."""
         raise NotImplementedError
 
     def hideEvent(self, event: QHideEvent) -> None:
@@ -53,11 +53,11 @@ class PlotPanel(QWidget):
         self._poll.stop()
         super().hideEvent(event)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show a frame; before there is anything to show nothing is loaded, so that the 3D view comes first."""
-        self._frame = frame
+    def show_state(self, state: ViewState) -> None:
+        """Show a tick; before there is anything to show nothing is loaded, so that the 3D view comes first."""
+        self._state = state
         if self.ready:
-            self.draw_frame(frame)
+            self.draw_state(state)
         elif not self._poll.isActive() and self.isVisible() and not self._failure:
             self._load()
 
@@ -85,5 +85,5 @@ class PlotPanel(QWidget):
         self.ready = True
         self._label.hide()
         self._column.addWidget(plots, 1)
-        if self._frame is not None:
-            self.draw_frame(self._frame)
+        if self._state is not None:
+            self.draw_state(self._state)

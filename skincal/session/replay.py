@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from skincal.journal.lock import SessionLock
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, with_layout
-from skincal.session.actions import Stamped
+from skincal.session.actions import FoundAtLandmark, Stamped
 from skincal.session.journal import Ending, open_segment
 from skincal.session.log import LogItem, LogState, SegmentMark, SessionLog, find_segments
 from skincal.session.recovery import recover_session
@@ -154,7 +154,9 @@ def step(road: Road, item: LogItem) -> None:
         if item.number > 1:
             road.begin_segment(item.links)
     elif isinstance(item, Stamped):
-        road.act(item.action, item.host_ns)
+        # The bytes and what was asked for lead to these again.
+        if not isinstance(item.action, FoundAtLandmark):
+            road.act(item.action, item.host_ns)
     elif isinstance(item, Ending):
         road.put_down(item.host_ns)
     else:
