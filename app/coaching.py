@@ -13,11 +13,14 @@ from enum import Enum
 import numpy as np
 
 from app.display_units import ChannelNames, degrees, millimetres, newtons
-from app.frame import Frame
 from app.guide_words import ASIDE, BETWEEN, STRAIGHT, Lean, lean_along
-from skincal.contacts.outcome import PressPhase
-from skincal.guide.coaching import Coaching, leeway
+from app.scene3d.entry import skin_point
+from app.state.view_state import ViewState
+from skincal.contacts.outcome import PressPhase, Progress
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.coaching import Coaching, Smoothed, coach, leeway, smooth
 from skincal.guide.guidance import Guidance, Target
+from skincal.mesh.surface import Surface
 
 COACH_S = 0.25
 """s. A hint is said once it held for so long: a hand that holds still before needs none, one that searches does."""
@@ -33,6 +36,34 @@ ELSEWHERE = 0.015
 """m. A tip this far off, three taxels, is on another one on purpose: it counts there, and there is nothing to say."""
 SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
 """rad and m. A number that changes by less is not said anew."""
+
+
+class PressCoach:
+    """Follows a poke in progress beside the one that is asked for.
+
+    Parameters
+    ----------
+    surface : of the part; None where the scene has none
+    """
+
+    def __init__(self, surface: Surface | None) -> None:
+        self._surface = surface
+        self._smoothed: Smoothed | None = None
+        self._skin: tuple[Target, FloatArray] | None = None
+        """The target and its place on the skin, (3,) float, metres."""
+        self.coaching: Coaching | None = None
+        """None while nothing presses, or nobody guides."""
+
+    def follow(self, progress: Progress, target: Target | None) -> None:
+        """Take the newest reading; `target` is None where nobody guides."""
+        self._smoothed = smooth(self._smoothed, progress)
+        # What a rig's errors make of a tip on a landmark is what is to be found: nobody is told to aim by it.
+        if target is None or target.landmark or self._smoothed is None:
+            self.coaching = None
+            return
+        if self._skin is None or self._skin[0] is not target:
+            self._skin = target, skin_point(self._surface, target.place, target.normal)
+        self.coaching = coach(self._smoothed, progress, target, self._skin[1])
 
 
 class Force(Enum):
@@ -77,7 +108,7 @@ SILENT = CoachMemory()
 """Nothing was said yet."""
 
 
-def follow(memory: CoachMemory, at: Frame) -> CoachMemory:
+def follow(memory: CoachMemory, at: ViewState) -> CoachMemory:
     """Return what is to be said now: the force at once, a hint once it held, none while the poke counts."""
     memory = replace(memory, force=_force(memory.force, at))
     if at.live.progress.phase is not PressPhase.PRESSING:
@@ -92,7 +123,7 @@ def follow(memory: CoachMemory, at: Frame) -> CoachMemory:
     return memory
 
 
-def _force(said: Force, at: Frame) -> Force:
+def _force(said: Force, at: ViewState) -> Force:
     progress, limits = at.live.progress, at.scene.contacts
     size = float(np.linalg.norm(progress.force))
     # What is held still is hard enough: it counts.
@@ -101,7 +132,7 @@ def _force(said: Force, at: Frame) -> Force:
     return Force.HIGH if size > limits.force_max - (FORCE_BACK if said is Force.HIGH else 0.0) else Force.RIGHT
 
 
-def _hint(said: Hint | None, at: Frame) -> Hint | None:
+def _hint(said: Hint | None, at: ViewState) -> Hint | None:
     """Return what this moment alone asks for; what is said already is let go a little later than it began."""
     told, target, guidance = at.coaching, at.target, at.guidance
     if told is None or target is None or guidance is None or told.away > ELSEWHERE:
@@ -160,7 +191,7 @@ def pressing_words(told: Coaching | None, target: Target | None, names: ChannelN
     return f"aim {millimetres(told.away)}{BETWEEN}{tilt}"
 
 
-def force_words(memory: CoachMemory, at: Frame) -> tuple[str, str]:
+def force_words(memory: CoachMemory, at: ViewState) -> tuple[str, str]:
     """Return what to do about the force and its number beside the limit; empty where the force is right."""
     force, limits = newtons(float(np.linalg.norm(at.live.progress.force))), at.scene.contacts
     if memory.force is Force.LOW:

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QMenuBar
 from app.theme import Choice
 
 if TYPE_CHECKING:
-    from app.policies import Allowed
+    from app.state.policies import Allowed
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +159,13 @@ class Commands(QObject):
             for key in action.shortcuts()
         }
 
-    def follow(self, may: Allowed, *, can_keep: bool) -> None:
-        """Enable what may be done, and name it."""
+    def follow(self, may: Allowed, correct: str, *, can_keep: bool) -> None:
+        """Enable what may be done, and name it.
+
+        Parameters
+        ----------
+        correct : name of the correction that is offered; empty where none is
+        """
         actions = self.actions
         _set(actions["undo"], bool(may.undo), f"Undo {may.undo}".strip())
         exclude = bool(may.exclude or may.unname)
@@ -175,7 +180,7 @@ class Commands(QObject):
             may.mark_dead or may.revive,
             "Use selected taxel again" if may.revive else "Do not use selected taxel",
         )
-        _set(actions["correct"], bool(may.correct), may.correct or CORRECT)
+        _set(actions["correct"], bool(correct), correct or CORRECT)
         _set(actions["space"], bool(may.space), may.space or "Pause")
         _set(actions["pause"], bool(may.pause), may.pause or "Pause")
         for name, enabled in (

@@ -1,6 +1,6 @@
 """Sets of places that can be laid over each other: the layout, each method, and each method before and after a correction.
 
-Pure: which sets there are and what they hold follows from a frame. Places stand in the order of the part's channels.
+Pure: which sets there are and what they hold follows from the views' state. Places stand in the order of the part's channels.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from app.frame import Frame
+from app.state.view_state import ViewState
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.session.review import Review
 from skincal.taxels.differences import places_of
@@ -85,24 +85,24 @@ class Places:
         """Whether the layout has a place on the part."""
         return self._laid is not None
 
-    def find(self, source: Source, frame: Frame) -> FloatArray:
-        """Return the places of a source in a frame, (n, 3) float, metres, link frame; NaN where unknown."""
+    def find(self, source: Source, state: ViewState) -> FloatArray:
+        """Return the places of a source at a tick, (n, 3) float, metres, link frame; NaN where unknown."""
         if source.method is None:
             return self._unknown() if self._laid is None else self._laid
-        review = frame.review
+        review = state.review
         reviewed = None if review is None else _reviewed(source, source.method, review)
-        told = frame.snapshot.estimates.get(source.method, ()) if reviewed is None else reviewed
+        told = state.snapshot.estimates.get(source.method, ()) if reviewed is None else reviewed
         kept, places = self._kept.get(source, (None, None))
         if kept is not told or places is None:
             if review is None or reviewed is None:
-                places = self._worked_out(source.method, frame)
+                places = self._worked_out(source.method, state)
             else:
                 places = self._in_order(review.channels, reviewed)
             self._kept[source] = told, places
         return places
 
-    def _worked_out(self, method: Method, frame: Frame) -> FloatArray:
-        estimates = frame.snapshot.estimates.get(method, ())
+    def _worked_out(self, method: Method, state: ViewState) -> FloatArray:
+        estimates = state.snapshot.estimates.get(method, ())
         return places_of(estimates) if len(estimates) == len(self.channels) else self._unknown()
 
     def _in_order(self, channels: IntArray, found: FloatArray) -> FloatArray:

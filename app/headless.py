@@ -51,7 +51,7 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
 def _simulate(scene_path: Path, out: Path) -> Road:
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene
-    from skincal.simulate.rig import RigErrors
+    from skincal.simulate.faults import RigErrors
     from skincal.simulate.session import simulate_session
 
     scene = load_scene(scene_path)

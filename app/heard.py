@@ -16,11 +16,10 @@ import math
 from dataclasses import dataclass, replace
 
 from app.earcons import Sound
-from app.frame import Frame
 from app.guide_words import newly_done
-from app.policies import is_news, newest_outcome
-from app.running import Running
-from app.words import LinkLook
+from app.state.policies import is_news, newest_outcome
+from app.state.running import Running
+from app.state.view_state import LinkLook, ViewState
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.coaching import PRESSING
 from skincal.guide.guidance import Guidance, GuidePhase
@@ -61,10 +60,10 @@ class Ear:
         return Ear(outcome=newest_outcome(snapshot))
 
 
-def heard(ear: Ear, at: Frame) -> tuple[Heard | None, Ear]:
+def heard(ear: Ear, at: ViewState) -> tuple[Heard | None, Ear]:
     """Return the sound that is due now, None where none is, and what has to be remembered."""
     phase = at.live.progress.phase
-    lost = frozenset(link.name for link in at.links if link.look is LinkLook.LOST)
+    lost = frozenset(link.link for link in at.live.links if at.look(link) is LinkLook.LOST)
     newest = newest_outcome(at.snapshot) or ear.outcome
     following = Ear(
         outcome=newest,

@@ -17,11 +17,11 @@ from types import TracebackType
 from PySide6.QtCore import QMetaObject, QObject, QSettings, QStandardPaths, Qt, QTimer, Signal
 from PySide6.QtWidgets import QApplication
 
-from app.controller import Controller
-from app.panels.message_bar import Message
-from app.plan import Addresses, Plan, check_addresses, dated_folder, find_scene, server_command
 from app.scene3d.probe import best_canvas
+from app.session.controller import Controller
+from app.session.open_request import Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
 from app.sound import Player
+from app.text.message import Message
 from app.theme import Choice, Theme
 from app.window import Window
 from skincal.model.errors import InputError
@@ -42,7 +42,7 @@ def documents_folder() -> Path:
     return Path(place or Path.home()) / "skincal"
 
 
-def plan_of(options: argparse.Namespace) -> Plan:
+def plan_of(options: argparse.Namespace) -> OpenRequest:
     """Return what to open for the options of the command line.
 
     Raises
@@ -55,7 +55,7 @@ def plan_of(options: argparse.Namespace) -> Plan:
     if options.session is not None:
         if not options.session.is_dir():
             raise InputError(f"{options.session}: there is no such folder; expected that of a recorded session.")
-        return Plan(session=options.session, addresses=addresses)
+        return OpenRequest(session=options.session, addresses=addresses)
     # The usual scene is looked up later, beside the window: that takes longer than the window itself.
     scene = None if options.scene is None else find_scene(options.scene)
     if scene is not None and not scene.is_file():
@@ -63,7 +63,7 @@ def plan_of(options: argparse.Namespace) -> Plan:
     folder = options.new
     if folder is None and addresses:
         folder = dated_folder(documents_folder(), datetime.now().astimezone())
-    return Plan(scene=scene, addresses=addresses, server=server_command(scene), folder=folder)
+    return OpenRequest(scene=scene, addresses=addresses, server=server_command(scene), folder=folder)
 
 
 class Faults(QObject):
@@ -111,7 +111,7 @@ def start_log() -> Path:
     return path
 
 
-def run_window(plan: Plan, player: Player | None = None) -> int:
+def run_window(plan: OpenRequest, player: Player | None = None) -> int:
     """Open the window and return the exit code once it is closed: 1 where a fault of the program happened.
 
     Parameters
@@ -146,7 +146,7 @@ def run_window(plan: Plan, player: Player | None = None) -> int:
     return 1 if faults.count else 0
 
 
-def _begin(controller: Controller, plan: Plan) -> None:
+def _begin(controller: Controller, plan: OpenRequest) -> None:
     start_log()
     controller.open(plan)
     # While the scene is read beside it the window has nothing else to do; later it would stand still for this.

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from app.display_units import count, millimetres, minutes
-from app.rig_offers import Offer, used_words
+from app.state.rig_review import Offer
+from app.text.rig import offer_words, used_words
 from app.words import METHOD_NAMES
 from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import Left, Verdict
@@ -90,7 +91,7 @@ def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: R
     review : what pokes at landmarks tell; None while nothing does
     """
     if offers:
-        return f"{offers[0].words} C uses that, the Rig tab says more."
+        return f"{offer_words(offers[0])} C uses that, the Rig tab says more."
     in_use = " ".join(used_words(one) for one in used)
     if in_use:
         return in_use

@@ -1,6 +1,6 @@
-"""The main window: on the screen within a moment, then filled with a desk when a session is there.
+"""The main window: on the screen within a moment, then filled with a session view when a session is there.
 
-It imports nothing heavy. What concerns a session is the desk's; here are the menus, the messages, and coming and going.
+It imports nothing heavy. What concerns a session is the session view's; here are the menus, the messages, and coming and going.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QFileDialog, QLabel, QMainWindow, QMessageBox, QStackedWidget, QVBoxLayout, QWhatsThis, QWidget
 
 from app.commands import Commands, key_words
-from app.controller import Controller
-from app.panels.message_bar import Message, MessageBar
+from app.panels.message_bar import MessageBar
 from app.panels.texts import ElidedLabel
 from app.pedal import Pedals
-from app.plan import Plan, dated_folder
-from app.running import Running
+from app.session.controller import Controller
+from app.session.open_request import OpenRequest, dated_folder
 from app.sound import Player
+from app.state.running import Running
+from app.text.message import Message
 from app.theme import GAP, Choice, Colours, Theme
 
 if TYPE_CHECKING:
-    from app.controller import Picture
-    from app.desk import Desk
     from app.heard import Heard
-    from app.opening import Part
+    from app.session.controller import Tick
+    from app.session_view import SessionView
     from skincal.files.reference import Reference
+    from skincal.session.part import Part
     from skincal.session.review import Review
     from skincal.session.snapshot import Snapshot
 
@@ -62,7 +63,7 @@ class Window(QMainWindow):
         self._settings = settings
         self._documents = documents
         self._player = player
-        self.desk: Desk | None = None
+        self.session_view: SessionView | None = None
         self.messages = MessageBar()
         self.stack = QStackedWidget()
         self.opening = QLabel()
@@ -78,41 +79,41 @@ class Window(QMainWindow):
             "new": self.ask_new,
             "open": self.ask_session,
             "keep": self.controller.keep,
-            "export": self._of_desk(lambda desk: desk.ask_export(self)),
-            "reference": self._of_desk(lambda desk: desk.ask_reference(self)),
-            "picture": self._of_desk(lambda desk: desk.ask_picture(self)),
+            "export": self._of_session(lambda view: view.ask_export(self)),
+            "reference": self._of_session(lambda view: view.ask_reference(self)),
+            "picture": self._of_session(lambda view: view.ask_picture(self)),
             "quit": self.close,
             "space": self._do_obvious,
             "pause": self.controller.toggle,
-            "verdict": self._of_desk(lambda desk: desk.ask_verdict(self)),
-            "another": self._of_desk(lambda desk: desk.skip_target()),
-            "correct": self._of_desk(lambda desk: desk.correct()),
-            "no landmarks": self._of_desk(lambda desk: desk.skip_landmarks()),
-            "undo": self._of_desk(lambda desk: desk.undo()),
-            "exclude": self._of_desk(lambda desk: desk.exclude_or_restore()),
-            "last": self._of_desk(lambda desk: desk.select_last()),
-            "dead": self._of_desk(lambda desk: desk.mark_or_revive()),
-            "method": self._of_desk(lambda desk: desk.next_method()),
-            "difference": self._of_desk(lambda desk: desk.show_difference()),
-            "guide": self._of_desk(lambda desk: desk.show_guide()),
+            "verdict": self._of_session(lambda view: view.ask_verdict(self)),
+            "another": self._of_session(lambda view: view.skip_target()),
+            "correct": self._of_session(lambda view: view.correct()),
+            "no landmarks": self._of_session(lambda view: view.skip_landmarks()),
+            "undo": self._of_session(lambda view: view.undo()),
+            "exclude": self._of_session(lambda view: view.exclude_or_restore()),
+            "last": self._of_session(lambda view: view.select_last()),
+            "dead": self._of_session(lambda view: view.mark_or_revive()),
+            "method": self._of_session(lambda view: view.next_method()),
+            "difference": self._of_session(lambda view: view.show_difference()),
+            "guide": self._of_session(lambda view: view.show_guide()),
             "sounds": self._switch_sounds,
             "speech": self._switch_sounds,
-            "turn": self._of_desk(lambda desk: desk.show_turning()),
-            "camera": self._of_desk(lambda desk: desk.reset_camera()),
+            "turn": self._of_session(lambda view: view.show_turning()),
+            "camera": self._of_session(lambda view: view.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,
             "what": QWhatsThis.enterWhatsThisMode,
             "keys": self._show_keys,
             "pedals": self.ask_pedals,
-            "landmark": self._of_desk(lambda desk: desk.ask_landmark(self)),
+            "landmark": self._of_session(lambda view: view.ask_landmark(self)),
         }
 
-    def _of_desk(self, do: Callable[[Desk], Any]) -> Callable[[], None]:
-        """Return what does something with the desk, if there is one."""
+    def _of_session(self, do: Callable[[SessionView], Any]) -> Callable[[], None]:
+        """Return what does something with the session view, if there is one."""
 
         def slot() -> None:
-            if self.desk is not None:
-                do(self.desk)
+            if self.session_view is not None:
+                do(self.session_view)
 
         return slot
 
@@ -144,9 +145,10 @@ class Window(QMainWindow):
 
     def _connect(self) -> None:
         controller = self.controller
+        controller.prepare = _prepare
         controller.part_loaded.connect(self._take_part)
         controller.session_opened.connect(self._take_session)
-        controller.ticked.connect(self._take_picture)
+        controller.ticked.connect(self._take_tick)
         controller.running_changed.connect(self._running_changed)
         controller.said.connect(self.tell)
         controller.truth_found.connect(self._take_truth)
@@ -159,57 +161,56 @@ class Window(QMainWindow):
     # What the controller says
 
     def _take_part(self, part: Part) -> None:
-        from app.desk import Desk
+        from app.session_view import SessionView
 
-        self._drop_desk()
-        desk = Desk(part, self.controller, self.commands, self._documents, parent=self)
-        self.desk = desk
-        desk.said.connect(self.tell)
-        desk.heard.connect(self._play)
-        desk.unsaid.connect(self.messages.withdraw)
-        desk.marking.unsaid.connect(self.messages.withdraw)
+        self._drop_session()
+        session_view = SessionView(part, self.controller, self.commands, self._documents, parent=self)
+        self.session_view = session_view
+        session_view.said.connect(self.tell)
+        session_view.heard.connect(self._play)
+        session_view.unsaid.connect(self.messages.withdraw)
+        session_view.picking.unsaid.connect(self.messages.withdraw)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
         # Making the panels, laying them out and showing them each take half of what a window may stand still.
-        QTimer.singleShot(0, desk, lambda: self._arrange_desk(desk))
+        QTimer.singleShot(0, session_view, lambda: self._arrange_session(session_view))
 
-    def _arrange_desk(self, desk: Desk) -> None:
-        if desk is self.desk:
-            desk.workspace.arrange()
-            QTimer.singleShot(0, desk, lambda: self._show_desk(desk))
+    def _arrange_session(self, session_view: SessionView) -> None:
+        if session_view is self.session_view:
+            session_view.workspace.arrange()
+            QTimer.singleShot(0, session_view, lambda: self._show_session(session_view))
 
-    def _show_desk(self, desk: Desk) -> None:
-        if desk is self.desk:
-            desk.restore(self._settings)
-            desk.set_colours(self._theme.colours)
-            self.statusBar().addPermanentWidget(desk.chips)
-            self.stack.addWidget(desk.workspace)
-            self.stack.setCurrentWidget(desk.workspace)
-            desk.begin()
+    def _show_session(self, session_view: SessionView) -> None:
+        if session_view is self.session_view:
+            session_view.restore(self._settings)
+            session_view.set_colours(self._theme.colours)
+            self.statusBar().addPermanentWidget(session_view.chips)
+            self.stack.addWidget(session_view.workspace)
+            self.stack.setCurrentWidget(session_view.workspace)
+            session_view.begin()
 
     def _take_session(self, snapshot: Snapshot) -> None:
-        if self.desk is not None:
-            self.desk.session_opened(snapshot)
+        if self.session_view is not None:
+            self.session_view.session_opened(snapshot)
             self._player.get_ready()
 
     def _take_truth(self, truth: Reference) -> None:
-        if self.desk is not None:
-            self.desk.offer(truth)
+        if self.session_view is not None:
+            self.session_view.offer(truth)
 
     def _take_review(self, review: Review | None) -> None:
-        if self.desk is not None:
-            self.desk.take_review(review)
+        if self.session_view is not None:
+            self.session_view.take_review(review)
 
-    def _take_picture(self, picture: Picture) -> None:
-        if self.desk is not None:
-            self.desk.take_picture(picture)
+    def _take_tick(self, tick: Tick) -> None:
+        if self.session_view is not None:
+            self.session_view.take_tick(tick)
 
     def _running_changed(self, running: Running) -> None:
         self._show_opening()
-        if self.desk is not None:
-            if running is Running.OFFLINE and self.desk.frame is None:
-                self.desk.workspace.wait("nothing to show", "No device could be opened; Ctrl+N names others.")
-            self.desk.show_again()
-            self.desk.refresh_allowed()
+        if self.session_view is not None:
+            if running is Running.OFFLINE and self.session_view.state is None:
+                self.session_view.workspace.wait("nothing to show", "No device could be opened; Ctrl+N names others.")
+            self.session_view.follow_again()
 
     def _show_opening(self) -> None:
         opening = self.controller.running is Running.OPENING
@@ -224,8 +225,8 @@ class Window(QMainWindow):
 
     def _say_where(self, words: str) -> None:
         self.where.setText(words)
-        if self.desk is not None:
-            self.desk.refresh_allowed()
+        if self.session_view is not None:
+            self.session_view.refresh_allowed()
 
     def tell(self, message: Message) -> None:
         """Tell the operator something; errors are logged, too."""
@@ -235,8 +236,8 @@ class Window(QMainWindow):
 
     def _set_colours(self, colours: Colours) -> None:
         self.messages.set_colours(colours)
-        if self.desk is not None:
-            self.desk.set_colours(colours)
+        if self.session_view is not None:
+            self.session_view.set_colours(colours)
 
     def _choose_theme(self, choice: Choice) -> None:
         self._settings.setValue("theme", choice.value)
@@ -245,24 +246,24 @@ class Window(QMainWindow):
     # What the operator wants
 
     def _do_obvious(self) -> None:
-        if self.desk is not None and self.desk.ends:
-            self.desk.ask_verdict(self)
+        if self.session_view is not None and self.session_view.ends:
+            self.session_view.ask_verdict(self)
         else:
             self.controller.toggle()
 
     def _escape(self) -> None:
-        if self.desk is not None and self.desk.marking.waiting:
-            self.desk.marking.stop()
+        if self.session_view is not None and self.session_view.picking.waiting:
+            self.session_view.picking.stop()
         elif self.messages.isVisible():
             self.messages.dismiss()
-        elif self.desk is not None:
-            self.desk.select_nothing()
+        elif self.session_view is not None:
+            self.session_view.select_nothing()
 
     def _switch_sounds(self) -> None:
         """Play sounds, and say words, as the menu has it."""
         player, actions = self._player, self.commands.actions
         player.on, player.speaks = actions["sounds"].isChecked(), actions["speech"].isChecked()
-        if self.desk is not None:
+        if self.session_view is not None:
             player.get_ready()
 
     def _toggle_full(self) -> None:
@@ -278,7 +279,7 @@ class Window(QMainWindow):
         """Ask for a new session and open it."""
         from app.dialogs.new_session import NewSessionDialog
 
-        scene = None if self.desk is None else self.desk.workspace.part.scene.path
+        scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
         dialog = NewSessionDialog(scene, folder, self)
         dialog.plan_chosen.connect(self.open)
@@ -294,24 +295,24 @@ class Window(QMainWindow):
         """Ask for a recorded session and open it."""
         folder = QFileDialog.getExistingDirectory(self, "Folder of a recorded session", str(self._documents))
         if folder:
-            self.open(Plan(session=Path(folder)))
+            self.open(OpenRequest(session=Path(folder)))
 
-    def open(self, plan: Plan) -> None:
+    def open(self, plan: OpenRequest) -> None:
         """Open something in place of what is open."""
-        self._drop_desk()
+        self._drop_session()
         self.where.setText("")
         self.controller.open(plan)
 
     # Coming and going
 
-    def _drop_desk(self) -> None:
-        desk, self.desk = self.desk, None
-        if desk is not None:
-            desk.save(self._settings)
-            desk.close()
-            self.stack.removeWidget(desk.workspace)
-            self.statusBar().removeWidget(desk.chips)
-            for gone in (desk.workspace, desk.chips, desk):
+    def _drop_session(self) -> None:
+        session_view, self.session_view = self.session_view, None
+        if session_view is not None:
+            session_view.save(self._settings)
+            session_view.close()
+            self.stack.removeWidget(session_view.workspace)
+            self.statusBar().removeWidget(session_view.chips)
+            for gone in (session_view.workspace, session_view.chips, session_view):
                 gone.deleteLater()
 
     def closeEvent(self, event: QCloseEvent) -> None:
@@ -323,9 +324,14 @@ class Window(QMainWindow):
         self.pedals.stop()
         self.messages.stop()
         self.controller.stop()
-        if self.desk is not None:
-            self.desk.save(self._settings)
-            self.desk.close()
+        if self.session_view is not None:
+            self.session_view.save(self._settings)
+            self.session_view.close()
         self.controller.close()
         self._player.close()
         super().closeEvent(event)
+
+
+def _prepare() -> None:
+    """Import what shows a session: numpy and all that stands on it comes with it."""
+    import app.session_view  # noqa: F401

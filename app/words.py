@@ -9,14 +9,15 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
 from app.display_units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
+from app.state.policies import GOOD_RMS, Mark
+from app.state.view_state import LinkLook, ViewState, link_look
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.geometry.wrench import move_wrench, pitch
-from skincal.model.readings import LinkHealth, LinkState, is_silent
+from skincal.model.readings import LinkHealth
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 
@@ -39,6 +40,15 @@ ADVICE: Mapping[Reason, str] = {
 
 METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface", Method.MODULES: "modules"}
 
+
+MARK_WORDS: Mapping[Mark, str] = {
+    Mark.UNSEEN: "not poked yet",
+    Mark.BLIND: "axes do not determine it",
+    Mark.ROUGH: f"estimated, error above {GOOD_RMS * 1e3:.0f} mm",
+    Mark.GOOD: f"estimated, error up to {GOOD_RMS * 1e3:.0f} mm",
+    Mark.DONE: "done, the guide needs nothing more of it",
+    Mark.DEAD: "not used",
+}
 
 REASON_LETTERS = 36
 """Letters of a reason that large type has room for beside "rejected", in a window of 1280 pixels."""
@@ -195,18 +205,6 @@ def pokes_words(snapshot: Snapshot, why: str = "") -> str:
     return ", ".join(parts)
 
 
-class LinkLook(Enum):
-    """How a link is doing, as told by an icon's shape."""
-
-    STREAMING = "streaming"
-    WAITING = "waiting for data"
-    SILENT = "silent"
-    LOST = "lost"
-    ENDED = "ended"
-    AWAY = "not read"
-    """The program reads no devices now: paused, or only looking at a recording."""
-
-
 @dataclass(frozen=True, slots=True)
 class LinkWords:
     """What is said of a link."""
@@ -236,15 +234,9 @@ def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, co
     clock_offset : seconds to add to the monotonic clock for the time of day
     connected : the program reads its devices
     """
-    look = _look(health, now_ns) if connected else LinkLook.AWAY
+    look = link_look(health, now_ns, connected=connected)
     quiet_s = (now_ns - health.last_host_ns) * 1e-9
-    never = health.last_host_ns == 0
-    if never:
-        last = "nothing yet"
-    elif look is LinkLook.STREAMING:
-        last = age(quiet_s)
-    else:
-        last = time.strftime("%H:%M:%S", time.localtime(health.last_host_ns * 1e-9 + clock_offset))
+    last = age(quiet_s) if look is LinkLook.STREAMING else _last_words(health, clock_offset)
     shown_rate = rate(health.rate) if look is LinkLook.STREAMING else look.value
     losses = sorted(((loss.value, n) for loss, n in health.losses.items() if n), key=lambda item: -item[1])
     return LinkWords(
@@ -258,14 +250,20 @@ def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, co
     )
 
 
-def _look(health: LinkHealth, now_ns: int) -> LinkLook:
-    if health.state in (LinkState.LOST, LinkState.FAILED):
-        return LinkLook.LOST
-    if health.state is LinkState.ENDED:
-        return LinkLook.ENDED
+def link_lines(at: ViewState) -> tuple[LinkWords, ...]:
+    """Return what is said of each link of a tick."""
+    return tuple(link_words(link, at.now_ns, at.clock_offset, connected=at.connected) for link in at.live.links)
+
+
+def link_detail(link: LinkHealth, at: ViewState) -> str:
+    """Return what is said where something is wrong with one of a tick's links; else empty."""
+    return _link_detail(link, at.look(link), _last_words(link, at.clock_offset))
+
+
+def _last_words(health: LinkHealth, clock_offset: float) -> str:
     if health.last_host_ns == 0:
-        return LinkLook.WAITING
-    return LinkLook.SILENT if is_silent(health.last_host_ns * 1e-9, now_ns * 1e-9) else LinkLook.STREAMING
+        return "nothing yet"
+    return time.strftime("%H:%M:%S", time.localtime(health.last_host_ns * 1e-9 + clock_offset))
 
 
 def _link_detail(health: LinkHealth, look: LinkLook, last: str) -> str:

@@ -1,6 +1,6 @@
 """The panels of one open session in their places; it exists as long as the session is open.
 
-What the scene does not have gets no panel. Only what is on the screen is drawn; a tab that comes up gets the newest frame.
+What the scene does not have gets no panel. Only what is on the screen is drawn; a tab that comes up gets the newest state.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.display_units import ChannelNames
-from app.frame import Frame
-from app.opening import Part
 from app.panels.compare import ComparePanel
 from app.panels.devices import DevicesPanel
 from app.panels.errors import ErrorsPanel
@@ -25,11 +23,13 @@ from app.panels.readings import ReadingsPanel
 from app.panels.rig import RigPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.texts import FittedLabel
-from app.policies import Now, Tone
 from app.scene3d.view import View3D
+from app.state.view_state import ViewState
+from app.text.now import Now, Tone
 from app.theme import GAP, Colours
 from app.words import METHOD_NAMES, error_words, pokes_words, summary_words
 from skincal.guide.coaching import leeway
+from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
@@ -44,9 +44,9 @@ _TABS = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel 
 
 
 class Panel(Protocol):
-    """What shows frames."""
+    """What shows states."""
 
-    def show_frame(self, frame: Frame) -> None:
+    def show_state(self, state: ViewState) -> None:
         """Show the difference to what is shown."""
         ...
 
@@ -86,7 +86,7 @@ class Workspace(QWidget):
         column = _card(self.right)
         self.tabs = QTabWidget(column.parentWidget())
         column.addWidget(self.tabs)
-        self._frame: Frame | None = None
+        self._state: ViewState | None = None
         self._connect()
 
     def arrange(self) -> None:
@@ -165,23 +165,23 @@ class Workspace(QWidget):
         """Start with a session whose pokes are known already."""
         self.now.begin(snapshot)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show a frame on everything that is on the screen."""
-        before, self._frame = self._frame, frame
-        self.now.show_frame(frame)
-        self.map.show_frame(frame)
-        if before is None or (before.revision, before.method) != (frame.revision, frame.method):
-            self.progress.setText(f"{summary_words(frame.estimates)}, {pokes_words(frame.snapshot)}")
-            self.errors.setText(error_words(frame.estimates))
-            self.method_box.setCurrentIndex(self.method_box.findData(frame.method))
-        room = 0.0 if frame.guidance is None else leeway(frame.guidance)
-        self.view.show(frame.snapshot, frame.live, frame.method, frame.selected, frame.target, room)
+    def show_state(self, state: ViewState) -> None:
+        """Show a tick on everything that is on the screen."""
+        before, self._state = self._state, state
+        self.now.show_state(state)
+        self.map.show_state(state)
+        if before is None or (before.revision, before.method) != (state.revision, state.method):
+            self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
+            self.errors.setText(error_words(state.estimates))
+            self.method_box.setCurrentIndex(self.method_box.findData(state.method))
+        room = 0.0 if state.guidance is None else leeway(state.guidance)
+        self.view.show(state.snapshot, state.live, state.method, state.selected, state.target, room)
         self._show_tab()
 
     def _show_tab(self) -> None:
         panel = self.tabs.currentWidget()
-        if self._frame is not None and isinstance(panel, _TABS):
-            panel.show_frame(self._frame)
+        if self._state is not None and isinstance(panel, _TABS):
+            panel.show_state(self._state)
 
     def _tab_changed(self, _index: int) -> None:
         self._show_tab()

@@ -34,8 +34,8 @@ from PySide6.QtWidgets import QApplication, QStackedLayout, QWidget
 from app.preflight import no_display, objection
 
 if TYPE_CHECKING:
-    from app.controller import Picture
     from app.earcons import Sound
+    from app.session.controller import Tick
     from app.sound import Output
     from app.window import Window
 
@@ -75,20 +75,20 @@ class Measure(QObject):
 
     def watch(self, tab: str) -> bool:
         """Watch the session and the 3D view, with this tab open; return whether both are there."""
-        desk = self.window.desk
-        if desk is None or not desk.workspace.view.list_layers():
+        session_view = self.window.session_view
+        if session_view is None or not session_view.workspace.view.list_layers():
             return False
         from skincal.session.road import Road
 
-        stack = desk.workspace.view.layout()
+        stack = session_view.workspace.view.layout()
         canvas = stack.currentWidget() if isinstance(stack, QStackedLayout) else None
         assert canvas is not None
         self._canvas = canvas
         canvas.installEventFilter(self)
         _around_feed(Road, self._released)
         self.sounds.watch(Road)
-        desk.workspace.view.update()
-        desk.workspace.show_tab(tab)
+        session_view.workspace.view.update()
+        session_view.workspace.show_tab(tab)
         return True
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
@@ -103,12 +103,12 @@ class Measure(QObject):
             watched.removeEventFilter(self)
         return True
 
-    def take(self, picture: Picture) -> None:
+    def take(self, tick: Tick) -> None:
         """Take a moment of the session: whether the tool presses."""
         from skincal.guide.coaching import PRESSING
 
         now = time.monotonic()
-        pressing = picture.live.progress.phase in PRESSING
+        pressing = tick.live.progress.phase in PRESSING
         if pressing and self._pressing_since is None:
             self._pressing_since = now
         elif not pressing and self._pressing_since is not None:
@@ -125,9 +125,9 @@ class Measure(QObject):
         self._released[:] = [(poke, ended) for poke, ended in self._released if poke > shown]
 
     def _shown_poke(self) -> int:
-        """Return the newest poke of the frame that is painted; the target in it is the one after that poke."""
-        frame = None if self.window.desk is None else self.window.desk.frame
-        return frame.snapshot.pokes[-1].outcome.poke if frame is not None and frame.snapshot.pokes else 0
+        """Return the newest poke of the state that is painted; the target in it is the one after that poke."""
+        state = None if self.window.session_view is None else self.window.session_view.state
+        return state.snapshot.pokes[-1].outcome.poke if state is not None and state.snapshot.pokes else 0
 
     def _take_beat(self) -> None:
         now, worked = time.monotonic(), time.thread_time()
@@ -256,8 +256,8 @@ def _around_feed(road: type[Any], released: list[tuple[int, float]]) -> None:
 
 def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str) -> dict[str, Any]:
     """Run the window for so long and return its figures."""
-    from app.plan import Plan, find_scene, server_command
     from app.run import run_window
+    from app.session.open_request import OpenRequest, find_scene, server_command
     from app.sound import Player
     from app.window import Window
 
@@ -289,7 +289,7 @@ def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str)
 
     QTimer.singleShot(0, attach)
     path = None if scene is None else find_scene(scene)
-    run_window(Plan(scene=path, server=server_command(path)), Player(sounds.open))
+    run_window(OpenRequest(scene=path, server=server_command(path)), Player(sounds.open))
     return results[0]
 
 

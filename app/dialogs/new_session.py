@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.texts import plain_buttons, put, quiet
-from app.plan import Addresses, Plan, check_addresses, server_command
+from app.session.open_request import Addresses, OpenRequest, check_addresses, server_command
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
 
@@ -37,7 +37,7 @@ def shipped_scenes() -> list[tuple[str, Path]]:
 
 
 class NewSessionDialog(QDialog):
-    """Gathers a `Plan` and checks it before it is emitted."""
+    """Gathers a `OpenRequest` and checks it before it is emitted."""
 
     plan_chosen = Signal(object)
 
@@ -85,7 +85,7 @@ class NewSessionDialog(QDialog):
         self.setMinimumWidth(560)
         self.buttons.button(QDialogButtonBox.StandardButton.Ok).setFocus()
 
-    def plan(self) -> Plan:
+    def plan(self) -> OpenRequest:
         """Return what was chosen.
 
         Raises
@@ -98,7 +98,7 @@ class NewSessionDialog(QDialog):
         load_scene(scene)
         given = Addresses(*(self.fields[name].text().strip() for name in ("wrench", "skin", "joints")))
         check_addresses(given)
-        return Plan(scene=scene, addresses=given, server=server_command(scene), folder=Path(self.folder.text()))
+        return OpenRequest(scene=scene, addresses=given, server=server_command(scene), folder=Path(self.folder.text()))
 
     def _try(self) -> None:
         try:

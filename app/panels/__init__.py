@@ -1,1 +1,1 @@
-"""The window's panels, one widget a file: each shows the difference between two frames and owns no fact."""
+"""The window's panels, one widget a file: each shows the difference between two ticks and owns no fact."""

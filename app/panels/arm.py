@@ -7,8 +7,8 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QAbstractItemView, QLabel, QTreeWidget, QTreeWidgetItem, QVBoxLayout, QWidget
 
 from app.display_units import degrees
-from app.frame import Frame
 from app.panels.texts import fit_rows, put, quiet
+from app.state.view_state import ViewState
 from app.theme import GAP
 from skincal.contacts.outcome import Contact
 from skincal.model.readings import Stream
@@ -51,18 +51,18 @@ class ArmPanel(QWidget):
             "the joints be streamed; a poke with an unknown pose does not count."
         )
 
-    def show_frame(self, frame: Frame) -> None:
+    def show_state(self, state: ViewState) -> None:
         """Show the current pose and how it is known."""
-        streamed = any(Stream.JOINTS in link.carries for link in frame.live.links)
-        shown = (frame.revision, frame.snapshot.pose, streamed)
+        streamed = any(Stream.JOINTS in link.carries for link in state.live.links)
+        shown = (state.revision, state.snapshot.pose, streamed)
         if shown == self._shown:
             return
         self._shown = shown
-        pose = frame.snapshot.pose
+        pose = state.snapshot.pose
         put(self.current, f"Arm pose {pose}" if pose else "Arm pose unknown")
         put(self.how, "The joints are streamed." if streamed else "Click the pose in which the arm stands, after moving it.")
         self._streamed = streamed
-        used = [p.outcome.pose for p in frame.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
+        used = [p.outcome.pose for p in state.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
         for name, row in self.rows.items():
             mark = "\N{BLACK CIRCLE}" if name == pose else "\N{WHITE CIRCLE}"
             _put(row, 0, f"{mark}  {name}")

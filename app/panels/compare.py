@@ -44,21 +44,21 @@ from app.compare_words import (
 )
 from app.comparing import Origin, Pair, Places, Source, default_pair, sources_of
 from app.display_units import ChannelNames
-from app.frame import Frame
 from app.panels.texts import on_panel, put, quiet
 from app.scene3d.ground import Cloud, Comparison
 from app.scene3d.looks import DARK, LIGHT, Tint
+from app.state.view_state import ViewState
 from app.theme import GAP, Colours
 from skincal.geometry.arrays import FloatArray
 from skincal.model.skin import Layout
 from skincal.modules.health import PlannedNeighbours, neighbours_of
+from skincal.session.modules_check import ModulesFound
 from skincal.taxels.differences import compare_modules, differences, summarise, worst_rows
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from app.board_watch import BoardWatch
-    from app.opening import Part
     from skincal.modules.health import LayoutMend
+    from skincal.session.part import Part
 
 WORST = 10
 """Taxels in the list of the worst."""
@@ -92,8 +92,8 @@ class ComparePanel(QScrollArea):
         self._places = Places(part.channels, None if part.laid is None else part.laid.places)
         self._neighbours: PlannedNeighbours | None = None
         """Of the layout; made when first needed."""
-        self._watch: BoardWatch | None = None
-        self._frame: Frame | None = None
+        self._found: ModulesFound | None = None
+        self._state: ViewState | None = None
         self._sources: tuple[Source, ...] = ()
         self._chosen: Pair | None = None
         """What the operator chose; None while they chose nothing."""
@@ -168,24 +168,18 @@ class ComparePanel(QScrollArea):
         self.worst.itemActivated.connect(self._worst_chosen)
         self.worst.itemClicked.connect(self._worst_chosen)
 
-    def begin(self, watch: BoardWatch) -> None:
-        """Take what judges the modules; it is asked while the panel is open."""
-        self._watch = watch
-
     # Showing
 
-    def show_frame(self, frame: Frame) -> None:
-        """Compare the places of a frame; nothing happens where they are the same, or where nobody sees it."""
-        self._frame = frame
+    def show_state(self, state: ViewState) -> None:
+        """Compare the places of a tick; nothing happens where they are the same, or where nobody sees it."""
+        self._state = state
         if not self.isVisible():
             return
-        if self._watch is not None:
-            self._watch.follow(frame)
-        found = None if self._watch is None else self._watch.found
+        found = self._found = state.modules
         shown = (
-            frame.revision,
-            frame.method,
-            frame.review,
+            state.revision,
+            state.method,
+            state.review,
             found,
             self._chosen,
             self.all.isChecked(),
@@ -194,28 +188,28 @@ class ComparePanel(QScrollArea):
         if shown == self._shown:
             return
         self._shown = shown
-        self._show_sources(frame)
-        pair = self.pair(frame)
-        here, there = (self._places.find(source, frame) for source in pair)
+        self._show_sources(state)
+        pair = self.pair(state)
+        here, there = (self._places.find(source, state) for source in pair)
         self._show_numbers(pair, here, there)
-        self._show_health(frame)
-        self._draw(frame, here, there)
+        self._show_health(state)
+        self._draw(state, here, there)
 
-    def pair(self, frame: Frame) -> Pair:
+    def pair(self, state: ViewState) -> Pair:
         """Return what is compared: what the operator chose as long as it is there."""
         chosen = self._chosen
         if chosen is not None and set(chosen) <= set(self._sources):
             return chosen
-        return default_pair(self._sources, frame.method)
+        return default_pair(self._sources, state.method)
 
-    def _show_sources(self, frame: Frame) -> None:
-        sources = sources_of(self._methods, frame.review, laid=self._places.laid)
+    def _show_sources(self, state: ViewState) -> None:
+        sources = sources_of(self._methods, state.review, laid=self._places.laid)
         if sources != self._sources:
             self._sources = sources
             for box in self.boxes:
                 box.clear()
                 box.addItems([source_words(source) for source in sources])
-        for box, source in zip(self.boxes, self.pair(frame), strict=True):
+        for box, source in zip(self.boxes, self.pair(state), strict=True):
             box.setCurrentIndex(sources.index(source))
 
     def _show_numbers(self, pair: Pair, here: FloatArray, there: FloatArray) -> None:
@@ -249,12 +243,12 @@ class ComparePanel(QScrollArea):
             self._neighbours = neighbours_of(self._layout)
         return self._neighbours.ratios(self._channels, places)
 
-    def _show_health(self, frame: Frame) -> None:
+    def _show_health(self, state: ViewState) -> None:
         ratios = {
-            method: float(self._ratios(self._places.find(Source(Origin.METHOD, method), frame))[-1]) for method in self._methods
+            method: float(self._ratios(self._places.find(Source(Origin.METHOD, method), state))[-1]) for method in self._methods
         }
         put(self.spacing, spacing_words(ratios))
-        found = None if self._watch is None else self._watch.found
+        found = state.modules
         sentences = () if found is None else misfit_words(found.mend, found.judged, found.method)
         put(self.health, "\n".join(sentences))
         self.health.setVisible(bool(sentences))
@@ -278,20 +272,20 @@ class ComparePanel(QScrollArea):
         self.save.setToolTip(save_hint(mend))
 
     def _save_wanted(self) -> None:
-        found = None if self._watch is None else self._watch.found
+        found = self._found
         if found is not None and found.mend.changes:
             self.layout_wanted.emit(found.mend)
 
-    def _draw(self, frame: Frame, here: FloatArray, there: FloatArray) -> None:
+    def _draw(self, state: ViewState, here: FloatArray, there: FloatArray) -> None:
         """Have the 3D view draw it, and say what is what there."""
         scale = SCALES[self.scale.currentIndex()]
-        first, second = self.pair(frame)
+        first, second = self.pair(state)
         clouds = [Cloud(Tint.FROM, here), Cloud(Tint.TO, there)]
         named = [(Tint.FROM, source_words(first)), (Tint.TO, source_words(second))]
         if self.all.isChecked():
             sources = [source for source in self._sources if source.origin in (Origin.LAYOUT, Origin.METHOD)]
             tints = [TINTS[source.method] if source.method is not None else Tint.LAYOUT for source in sources]
-            clouds = [Cloud(tint, self._places.find(source, frame)) for tint, source in zip(tints, sources, strict=True)]
+            clouds = [Cloud(tint, self._places.find(source, state)) for tint, source in zip(tints, sources, strict=True)]
             named = [(tint, source_words(source)) for tint, source in zip(tints, sources, strict=True)]
         dots = [f"{self._sign(BLACK_DOT, tint)}&nbsp;{_kept(words)}" for tint, words in named]
         arrows = self._sign(ARROW, Tint.TO) + "&nbsp;" + arrow_words((first, second), scale, named=self.all.isChecked())
@@ -323,8 +317,8 @@ class ComparePanel(QScrollArea):
 
     def _show_again(self) -> None:
         self._shown = ()
-        if self._frame is not None:
-            self.show_frame(self._frame)
+        if self._state is not None:
+            self.show_state(self._state)
 
     def _choose(self) -> None:
         first, second = (self._sources[box.currentIndex()] for box in self.boxes)

@@ -14,8 +14,8 @@ from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from app.display_units import number
 from app.envelope import envelope
-from app.frame import Frame
-from app.policies import curve_range
+from app.state.policies import curve_range
+from app.state.view_state import ViewState
 from app.theme import GAP, LIGHT, Colours
 from skincal.geometry.arrays import FloatArray
 
@@ -133,9 +133,9 @@ class CurvesPanel(QWidget):
             "not taken off here, but around each poke."
         )
 
-    def show_frame(self, frame: Frame) -> None:
+    def show_state(self, state: ViewState) -> None:
         """Draw the newest readings; nothing where there are no newer ones."""
-        times, wrench = frame.live.wrench_s, frame.live.wrench
+        times, wrench = state.live.wrench_s, state.live.wrench
         if not len(times) or 0.0 <= times[-1] - self._newest_s < CURVES_S:
             return
         self._newest_s = float(times[-1])

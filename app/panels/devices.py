@@ -7,10 +7,10 @@ from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
 from app.display_units import count
-from app.frame import Frame
 from app.panels.texts import ElidedLabel, on_panel, put, quiet
+from app.state.view_state import LinkLook, ViewState
 from app.theme import GAP, LIGHT, Colours, digits_font
-from app.words import LinkLook, LinkWords
+from app.words import LinkWords, link_lines
 from skincal.model.readings import LinkHealth
 
 ICON_PX = 18
@@ -149,17 +149,18 @@ class DevicesPanel(QScrollArea):
         """Say where each link is connected to."""
         self._addresses = addresses
 
-    def show_frame(self, frame: Frame) -> None:
+    def show_state(self, state: ViewState) -> None:
         """Show the links; numbers change a few times a second, states at once."""
-        looks = tuple((words.name, words.look, words.detail) for words in frame.links)
-        if looks == self._shown and frame.now_s - self._shown_s < REFRESH_S:
+        links = link_lines(state)
+        looks = tuple((words.name, words.look, words.detail) for words in links)
+        if looks == self._shown and state.now_s - self._shown_s < REFRESH_S:
             return
-        self._shown, self._shown_s = looks, frame.now_s
-        for words, health in zip(frame.links, frame.live.links, strict=True):
+        self._shown, self._shown_s = looks, state.now_s
+        for words, health in zip(links, state.live.links, strict=True):
             self._card(words.name).set(words, health)
-        for name in set(self.cards) - {words.name for words in frame.links}:
+        for name in set(self.cards) - {words.name for words in links}:
             self.cards.pop(name).deleteLater()
-        missing = frame.live.losses_unpaired
+        missing = state.live.losses_unpaired
         put(self.unpaired, f"{count(missing, 'skin frame')} without a wrench." if missing else "")
 
     def _card(self, name: str) -> LinkCard:
@@ -193,20 +194,22 @@ class LinkChips(QWidget):
         self._shown_s = 0.0
         self._looks: tuple[object, ...] = ()
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show state and rate of each link."""
-        looks = tuple((words.name, words.look) for words in frame.links)
-        if looks == self._looks and frame.now_s - self._shown_s < 4 * REFRESH_S:
+    def show_state(self, state: ViewState) -> None:
+        """Show state and rate of each link, and how far behind the readings the program is."""
+        self._show_behind(state.behind_s)
+        links = link_lines(state)
+        looks = tuple((words.name, words.look) for words in links)
+        if looks == self._looks and state.now_s - self._shown_s < 4 * REFRESH_S:
             return
-        self._looks, self._shown_s = looks, frame.now_s
-        if {words.name for words in frame.links} != set(self._chips):
-            self._rebuild([words.name for words in frame.links])
-        for words in frame.links:
+        self._looks, self._shown_s = looks, state.now_s
+        if {words.name for words in links} != set(self._chips):
+            self._rebuild([words.name for words in links])
+        for words in links:
             icon, label = self._chips[words.name]
             icon.set(words.look)
             put(label, words.short)
 
-    def show_behind(self, behind_s: float) -> None:
+    def _show_behind(self, behind_s: float) -> None:
         """Say that the program works on older readings than the newest; shown in whole seconds."""
         late = behind_s >= BEHIND_SAID_S
         put(self.behind, f"catching up, {round(behind_s)} s behind" if late else "")

@@ -12,7 +12,7 @@ from PySide6.QtGui import QColor, QPainter, QPainterPath, QPaintEvent, QPen, QPo
 from PySide6.QtWidgets import QWidget
 
 from app.display_units import degrees, millimetres
-from app.frame import Frame
+from app.state.view_state import ViewState
 from app.theme import LIGHT, Colours, mix
 from app.top_view import AROUND, TopView, top_view
 from skincal.geometry.arrays import FloatArray
@@ -45,14 +45,14 @@ class Dial(QWidget):
             "tip, a ball at its upper end; a wedge at the rim where its tip is farther away."
         )
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show the target of a frame and the tool that presses; nothing is drawn where both are the same."""
-        guidance, target = frame.guidance, frame.target
+    def show_state(self, state: ViewState) -> None:
+        """Show the target of a tick and the tool that presses; nothing is drawn where both are the same."""
+        guidance, target = state.guidance, state.target
         self.setVisible(target is not None)
         if guidance is None or target is None:
             return
-        told = frame.coaching
-        view = top_view(guidance, target, told, leeway(guidance), frame.eye)
+        told = state.coaching
+        view = top_view(guidance, target, told, leeway(guidance), state.eye)
         key = self._looks(view, None if told is None else told.landed)
         if key != self._key:
             self._key, self._view = key, view

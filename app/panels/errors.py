@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QSettings, Qt
+from PySide6.QtCore import QSettings, Qt, Signal
 from PySide6.QtWidgets import (
     QButtonGroup,
     QComboBox,
@@ -17,16 +17,16 @@ from PySide6.QtWidgets import (
 )
 
 from app.error_words import SYMBOLS, Axis, newest_words, quantity_words, source_words
-from app.frame import Frame
 from app.panels.plot_panel import PlotPanel
 from app.panels.texts import put, quiet
+from app.state.view_state import ViewState
 from app.theme import GAP, LIGHT, Colours, method_hue
 from app.words import METHOD_NAMES
 from skincal.model.skin import Layout
+from skincal.session.error_history import ErrorCourse
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from app.error_tracker import ErrorTracker
     from app.panels.error_plot import ErrorPlot
 
 DRAW_S = 0.2
@@ -42,12 +42,15 @@ class ErrorsPanel(PlotPanel):
     layout : names the modules; None where there are none
     """
 
+    source_chosen = Signal()
+    """Estimates are to be compared with something else from now on."""
+
     def __init__(self, methods: tuple[Method, ...], layout: Layout | None, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._methods = [method for method in Method if method in methods]
         self._modules = [] if layout is None else [str(module.id) for module in layout.modules]
         self._colours: Colours = LIGHT
-        self._tracker: ErrorTracker | None = None
+        self._course: ErrorCourse | None = None
         self._drawn: object = None
         self._drawn_s = -DRAW_S
         self.plot: ErrorPlot | None = None
@@ -107,17 +110,17 @@ class ErrorsPanel(PlotPanel):
         head.addLayout(figures)
         return head
 
-    def begin(self, tracker: ErrorTracker) -> None:
-        """Take what follows the course of errors; it is asked while the panel is open."""
-        self._tracker = tracker
+    def begin(self, course: ErrorCourse) -> None:
+        """Take what follows the course of errors; it is followed while the panel is open."""
+        self._course = course
         self.show_sources()
 
     def show_sources(self) -> None:
         """List what estimates can be compared with."""
-        if self._tracker is not None:
+        if self._course is not None:
             self.source_box.clear()
-            self.source_box.addItems([source_words(source) for source in self._tracker.sources])
-            self.source_box.setCurrentIndex(self._tracker.sources.index(self._tracker.source))
+            self.source_box.addItems([source_words(source) for source in self._course.sources])
+            self.source_box.setCurrentIndex(self._course.sources.index(self._course.source))
 
     def make(self) -> QWidget:
         """Make the plot."""
@@ -132,24 +135,23 @@ class ErrorsPanel(PlotPanel):
         """What errors are drawn against."""
         return next(axis for axis, button in self.axis_buttons.items() if button.isChecked())
 
-    def draw_frame(self, frame: Frame) -> None:
-        """Follow the session and draw what is new; nothing happens where nothing is, or where nobody sees it."""
-        tracker = self._tracker
-        if tracker is None or not self.isVisible():
+    def draw_state(self, state: ViewState) -> None:
+        """Draw what is new; nothing happens where nothing is, or where nobody sees it."""
+        course = self._course
+        if course is None or not self.isVisible():
             return
-        tracker.follow(frame)
-        wanted = (tracker.version, self.axis, self.module_box.currentIndex())
-        series = None if wanted == self._drawn else tracker.series()
-        if series is None or (series.missing and 0.0 <= frame.now_s - self._drawn_s < DRAW_S):
+        wanted = (course.version, self.axis, self.module_box.currentIndex())
+        series = None if wanted == self._drawn else course.series()
+        if series is None or (series.missing and 0.0 <= state.now_s - self._drawn_s < DRAW_S):
             return
-        self._drawn, self._drawn_s = wanted, frame.now_s
+        self._drawn, self._drawn_s = wanted, state.now_s
         row = self.module_box.currentIndex()
         for method, label in self.lines.items():
             mark = f'<span style="color:{self._hue(method)}">{SYMBOLS[method]}</span>'
             words = newest_words(series, method, row).replace(" ", "&nbsp;")
             put(label, f"{mark} <b>{METHOD_NAMES[method]}</b>&nbsp;&nbsp;{words}")
         if self.plot is not None:
-            self.plot.draw(series, self.axis, row, quantity_words(tracker.source), paper=tracker.source is not None)
+            self.plot.draw(series, self.axis, row, quantity_words(course.source), paper=course.source is not None)
 
     def _hue(self, method: Method) -> str:
         return method_hue(self._colours, method)
@@ -178,10 +180,11 @@ class ErrorsPanel(PlotPanel):
         self._show_again()
 
     def _source_chosen(self, index: int) -> None:
-        if self._tracker is not None:
-            self._tracker.choose(index)
+        if self._course is not None:
+            self._course.choose(index)
+        self.source_chosen.emit()
         self._show_again()
 
     def _show_again(self) -> None:
-        if self._frame is not None and self.ready:
-            self.draw_frame(self._frame)
+        if self._state is not None and self.ready:
+            self.draw_state(self._state)

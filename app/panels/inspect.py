@@ -20,13 +20,13 @@ from PySide6.QtWidgets import (
 
 from app.display_units import DASH, ChannelNames, count, direction, millimetres, number, point_mm
 from app.evidence_words import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
-from app.frame import Frame
 from app.guide_words import needs_words
 from app.panels.sky import SkyPanel
 from app.panels.texts import on_panel, put, quiet
-from app.policies import MARK_WORDS, mark_of, worst
+from app.state.policies import mark_of, worst
+from app.state.view_state import ViewState
 from app.theme import GAP, Colours
-from app.words import METHOD_NAMES, find_estimate
+from app.words import MARK_WORDS, METHOD_NAMES, find_estimate
 from skincal.taxels.result import Estimate, Method, State
 
 ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
@@ -134,40 +134,40 @@ class InspectPanel(QScrollArea):
         self.worst.setMinimumHeight(110)
         self.setWidget(inner)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show the selected taxel of a frame and the worst; nothing happens where they are the same."""
-        self.sky.show_frame(frame)
-        shown = (frame.revision, frame.method, frame.guidance is None, frame.selected)
+    def show_state(self, state: ViewState) -> None:
+        """Show the selected taxel of a tick and the worst; nothing happens where they are the same."""
+        self.sky.show_state(state)
+        shown = (state.revision, state.method, state.guidance is None, state.selected)
         if shown == self._shown:
             return
         changed_worst = shown[:-1] != self._shown[:-1]
         self._shown = shown
         if changed_worst:
-            self._list_worst(frame)
-        self._selected = frame.selected
-        if frame.selected is not None:
-            self._show_taxel(frame, frame.selected)
+            self._list_worst(state)
+        self._selected = state.selected
+        if state.selected is not None:
+            self._show_taxel(state, state.selected)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
         self.sky.set_colours(colours)
 
-    def _show_taxel(self, frame: Frame, channel: int) -> None:
-        found = {method: find_estimate(frame.snapshot, method, channel) for method in self._methods}
+    def _show_taxel(self, state: ViewState, channel: int) -> None:
+        found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
         put(self.title, f"{self._names.short(channel)}   {self._names.long(channel)}")
         for method, estimate in found.items():
             for label, text in zip(self.cells[method], estimate_cells(estimate), strict=True):
                 put(label, text)
-        self._dead = channel in frame.snapshot.dead
-        shown = found.get(frame.method)
-        reason = frame.snapshot.dead.get(channel) or (shown.reason if shown is not None else "")
+        self._dead = channel in state.snapshot.dead
+        shown = found.get(state.method)
+        reason = state.snapshot.dead.get(channel) or (shown.reason if shown is not None else "")
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
-        needs = "" if frame.guidance is None else needs_words(frame.guidance, channel)
+        needs = "" if state.guidance is None else needs_words(state.guidance, channel)
         sentences = (reason, distance_words(pair[0], pair[1]), needs and f"It {needs}.")
         put(self.reason, "  ".join(filter(None, sentences)))
         put(self.rival, f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
         self.rival.setVisible(shown is not None and bool(rival_words(shown)))
-        self._list_pokes(() if shown is None else taxel_pokes(frame.snapshot, shown), frame.method)
+        self._list_pokes(() if shown is None else taxel_pokes(state.snapshot, shown), state.method)
         put_button(self.use, "Use this taxel again" if self._dead else "Do not use this taxel")
         self.use.setEnabled(True)
 
@@ -186,8 +186,8 @@ class InspectPanel(QScrollArea):
             for column, text in enumerate(poke_cells(poke)):
                 item.setText(column, text)
 
-    def _list_worst(self, frame: Frame) -> None:
-        entries = [(e.channel, self._worst_words(e)) for e in worst(frame.estimates)]
+    def _list_worst(self, state: ViewState) -> None:
+        entries = [(e.channel, self._worst_words(e)) for e in worst(state.estimates)]
         while self.worst.count() > len(entries):
             self.worst.takeItem(self.worst.count() - 1)
         while self.worst.count() < len(entries):

@@ -10,7 +10,7 @@ import math
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QBrush, QColor, QPainter, QPen, QPixmap, QPolygonF
 
-from app.policies import Mark
+from app.state.policies import Mark
 
 SMALL = 3.0
 """Pixels. Below this radius a quarter cannot be told from a half; strength tells the state, beside the shape."""

@@ -3,31 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
 
+from app.text.message import Message
 from app.theme import GAP, LIGHT, Colours
 
 INFO_MS = 8000
 """A message that reports a success or a finding goes away by itself after this many milliseconds."""
 KEPT = 20
 """Messages that wait to be read; older ones are in the log."""
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """What the operator is told."""
-
-    text: str
-    error: bool = False
-    """It stays until it is dismissed."""
-    asks: bool = False
-    """It asks for something, and stays until that is done."""
-    found: bool = False
-    """It says what was found, neither a success nor a fault."""
 
 
 class MessageBar(QFrame):

@@ -11,10 +11,10 @@ from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen, QPo
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
 from app.display_units import newtons
-from app.frame import Frame
 from app.panels.dial import DIAL_PX, Dial
 from app.panels.texts import ElidedLabel, FittedLabel
-from app.policies import Now, NowMemory, Tone, now_line
+from app.state.view_state import ViewState
+from app.text.now import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, LIGHT, Colours, digits_font
 from skincal.session.snapshot import Snapshot
 
@@ -195,11 +195,11 @@ class NowPanel(QFrame):
         """Start with a session whose pokes are known already."""
         self._memory = NowMemory.of(snapshot)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Say what happens in this frame."""
-        now, self._memory = now_line(self._memory, frame)
-        self.dial.show_frame(frame)
-        progress, limits = frame.live.progress, frame.scene.contacts
+    def show_state(self, state: ViewState) -> None:
+        """Say what happens now."""
+        now, self._memory = now_line(self._memory, state)
+        self.dial.show_state(state)
+        progress, limits = state.live.progress, state.scene.contacts
         self.gauge.set(float(np.linalg.norm(progress.force)), limits.force_min, limits.force_max)
         self.say(now, progress.still)
 

@@ -6,8 +6,8 @@ import importlib
 
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
-from app.frame import Frame
 from app.panels.texts import quiet
+from app.state.view_state import ViewState
 from app.theme import GAP
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -23,7 +23,7 @@ class PlotPanel(QWidget):
         super().__init__(parent)
         self.ready = False
         """Whether the plots are there."""
-        self._frame: Frame | None = None
+        self._state: ViewState | None = None
         self._threads: ThreadService | None = None
         """Imports, once it was asked to."""
         self._imported = False
@@ -38,15 +38,15 @@ class PlotPanel(QWidget):
         """Make the plots, with the colours that hold; pyqtgraph is imported."""
         raise NotImplementedError
 
-    def draw_frame(self, frame: Frame) -> None:
-        """Show a frame on the plots."""
+    def draw_state(self, state: ViewState) -> None:
+        """Show a tick on the plots."""
         raise NotImplementedError
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show a frame; before there is anything to show nothing is loaded, so that the 3D view comes first."""
-        self._frame = frame
+    def show_state(self, state: ViewState) -> None:
+        """Show a tick; before there is anything to show nothing is loaded, so that the 3D view comes first."""
+        self._state = state
         if self.ready:
-            self.draw_frame(frame)
+            self.draw_state(state)
         elif self.isVisible() and self._imported:
             self._make()
         elif self.isVisible() and self._threads is None:
@@ -63,8 +63,8 @@ class PlotPanel(QWidget):
         self.ready = True
         self._label.hide()
         self._column.addWidget(plots, 1)
-        if self._frame is not None:
-            self.draw_frame(self._frame)
+        if self._state is not None:
+            self.draw_state(self._state)
 
 
 def _import_pyqtgraph() -> None:

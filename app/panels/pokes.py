@@ -9,9 +9,9 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QVBoxLayout, QWidget
 
 from app.display_units import ChannelNames
-from app.frame import Frame
 from app.panels.poke_table import PokeTable
 from app.panels.texts import put, quiet
+from app.state.view_state import ViewState
 from app.theme import GAP, Colours
 from app.words import peak_channel, pokes_words, rejections
 from skincal.session.snapshot import Snapshot
@@ -66,14 +66,14 @@ class PokesPanel(QWidget):
         table.selectionModel().selectionChanged.connect(self._selection_changed)
         table.customContextMenuRequested.connect(self._menu)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show the pokes of a frame; nothing happens where they are the same."""
-        generation = (frame.revision, frame.method)
+    def show_state(self, state: ViewState) -> None:
+        """Show the pokes of a tick; nothing happens where they are the same."""
+        generation = (state.revision, state.method)
         if generation == self._generation:
             return
         self._generation = generation
-        self.model.show(frame.snapshot, frame.by_channel())
-        put(self.tally, tally_words(frame.snapshot))
+        self.model.show(state.snapshot, state.by_channel())
+        put(self.tally, tally_words(state.snapshot))
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""

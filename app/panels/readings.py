@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QWidget
 
-from app.frame import Frame
 from app.panels.plot_panel import PlotPanel
+from app.state.view_state import ViewState
 from app.theme import LIGHT, Colours
 
 if TYPE_CHECKING:
@@ -30,10 +30,10 @@ class ReadingsPanel(PlotPanel):
         self.curves.set_colours(self._colours)
         return self.curves
 
-    def draw_frame(self, frame: Frame) -> None:
+    def draw_state(self, state: ViewState) -> None:
         """Draw the newest readings."""
         if self.curves is not None:
-            self.curves.show_frame(frame)
+            self.curves.show_state(state)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""

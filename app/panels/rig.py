@@ -15,11 +15,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.frame import Frame
 from app.guide_words import gain_words, landmark_words
 from app.panels.arm import ArmPanel
 from app.panels.texts import fit_rows, on_panel, put, quiet
-from app.rig_offers import Offer, landmark_rows, review_words
+from app.state.rig_review import Offer
+from app.state.view_state import ViewState
+from app.text.rig import landmark_rows, offer_text, review_words
 from app.theme import GAP
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import ArmSpec
@@ -86,33 +87,33 @@ class RigPanel(QScrollArea):
         self.drop.hide()
         self.setWidget(inner)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show the rig of a frame; nothing happens where it is the same."""
+    def show_state(self, state: ViewState) -> None:
+        """Show the rig of a tick; nothing happens where it is the same."""
         if self.arm is not None:
-            self.arm.show_frame(frame)
-        snapshot, guidance = frame.snapshot, frame.guidance
-        shown = (frame.revision, snapshot.pose, snapshot.landmarks, frame.review, frame.offers, guidance, frame.method)
+            self.arm.show_state(state)
+        snapshot, guidance = state.snapshot, state.guidance
+        shown = (state.revision, snapshot.pose, snapshot.landmarks, state.review, state.offers, guidance, state.method)
         if len(shown) == len(self._shown) and all(one is other for one, other in zip(shown, self._shown, strict=True)):
             return
         self._shown = shown
-        self._list_points(frame)
+        self._list_points(state)
         put(self.asked, _asked_words(guidance))
         self.asked.setVisible(bool(self.asked.text()))
-        put(self.said, _words(frame))
-        self._offer = frame.offers[0] if frame.offers else None
-        self._used = next(reversed(tuple(frame.snapshot.corrections)), "")
-        offer = "" if self._offer is None else f"{self._offer.text}  (C)"
+        put(self.said, _words(state))
+        self._offer = state.offers[0] if state.offers else None
+        self._used = next(reversed(tuple(state.snapshot.corrections)), "")
+        offer = "" if self._offer is None else f"{offer_text(self._offer)}  (C)"
         for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):
             button.setVisible(bool(text))
             if button.text() != text:
                 button.setText(text)
 
-    def _list_points(self, frame: Frame) -> None:
-        rows = landmark_rows(frame.snapshot, frame.review)
+    def _list_points(self, state: ViewState) -> None:
+        rows = landmark_rows(state.snapshot, state.review)
         self.points.setVisible(bool(rows))
         while self.points.topLevelItemCount() > len(rows):
             self.points.takeTopLevelItem(self.points.topLevelItemCount() - 1)
-        asked = "" if frame.target is None else frame.target.landmark
+        asked = "" if state.target is None else state.target.landmark
         for index, row in enumerate(rows):
             item = self.points.topLevelItem(index) or QTreeWidgetItem(self.points)
             mark = "\N{BLACK RIGHT-POINTING TRIANGLE} " if row.name == asked else ""
@@ -133,12 +134,12 @@ def _asked_words(guidance: Guidance | None) -> str:
     return "; ".join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
 
 
-def _words(frame: Frame) -> str:
-    if not frame.snapshot.landmarks:
+def _words(state: ViewState) -> str:
+    if not state.snapshot.landmarks:
         return NO_POINTS
-    if frame.review is None:
-        return WAITING if frame.snapshot.at_landmarks else NOT_YET
-    return "\n".join(review_words(frame.review, frame.snapshot, frame.method, frame.estimates))
+    if state.review is None:
+        return WAITING if state.snapshot.at_landmarks else NOT_YET
+    return "\n".join(review_words(state.review, state.snapshot, state.method, state.estimates))
 
 
 def _list() -> QTreeWidget:

@@ -12,9 +12,9 @@ from PySide6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from app.display_units import ChannelNames
-from app.frame import Frame
 from app.guide_words import FOLLOWS, contacts_words, sky_words
 from app.panels.texts import put, quiet
+from app.state.view_state import ViewState
 from app.theme import GAP, LIGHT, Colours
 from app.top_view import SkyView, sky_view
 from skincal.geometry.arrays import FloatArray
@@ -164,28 +164,28 @@ class SkyPanel(QWidget):
             "surface method their middle must come into the dashed circle."
         )
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show the selected taxel of a frame, or the target; nothing happens where it is the same."""
-        target = None if frame.target is None else frame.target.channel
-        channel = target if frame.selected is None else frame.selected
+    def show_state(self, state: ViewState) -> None:
+        """Show the selected taxel of a tick, or the target; nothing happens where it is the same."""
+        target = None if state.target is None else state.target.channel
+        channel = state.looked_at
         # A camera that turned by less than what is seen draws nothing anew.
-        stand = np.round(np.concatenate([frame.eye.right, frame.eye.up]), 2).tobytes()
-        key = (frame.revision, frame.method, channel, channel == target, stand)
-        if key == self._key and frame.guidance is self._guidance:
+        stand = np.round(np.concatenate([state.eye.right, state.eye.up]), 2).tobytes()
+        key = (state.revision, state.method, channel, channel == target, stand)
+        if key == self._key and state.guidance is self._guidance:
             return
-        self._key, self._guidance = key, frame.guidance
-        sky = None if channel is None else frame.sky(channel)
+        self._key, self._guidance = key, state.guidance
+        sky = state.sky
         self.setVisible(sky is not None)
         if sky is not None:
-            self._show_sky(sky, frame, is_target=channel == target)
+            self._show_sky(sky, state, is_target=channel == target)
 
-    def _show_sky(self, sky: AxisDiversity, frame: Frame, *, is_target: bool) -> None:
+    def _show_sky(self, sky: AxisDiversity, state: ViewState, *, is_target: bool) -> None:
         put(self.whose, f"{self._names.short(sky.channel)}{', the target' if is_target else ''}")
         put(self.contacts, contacts_words(sky))
-        put(self.spread, sky_words(sky, frame.method).capitalize())
-        put(self.legend, LEGENDS[frame.method])
-        put(self.follows, FOLLOWS[frame.method])
-        self.plot.set(sky, sky_view(sky, frame.method, frame.eye))
+        put(self.spread, sky_words(sky, state.method).capitalize())
+        put(self.legend, LEGENDS[state.method])
+        put(self.follows, FOLLOWS[state.method])
+        self.plot.set(sky, sky_view(sky, state.method, state.eye))
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""

@@ -27,12 +27,13 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip, QWidget
 
 from app.display_units import ChannelNames, number
-from app.frame import Frame
 from app.guide_words import done_channels, needs_words
 from app.panels.map_layout import Fit, MapPlan, fit, plan_map
 from app.panels.marks import Stamps, draw_mark, draw_wedge
-from app.policies import MARK_WORDS, Mark, answer_levels, marks
+from app.state.policies import Mark, answer_levels, marks
+from app.state.view_state import ViewState
 from app.theme import HUES, LIGHT, Colours, mix
+from app.words import MARK_WORDS
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
@@ -107,24 +108,24 @@ class TaxelMap(QWidget):
         """Return the size below which taxels overlap their neighbours' halos."""
         return QSize(220, 150)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show states, answers and the selection of a frame; draws nothing where all are the same."""
+    def show_state(self, state: ViewState) -> None:
+        """Show states, answers and the selection of a tick; draws nothing where all are the same."""
         changed = False
-        self._guidance = frame.guidance
-        generation = (frame.revision, frame.method, frame.guidance is None)
+        self._guidance = state.guidance
+        generation = (state.revision, state.method, state.guidance is None)
         if generation != self._generation:
             self._generation = generation
-            self._marks = marks(frame.estimates, self._width, done_channels(frame.guidance))
-            self._rivals = frozenset(e.channel for e in frame.estimates if e.rival is not None)
+            self._marks = marks(state.estimates, self._width, done_channels(state.guidance))
+            self._rivals = frozenset(e.channel for e in state.estimates if e.rival is not None)
             self._states = QPixmap()
             changed = True
-        target = None if frame.target is None else frame.target.channel
-        if (frame.selected, target) != (self._selected, self._target):
-            self._selected, self._target = frame.selected, target
+        target = None if state.target is None else state.target.channel
+        if (state.selected, target) != (self._selected, self._target):
+            self._selected, self._target = state.selected, target
             changed = True
-        if len(frame.live.skin) == self._width:
-            self._answers = frame.live.skin
-            levels = answer_levels(frame.live.skin, self._settings)
+        if len(state.live.skin) == self._width:
+            self._answers = state.live.skin
+            levels = answer_levels(state.live.skin, self._settings)
             changed |= not np.array_equal(levels, self._levels)
             self._levels = levels
         if changed:

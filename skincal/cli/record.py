@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import queue
+import sys
+import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -82,16 +87,24 @@ def record(
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints are not streamed.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
     pokes: Annotated[int | None, typer.Option(min=1, help="Stop after this many pokes.")] = None,
+    orders: Annotated[bool, typer.Option("--orders", help="Take orders from stdin, one a line.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Record devices into a session, until Ctrl-C, and estimate as pokes come in."""
+    """Record devices into a session, until Ctrl-C, and estimate as pokes come in.
+
+    Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
+    {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
+    """
     from skincal.streams.links import describe_links
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
     with new_folder(out) as fresh:
-        road = _recorded(loaded, (out, fresh), links, pose, seconds, pokes)
+        items: Items = queue.SimpleQueue()
+        if orders:
+            threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
+        road = _recorded(loaded, (out, fresh), links, pose, seconds, pokes, items)
         finish(road, out, as_json)
 
 
@@ -102,11 +115,11 @@ def _recorded(
     pose: str | None,
     seconds: float | None,
     pokes: int | None,
+    items: Items,
 ) -> Road:
     from skincal.streams.reader import Reader
 
     road = new_road(scene, into[0], links, into[1])
-    items: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
     readers = {link.name: Reader(link, items) for link in links}
     try:
         _choose_pose(road, pose)
@@ -119,9 +132,41 @@ def _recorded(
         for reader in readers.values():
             reader.stop()
         while not items.empty():
-            road.feed(items.get())
+            _take(road, items.get())
         road.close()
     return road
+
+
+@dataclass(frozen=True, slots=True)
+class OrderLine:
+    """A line that was typed, and when: host's monotonic clock, nanoseconds."""
+
+    host_ns: int
+    text: bytes
+
+
+Items: TypeAlias = queue.SimpleQueue[Any]
+"""`Chunk`, `LinkEvent` and `OrderLine`, as they arrive."""
+
+
+def _read_orders(file: int, items: Items) -> None:
+    """Stamp every line of a file that is open, and hand it on."""
+    # Unbuffered: a buffer's lock, held by a thread that waits for a line, would break the end of the program.
+    for line in FileIO(file, closefd=False):
+        items.put(OrderLine(time.monotonic_ns(), line))
+
+
+def _take(road: Road, item: Chunk | LinkEvent | OrderLine) -> None:
+    """Let the road take what arrived; an order that cannot be done is said, and left out."""
+    if not isinstance(item, OrderLine):
+        road.feed(item)
+        return
+    from skincal.session.actions import from_json
+
+    try:
+        road.act(from_json(json.loads(item.text)), item.host_ns)
+    except (InputError, ValueError, AttributeError) as error:
+        typer.echo(f"order {item.text.decode(errors='replace').strip()}: not done. {error}", err=True)
 
 
 def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
@@ -145,7 +190,7 @@ def _choose_pose(road: Road, pose: str | None) -> None:
 
 def _loop(
     road: Road,
-    items: queue.SimpleQueue[Chunk | LinkEvent],
+    items: Items,
     readers: Mapping[str, Reader],
     seconds: float | None,
     pokes: int | None,
@@ -159,7 +204,7 @@ def _loop(
         for sentence in silence.sentences(time.monotonic_ns()):
             typer.echo(sentence, err=True)
         try:
-            item = items.get(timeout=DRAIN_WAIT_S)
+            item: Chunk | LinkEvent | OrderLine = items.get(timeout=DRAIN_WAIT_S)
         except queue.Empty:
             road.tick(time.monotonic_ns())
             over = [states.get(name) for name, reader in readers.items() if not reader.running]
@@ -169,8 +214,9 @@ def _loop(
         if isinstance(item, LinkEvent):
             typer.echo(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
             states[item.link] = item.state
-        silence.hear(item)
-        road.feed(item)
+        if not isinstance(item, OrderLine):
+            silence.hear(item)
+        _take(road, item)
         road.tick(item.host_ns)
         told = _tell_new_pokes(road, told)
         if pokes is not None and told >= pokes:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
     from skincal.model.scene import Scene
     from skincal.simulate.device import DeviceSettings
+    from skincal.simulate.faults import RigErrors
     from skincal.simulate.follow import Guided
     from skincal.simulate.operator import Habits, Told
-    from skincal.simulate.rig import RigErrors
     from skincal.simulate.serve import Server
 
 
@@ -135,7 +135,7 @@ class _Play:
 
 
 def _errors(errors: Errors) -> RigErrors:
-    from skincal.simulate.rig import RigErrors
+    from skincal.simulate.faults import RigErrors
 
     return {Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors]()
 

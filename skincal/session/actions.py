@@ -69,6 +69,24 @@ class AtLandmark:
 
 
 @dataclass(frozen=True, slots=True)
+class FoundAtLandmark:
+    """The pipeline found that a poke was at the landmark that was asked for; see `skincal.session.road`.
+
+    It follows from the bytes and from `AskLandmark`, so a session that is played again from its bytes finds it anew.
+    """
+
+    poke: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class AskLandmark:
+    """Ask the operator for pokes at a landmark from now on; an empty name asks for none."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
 class Correct:
     """Use a correction of what the rig tells, in place of one of its kind; the numbers travel with it, SI units."""
 
@@ -95,7 +113,20 @@ class Uncorrect:
     of: str
 
 
-Action: TypeAlias = Exclude | Restore | Undo | SetPose | MarkDead | Revive | AddLandmark | AtLandmark | Correct | Uncorrect
+Action: TypeAlias = (
+    Exclude
+    | Restore
+    | Undo
+    | SetPose
+    | MarkDead
+    | Revive
+    | AddLandmark
+    | AtLandmark
+    | FoundAtLandmark
+    | AskLandmark
+    | Correct
+    | Uncorrect
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +146,8 @@ _KINDS: dict[str, type[Action]] = {
     "revive": Revive,
     "add_landmark": AddLandmark,
     "at_landmark": AtLandmark,
+    "found_at_landmark": FoundAtLandmark,
+    "ask_landmark": AskLandmark,
     "correct": Correct,
     "uncorrect": Uncorrect,
 }

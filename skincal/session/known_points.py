@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -9,16 +10,19 @@ import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
 from skincal.geometry.arrays import FloatArray
+from skincal.guide.landmark_targets import was_there
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark
 from skincal.model.tables import LENGTH_MAX
 from skincal.rig.correction_fit import LandmarkPoke
-from skincal.session.actions import AddLandmark, AtLandmark
+from skincal.session.actions import AddLandmark, AskLandmark, AtLandmark, FoundAtLandmark
 from skincal.session.history import Step
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
+REACTION_S = 0.25
+"""s. A poke that is held so soon after another landmark came up was on its way to the one before: a visual reaction."""
 ON_SURFACE = 0.010
 """m: what lies farther from the surface is no point of it, such as one of a jig, and may be poked from any side."""
 
@@ -42,9 +46,9 @@ class KnownPoints:
         ----------
         outcome : gives what a poke ended as, by its number
         """
-        places = {one.name: one for one in self.landmarks}
-        told = ((poke, name, outcome(poke)) for poke, name in self._named.items() if name in places)
-        return {poke: name for poke, name, one in told if one is not None and poke_at(one, places[name]) is not None}
+        places = {landmark.name: landmark for landmark in self.landmarks}
+        ended = ((poke, name, outcome(poke)) for poke, name in self._named.items() if name in places)
+        return {poke: name for poke, name, end in ended if end is not None and poke_at(end, places[name]) is not None}
 
     def add(self, action: AddLandmark) -> Step:
         """Take another landmark; return how it is taken back.
@@ -55,7 +59,7 @@ class KnownPoints:
             The name is empty or taken, or the place is no place in metres.
         """
         place = np.array([action.x, action.y, action.z])
-        if not action.name.strip() or any(action.name == one.name for one in self.landmarks):
+        if not action.name.strip() or any(action.name == landmark.name for landmark in self.landmarks):
             raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
         if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
             raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")
@@ -67,7 +71,7 @@ class KnownPoints:
 
         return Step(f"landmark {action.name}", take_back)
 
-    def put(self, action: AtLandmark, outcome: Outcome | None) -> Step:
+    def put(self, action: AtLandmark | FoundAtLandmark, outcome: Outcome | None) -> Step:
         """Say at which landmark a poke was; return how that is taken back.
 
         Raises
@@ -75,9 +79,7 @@ class KnownPoints:
         InputError
             There is no such landmark or poke, or nothing is known of the poke's axis.
         """
-        if action.name and all(action.name != one.name for one in self.landmarks):
-            known = ", ".join(one.name for one in self.landmarks) or "none: the scene has no landmarks"
-            raise InputError(f"There is no landmark {action.name!r}; expected one of {known}.")
+        self._check_name(action.name)
         if action.name and (outcome is None or poke_at(outcome, self.landmarks[0]) is None):
             raise InputError(
                 f"Poke {action.poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered."
@@ -92,9 +94,59 @@ class KnownPoints:
 
         return Step(f"poke {action.poke} at {action.name or 'no landmark'}", take_back)
 
+    def check_ask(self, action: AskLandmark) -> None:
+        """Refuse to ask for a landmark that is not there.
+
+        Raises
+        ------
+        InputError
+            There is no such landmark.
+        """
+        self._check_name(action.name)
+
+    def _check_name(self, name: str) -> None:
+        if name and all(name != landmark.name for landmark in self.landmarks):
+            known = ", ".join(landmark.name for landmark in self.landmarks) or "none: the scene has no landmarks"
+            raise InputError(f"There is no landmark {name!r}; expected one of {known}.")
+
     def pokes(self, outcomes: Iterable[Outcome]) -> tuple[LandmarkPoke, ...]:
         """Return those of `outcomes` that were at a landmark."""
         return tuple(landmark_pokes(outcomes, self.landmarks, self._named))
+
+
+class LandmarkFinder:
+    """Finds which new pokes were at the landmark that the operator was asked for.
+
+    Parameters
+    ----------
+    places : gives (3,) float, metres, of taxels by their channel, where the layout puts them; called when it is first needed
+    """
+
+    def __init__(self, places: Callable[[], Mapping[int, FloatArray]]) -> None:
+        self._places = places
+        self.asked = ""
+        """Name of the landmark that is asked for; empty where none is."""
+        self._asked_s = math.inf
+
+    def ask(self, name: str, host_s: float) -> None:
+        """Take what the operator is asked for since `host_s`, seconds of the host's monotonic clock."""
+        self.asked, self._asked_s = name, host_s
+
+    def find(self, new: Iterable[Outcome], landmarks: Iterable[Landmark]) -> list[FoundAtLandmark]:
+        """Return which of `new` pokes were at the landmark that is asked for.
+
+        They began `REACTION_S` after it was asked for at least, tell their axis, and no taxel far from it answered.
+        """
+        landmark = next((landmark for landmark in landmarks if landmark.name == self.asked), None)
+        if landmark is None:
+            return []
+        late = [outcome for outcome in new if outcome.start_s >= self._asked_s + REACTION_S]
+        return [
+            FoundAtLandmark(outcome.poke, landmark.name)
+            for outcome in late
+            if poke_at(outcome, landmark) is not None
+            and (isinstance(outcome, Rejection) or was_there(outcome, landmark, self._places()))
+        ]
 
 
 def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:
@@ -104,10 +156,10 @@ def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], n
     ----------
     named : pokes that were at a landmark: number to its name; the landmark may be there no more
     """
-    known = {one.name: one for one in landmarks}
+    known = {landmark.name: landmark for landmark in landmarks}
     there = ((outcome, known.get(named.get(outcome.poke, ""))) for outcome in outcomes)
     found = (poke_at(outcome, landmark) for outcome, landmark in there if landmark is not None)
-    return [one for one in found if one is not None]
+    return [poke for poke in found if poke is not None]
 
 
 def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
@@ -123,9 +175,9 @@ def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
 def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> list[FloatArray | None]:
     """Return which way is outward at each landmark: its own normal, else that of the nearest triangle, else None.
 
-    A landmark that was added by hand has none of its own; without one a sensor that reports the reaction cannot be told.
+    A landmark that was added by hand has none of its own; without one a sensor that reports the reaction cannot be recognized.
     """
-    normals = [one.normal for one in landmarks]
+    normals = [landmark.normal for landmark in landmarks]
     missing = [i for i, normal in enumerate(normals) if normal is None]
     if surface is None or not missing:
         return normals

@@ -18,7 +18,7 @@ from skincal.journal.recovery import recover_session
 from skincal.journal.writer import open_segment
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, with_layout
-from skincal.session.actions import Stamped
+from skincal.session.actions import FoundAtLandmark, Stamped
 from skincal.session.road import Road
 from skincal.streams.links import LinkSpec
 
@@ -145,7 +145,9 @@ def step(road: Road, item: LogItem) -> None:
         if item.number > 1:
             road.begin_segment(item.links)
     elif isinstance(item, Stamped):
-        road.act(item.action, item.host_ns)
+        # The bytes and what was asked for lead to these again.
+        if not isinstance(item.action, FoundAtLandmark):
+            road.act(item.action, item.host_ns)
     elif isinstance(item, Ending):
         road.put_down(item.host_ns)
     else:

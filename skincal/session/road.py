@@ -1,12 +1,15 @@
-"""The whole road of a reading: journal, decoding, pairing, pokes, session.
+"""The whole road of a reading: journal, decoding, pairing, pokes, landmarks, session.
 
 Real, replayed and simulated devices differ in where the items come from, and in nothing else. What a road holds depends on the
 sequence of items and actions alone, never on a clock: played again it is the same, bit for bit.
+
+A poke that the operator was asked to make at a landmark (`AskLandmark`) is found here, with or without a window, and becomes
+an action of its own (`FoundAtLandmark`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,13 +23,15 @@ from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import ArmSpec, Scene
-from skincal.session.actions import Action, Stamped
+from skincal.session.actions import Action, AskLandmark, Stamped
+from skincal.session.known_points import LandmarkFinder
 from skincal.session.session import Session
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 
 if TYPE_CHECKING:
+    from skincal.mesh.lay import LaidSkin
     from skincal.mesh.surface import Surface
 
 DECODED_NS = 500_000_000
@@ -45,10 +50,16 @@ class Road:
     links : where the items come from
     surface : the scene's mesh; None leaves out the surface method
     journal : open for writing; None records nothing
+    laid : the layout on the part, where it was laid already; else it is laid when the first landmark poke needs it
     """
 
     def __init__(
-        self, scene: Scene, links: Sequence[LinkSpec], surface: Surface | None, journal: JournalWriter | None = None
+        self,
+        scene: Scene,
+        links: Sequence[LinkSpec],
+        surface: Surface | None,
+        journal: JournalWriter | None = None,
+        laid: LaidSkin | None = None,
     ) -> None:
         self.scene = scene
         self.links = tuple(links)
@@ -63,6 +74,9 @@ class Road:
         self._doubts: dict[int, Doubt] = {}
         self._intake = Intake(scene.skin.channels, links)
         self._poses = _Poses(scene)
+        self.laid = laid
+        """The layout on the part; None where it was not laid yet, or where it lies nowhere."""
+        self._landmarks = LandmarkFinder(self._taxel_places)
         self._earlier = Totals()
         self._totals_ns: int | None = None
         self._now_ns = 0
@@ -114,9 +128,18 @@ class Road:
             It cannot be done; nothing is changed and nothing recorded.
         """
         self.session.act(action)
+        if isinstance(action, AskLandmark):
+            self._landmarks.ask(action.name, host_ns * 1e-9)
         self._show_pose(None)
         self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
-        self._record(lambda journal: journal.sync())
+        # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
+        if not isinstance(action, AskLandmark):
+            self._record(lambda journal: journal.sync())
+
+    @property
+    def asked_landmark(self) -> str:
+        """Name of the landmark that the operator is asked for; empty where none is."""
+        return self._landmarks.asked
 
     def tick(self, now_ns: int) -> None:
         """Write what the journal buffers if it is due; call it in any rhythm."""
@@ -190,6 +213,7 @@ class Road:
         self._away.clear()
         self._decoded_ns, self._decoded_s = 0, -np.inf
         self._totals_ns = None
+        self._landmarks = LandmarkFinder(self._taxel_places)
         self.journal = journal
         self.renew_detector()
 
@@ -231,7 +255,14 @@ class Road:
         return outcomes
 
     def _settle_item(self, item: Item, outcomes: Sequence[Outcome]) -> None:
-        """Give the session what an item led to, and the journal both."""
+        """Give the session what an item led to, and the journal both; then find which new pokes were at a landmark."""
+        last = self.session.last_poke
+        self._note(item, outcomes)
+        new = {outcome.poke: outcome for outcome in outcomes if outcome.poke > last}
+        for found in self._landmarks.find(new.values(), self.session.landmarks):
+            self.act(found, item.host_ns)
+
+    def _note(self, item: Item, outcomes: Sequence[Outcome]) -> None:
         self._now_ns = max(self._now_ns, item.host_ns)
         notes: list[Note] = []
         if outcomes or self._found_dead:
@@ -247,6 +278,22 @@ class Road:
         self._record(lambda journal: journal.write(item, notes))
         if any(isinstance(outcome, Contact) for outcome in outcomes):
             self._record(lambda journal: journal.sync())
+
+    def _taxel_places(self) -> Mapping[int, FloatArray]:
+        """Return where the layout puts each taxel, (3,) float, metres, by its channel; none where it does not."""
+        layout = self.scene.skin.layout
+        if layout is None:
+            return {}
+        if self.laid is None:
+            from skincal.mesh.lay import lay  # it costs a second on a large mesh, and few sessions need it
+
+            self.laid = lay(layout, self.scene.skin.anchor, self.session.surface)
+        laid = self.laid
+        if laid is None:
+            return {}
+        return {
+            channel: laid.places[channel] for channel in layout.channels.tolist() if np.isfinite(laid.places[channel]).all()
+        }
 
     def _totals_due(self, item: Item) -> bool:
         if self._totals_ns is None:

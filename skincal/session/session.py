@@ -24,9 +24,11 @@ from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.actions import (
     Action,
     AddLandmark,
+    AskLandmark,
     AtLandmark,
     Correct,
     Exclude,
+    FoundAtLandmark,
     MarkDead,
     Restore,
     Revive,
@@ -201,18 +203,20 @@ class Session:
         Raises
         ------
         InputError
-            There is no such poke, pose or channel, or nothing to undo; the session is as it was.
+            There is no such poke, pose, landmark or channel, or nothing to undo; the session is as it was.
         """
+        if isinstance(action, AskLandmark):
+            # What is asked for changes nothing of what is known, and is not taken back.
+            self._known.check_ask(action)
+            return
         if isinstance(action, Undo):
             self._undo()
         elif isinstance(action, Exclude | Restore):
             self._choose_poke(action)
         elif isinstance(action, SetPose):
             self._choose_pose(action.name)
-        elif isinstance(action, AddLandmark):
-            self._history.add(self._known.add(action))
-        elif isinstance(action, AtLandmark):
-            self._history.add(self._known.put(action, self.outcome(action.poke)))
+        elif isinstance(action, AddLandmark | AtLandmark | FoundAtLandmark):
+            self._know_landmark(action)
         elif isinstance(action, Correct):
             self._history.add(self._corrections.use(action))
         elif isinstance(action, Uncorrect):
@@ -347,6 +351,10 @@ class Session:
     def _set_excluded(self, poke: int, out: bool) -> None:
         (self._excluded.add if out else self._excluded.discard)(poke)
         self._put(PokeRecord(self._records[poke].outcome, out))
+
+    def _know_landmark(self, action: AddLandmark | AtLandmark | FoundAtLandmark) -> None:
+        added = isinstance(action, AddLandmark)
+        self._history.add(self._known.add(action) if added else self._known.put(action, self.outcome(action.poke)))
 
     def _choose_pose(self, name: str) -> None:
         known = {} if self.scene.arm is None else self.scene.arm.poses

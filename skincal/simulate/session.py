@@ -16,8 +16,9 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.session.road import Road
 from skincal.simulate.device import DeviceSettings, Timeline
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits
-from skincal.simulate.rig import Rig, RigErrors
+from skincal.simulate.rig import Rig
 from skincal.streams.links import LinkSpec
 
 START_NS = 1_000_000_000

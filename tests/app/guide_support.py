@@ -9,11 +9,11 @@ import numpy as np
 from scene3d_support import laid
 from window_support import PLAN, SCENE, reading
 
-from app.opening import Part
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.guide.coaching import Coaching, coach, smooth
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.progress import Need
+from skincal.session.part import Part
 from skincal.session.snapshot import LiveView
 from skincal.taxels.result import Method
 

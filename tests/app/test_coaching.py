@@ -10,13 +10,13 @@ from guide_support import ASKED, TILT, TO_2, guidance, held, part, target, told_
 from scene3d_support import box
 from window_support import PLAN, SCENE, frame, reading, session
 
-from app.coaching import AIM_FAR, COACH_S, Ask, tilt_hint
+from app.coaching import AIM_FAR, COACH_S, Ask, PressCoach, tilt_hint
 from app.guide_words import Lean
-from app.guiding import Guiding
-from app.opening import Part
-from app.policies import NowMemory, Tone, now_line
+from app.text.now import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.coaching import leeway
+from skincal.session.guiding import SessionGuide
+from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 
@@ -191,32 +191,42 @@ def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expec
         assert (way @ told.lean[:2]) * (-1 if hint.toward.away else 1) > 0.8 * np.linalg.norm(way)
 
 
+def coaching(surface):
+    """What a coach says of one reading after another."""
+    coach = PressCoach(surface)
+
+    def coached(progress, target):
+        coach.follow(progress, target)
+        return coach.coaching
+
+    return coached
+
+
 def test_the_guide_of_the_window_compares_with_its_own_target_on_the_skin():
-    of, guiding = Session(SCENE, None), Guiding(part())
-    assert guiding.coach(held(20.0).progress) is None, "nobody guides yet"
-    assert guiding.coach(reading().progress) is None
+    of, guiding, coached = Session(SCENE, None), SessionGuide(part()), coaching(part().surface)
+    assert coached(held(20.0).progress, None) is None, "nobody guides yet"
+    assert coached(reading().progress, None) is None
     says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
     assert says is not None
     assert says.target is not None
     view = held(20.0, asked=says.target, landed=says.target.channel)
-    told = guiding.coach(view.progress)
+    told = coached(view.progress, says.target)
     assert told is not None
     assert told.away < 1e-9
     assert np.degrees(told.tilt) == pytest.approx(20.0)
-    assert guiding.coach(replace(view.progress, phase=PressPhase.READY)) is None
-    guiding.wanted = False
-    assert guiding.coach(view.progress) is None
+    assert coached(replace(view.progress, phase=PressPhase.READY), says.target) is None
+    assert coached(view.progress, None) is None
 
 
 def test_the_tip_is_measured_on_the_mesh_where_there_is_one():
     whole = part()
     sunk = replace(whole.laid, places=whole.laid.places - [0.0, 0.0, 0.004])
-    of, guiding = Session(SCENE, None), Guiding(Part(SCENE, box(), sunk, PLAN.channels, ()))
+    of, guiding = Session(SCENE, None), SessionGuide(Part(SCENE, box(), sunk, PLAN.channels, ()))
     says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
     assert says is not None
     assert says.target is not None
     # The layout is believed 4 mm below the box's top; a tool that leans by 45 degrees touches the top right above it.
     up = replace(says.target, place=says.target.place + np.array([0.0, 0.0, 0.004]))
-    told = guiding.coach(held(45.0, asked=up).progress)
+    told = coaching(box())(held(45.0, asked=up).progress, says.target)
     assert told is not None
     assert told.away < 1e-7

@@ -11,12 +11,12 @@ from scene3d_support import layout, scene
 from window_support import NAMES, PLAN, SCENE, frame, reading, session, slip, touch
 
 from app.guide_words import Lean, end_words, enough_words, lean_of, target_words, why_words
-from app.guiding import Guiding, plan_of
-from app.opening import Part
-from app.policies import SETTLE_S, NowMemory, Tone, now_line
+from app.text.now import SETTLE_S, NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.progress import Need
+from skincal.session.guiding import SessionGuide, plan_of
+from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 
@@ -135,7 +135,7 @@ class Asked:
 
 
 def test_the_guide_is_asked_once_for_what_is_new():
-    of, guiding = Session(SCENE, None), Guiding(part())
+    of, guiding = Session(SCENE, None), SessionGuide(part())
     asked = Asked(of)
     first = guiding.follow(of.snapshot(), 1, Method.FREE, asked, 0.0)
     assert first is not None
@@ -154,7 +154,7 @@ def test_the_guide_is_asked_once_for_what_is_new():
 
 
 def test_a_target_that_is_skipped_gives_way_to_another():
-    of, guiding = Session(SCENE, None), Guiding(part())
+    of, guiding = Session(SCENE, None), SessionGuide(part())
     guiding.skip()
     first = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
     guiding.skip()
@@ -173,7 +173,7 @@ def test_where_the_plan_leaves_a_taxel_out_the_guide_does():
     assert plan is not None
     assert plan.channels.tolist() == [c for c in range(24) if c != 5]
     assert plan.modules.tolist() == 11 * [0] + 12 * [1]
-    of, guiding = Session(SCENE, None), Guiding(whole)
+    of, guiding = Session(SCENE, None), SessionGuide(whole)
     of.add(touch(1, (5, 6), (50.0, 20.0)))
     of.add(touch(2, (23,)))
     says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
@@ -184,7 +184,7 @@ def test_where_the_plan_leaves_a_taxel_out_the_guide_does():
 def test_without_a_layout_on_the_part_taxels_are_guided_on_once_they_answered():
     bare = scene(None)
     for nowhere in (Part(bare, None, None, np.arange(24), ()), Part(SCENE, None, None, layout().channels, ())):
-        guiding = Guiding(nowhere)
+        guiding = SessionGuide(nowhere)
         of = Session(nowhere.scene, None)
         says = guiding.follow(of.snapshot(), 1, Method.FREE, of.evidence, 0.0)
         assert says.phase is GuidePhase.COVER
@@ -203,7 +203,7 @@ def test_a_layout_that_lies_nowhere_still_tells_of_modules():
     """Or all of them would count as one, known from four pokes."""
     nowhere = Part(SCENE, None, None, layout().channels, ())
     assert plan_of(nowhere).modules.tolist() == 12 * [0] + 12 * [1]
-    guiding, of = Guiding(nowhere), Session(SCENE, None)
+    guiding, of = SessionGuide(nowhere), Session(SCENE, None)
     for poke, (x, y) in enumerate([(0.0, 0.0), (3.0, 0.0), (0.0, 3.0), (2.0, 2.0), (-3.0, 0.0)], 1):
         of.add(touch(poke, (poke, poke + 1), (50.0, 20.0), force=(x, y, -10.0)))
     of.add(touch(6, (15, 16), (50.0, 20.0)))

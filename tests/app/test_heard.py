@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from guide_support import guidance, target
-from window_support import NAMES, SECOND, frame, link, reading, session, slip, touch
+from window_support import NAMES, frame, link, reading, session, slip, touch
 
 from app.earcons import EDGE_S, LEVEL, LONGEST_S, RATE, Sound, samples_of
 from app.heard import ALARM_S, Ear, Heard, heard
-from app.policies import NowMemory, link_lines, now_line
-from app.running import Running
+from app.state.running import Running
+from app.text.now import NowMemory, now_line
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.model.readings import LinkState
 from skincal.taxels.result import Method
@@ -25,7 +25,7 @@ def at(phase=READY, pokes=(), guided=None, now_s=100.0, lost=(), **changes):
     """A frame; `lost` are links that are lost."""
     names = ("wrench", "skin")
     links = [link(n, LinkState.LOST if n in lost else LinkState.OPEN, last_s=now_s) for n in names]
-    made = frame(session(pokes=pokes), reading(phase), now_s, links=link_lines(links, round(now_s * SECOND)), **changes)
+    made = frame(session(pokes=pokes), reading(phase, links=tuple(links)), now_s, **changes)
     return replace(made, guidance=guided)
 
 

@@ -11,19 +11,21 @@ from scene3d_support import laid
 from window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
 
 from app.guide_words import gain_words, landmark_words, target_words, why_words
-from app.guiding import Guiding, plan_of
 from app.heard import Ear, Heard, heard
-from app.landmark_round import REACTION_S, Landmarks
-from app.opening import Part
-from app.policies import NowMemory, Tone, allowed, now_line
-from app.running import Running
+from app.state.policies import allowed
+from app.state.running import Running
+from app.text.now import NowMemory, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide import landmark_targets as landmarks_module
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.landmark_targets import LandmarkTarget
+from skincal.guide.places import PlannedPlaces
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
-from skincal.session.actions import AtLandmark
+from skincal.session.actions import FoundAtLandmark
+from skincal.session.guiding import LandmarkGuide, SessionGuide, plan_of
+from skincal.session.known_points import REACTION_S, LandmarkFinder
+from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
 
@@ -71,6 +73,36 @@ def press(poke: int, start_s: float, place=CORNER.place, pose: str = "low") -> R
     )
 
 
+class Landmarks(LandmarkGuide):
+    """The guide of the landmarks, and what the road makes of what it asks for."""
+
+    def __init__(self, of: Part, plan: PlannedPlaces) -> None:
+        super().__init__(of, plan)
+        self._finder = LandmarkFinder(lambda: dict(zip(plan.channels.tolist(), plan.places, strict=True)))
+        self._seen = 0
+
+    def before_skin(self, skin, snapshot, now_s):
+        says = super().before_skin(skin, snapshot, now_s)
+        name = "" if says.landmark is None else says.landmark.landmark.name
+        if name != self._finder.asked:
+            self._finder.ask(name, now_s)
+        return says
+
+    def forget(self):
+        super().forget()
+        self._finder.ask("", 0.0)
+
+    def begin(self, snapshot):
+        """Start with pokes that were there already."""
+        self._seen = snapshot.pokes[-1].outcome.poke if snapshot.pokes else 0
+
+    def poked(self, snapshot) -> list[FoundAtLandmark]:
+        """Return which new pokes were at the landmark that was asked for."""
+        new = [one.outcome for one in snapshot.pokes if one.outcome.poke > self._seen]
+        self.begin(snapshot)
+        return self._finder.find(new, snapshot.landmarks)
+
+
 def asking(now_s: float = 100.0, snapshot: Snapshot | None = None, of: Part | None = None) -> Landmarks:
     """The landmarks, of which one is asked for since `now_s`."""
     landmarks = Landmarks(of or part(), plan_of(of or part()))
@@ -92,10 +124,10 @@ LATER = 100.0 + REACTION_S + 0.01
 def test_a_poke_that_begins_after_the_landmark_was_seen_is_at_it_and_is_told_once():
     landmarks = asking()
     there = of_pokes(press(1, LATER))
-    assert landmarks.poked(there) == [AtLandmark(1, "corner")]
+    assert landmarks.poked(there) == [FoundAtLandmark(1, "corner")]
     assert landmarks.poked(there) == []
     assert landmarks.poked(of_pokes(replace(press(1, LATER), final=False))) == [], "the same poke again"
-    assert landmarks.poked(of_pokes(press(1, LATER), press(2, LATER + 2))) == [AtLandmark(2, "corner")]
+    assert landmarks.poked(of_pokes(press(1, LATER), press(2, LATER + 2))) == [FoundAtLandmark(2, "corner")]
 
 
 def test_a_poke_that_was_on_its_way_before_is_not_at_it():
@@ -122,7 +154,7 @@ def test_pokes_of_a_session_that_is_opened_are_not_taken():
 def test_the_clock_begins_anew_with_another_landmark_and_with_no_other_picture():
     landmarks = asking()
     landmarks.before_skin(guidance(target(3)), of_pokes(), 200.0)
-    assert landmarks.poked(of_pokes(press(1, LATER))) == [AtLandmark(1, "corner")], "it was asked for since 100"
+    assert landmarks.poked(of_pokes(press(1, LATER))) == [FoundAtLandmark(1, "corner")], "it was asked for since 100"
     landmarks.before_skin(guidance(target(3)), of_pokes(press(1, LATER), at={1: "corner"}), 300.0)
     both = of_pokes(press(1, LATER), press(2, 300.1), at={1: "corner"})
     assert landmarks.poked(both) == [], "it was on its way to the corner"
@@ -133,7 +165,7 @@ def test_the_clock_begins_anew_with_another_landmark_and_with_no_other_picture()
 
 def test_two_pokes_that_come_into_sight_together_are_both_at_the_landmark_that_was_asked_for():
     both = of_pokes(press(1, LATER), press(2, LATER + 2.0))
-    assert asking().poked(both) == [AtLandmark(1, "corner"), AtLandmark(2, "corner")]
+    assert asking().poked(both) == [FoundAtLandmark(1, "corner"), FoundAtLandmark(2, "corner")]
 
 
 @pytest.mark.parametrize(
@@ -144,7 +176,7 @@ def test_a_poke_is_not_at_a_landmark_far_from_which_taxels_answered(near, channe
     point = Landmark("screw", laid(PLAN).places[near] + [0.0, 0.005, 0.0], UP)
     landmarks = asking(snapshot=of_pokes(points=[point]))
     poke = replace(touch(1, channels, [50.0] * len(channels)), start_s=LATER)
-    assert (landmarks.poked(of_pokes(poke, points=[point])) == [AtLandmark(1, "screw")]) is taken
+    assert (landmarks.poked(of_pokes(poke, points=[point])) == [FoundAtLandmark(1, "screw")]) is taken
 
 
 @pytest.mark.parametrize("reason", [one for one in Reason if one is not Reason.NO_TAXEL])
@@ -158,7 +190,8 @@ def test_without_a_still_window_nothing_tells_where_it_was():
 
 
 def test_nothing_is_taken_where_nobody_wants_to_be_guided():
-    guiding, at = Guiding(part()), of_pokes()
+    guiding, at = SessionGuide(part()), of_pokes()
+    guiding.landmarks = Landmarks(part(), guiding.plan)
 
     def follow(wanted: bool, now_s: float):
         guiding.wanted = wanted
@@ -169,7 +202,7 @@ def test_nothing_is_taken_where_nobody_wants_to_be_guided():
     assert guiding.landmarks.poked(of_pokes(press(1, 120.0))) == []
     assert follow(True, 200.0).landmark is not None
     assert guiding.landmarks.poked(of_pokes(press(2, 150.0))) == [], "seen again since 200"
-    assert guiding.landmarks.poked(of_pokes(press(3, 201.0))) == [AtLandmark(3, "corner")]
+    assert guiding.landmarks.poked(of_pokes(press(3, 201.0))) == [FoundAtLandmark(3, "corner")]
 
 
 # What is asked for
@@ -240,7 +273,7 @@ def test_one_is_skipped_or_all_of_the_pose():
 
 
 def test_what_is_skipped_is_the_landmark_or_else_the_taxel():
-    guiding = Guiding(part())
+    guiding = SessionGuide(part())
 
     def follow(revision: int):
         return guiding.follow(of_pokes(), revision, Method.FREE, nothing, 100.0)
@@ -341,7 +374,7 @@ def test_what_may_be_done_with_landmarks():
     assert (may().skip_landmarks, may(guidance=guidance(target(3))).skip_landmarks) == (False, False)
     assert may(guidance=asked).skip_landmarks
     assert may(guidance=asked).another
-    assert may().correct == ""
+    assert may().correct is None
 
 
 def test_a_poke_record_that_is_out_is_said_by_nobody():

@@ -16,8 +16,8 @@ from app.coaching import Ask, Hint, hint_words
 from app.guide_words import Lean, enough_words
 from app.panels.dial import DIAL_PX
 from app.panels.now import NowPanel
-from app.policies import Now, NowMemory, Tone, now_line
 from app.scene3d.camera import PLAIN, Eye
+from app.text.now import Now, NowMemory, Tone, now_line
 from app.theme import DARK, HEADLINE_PT, LIGHT
 from app.top_view import AROUND, TOOL, axes_on, top_view
 from app.words import verdict_words
@@ -85,7 +85,7 @@ def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN):
     """Show a frame in which a tool presses, or none."""
     told = None if view is None else told_of(view.progress, asked)
     at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=told, eye=eye)
-    panel.show_frame(at)
+    panel.show_state(at)
     return at
 
 
@@ -108,7 +108,7 @@ def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
 def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
     pressed(panel)
     wide = panel.headline.width()
-    panel.show_frame(frame())
+    panel.show_state(frame())
     QApplication.processEvents()
     assert not panel.dial.isVisible()
     assert panel.minimumHeight() == panel.maximumHeight() > DIAL_PX
@@ -231,6 +231,6 @@ def test_a_verdict_leaves_the_dial_to_the_next_target(panel):
     before = pixels(panel.dial)
     other = target(7)
     at = replace(frame(session(2, pokes=[touch(1)]), reading(PressPhase.TARING)), guidance=guidance(other))
-    panel.show_frame(at)
+    panel.show_state(at)
     assert changed(before, pixels(panel.dial)) > 100
     assert panel.headline.text().startswith("accepted")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from app.recording import Recording
+from app.session.recording import Recording
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.session.actions import Exclude

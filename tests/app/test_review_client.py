@@ -22,8 +22,9 @@ from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, 
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer, Unreviewed
 from skincal.session.session import Session
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.landmarks import poke_landmarks
-from skincal.simulate.rig import Rig, RigErrors
+from skincal.simulate.rig import Rig
 
 
 @pytest.fixture(scope="module")

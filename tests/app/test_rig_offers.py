@@ -12,10 +12,10 @@ from window_support import PLAN, arm_scene, frame, session, slip, touch
 
 from app.display_units import DASH
 from app.panels.rig import NO_POINTS, NOT_YET, WAITING, RigPanel
-from app.policies import allowed
-from app.rig_offers import LandmarkRow, landmark_rows, moved_words, offers_of, review_words, used_words
-from app.rigging import Rigging
-from app.running import Running
+from app.state.policies import allowed
+from app.state.rig_review import RigReview, offers_of
+from app.state.running import Running
+from app.text.rig import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words, used_words
 from skincal.contacts.outcome import Reason
 from skincal.geometry.arrays import FloatArray
 from skincal.model.scene import Landmark
@@ -106,9 +106,9 @@ def test_nothing_is_offered_before_a_review_or_from_too_few_pokes():
 
 def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
     (offer,) = offers(review(), at())
-    assert offer.text == "Correct the rig"
-    assert "1.2 mm" in offer.words
-    assert "7.4 mm" in offer.words
+    assert offer_text(offer) == "Correct the rig"
+    assert "1.2 mm" in offer_words(offer)
+    assert "7.4 mm" in offer_words(offer)
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (RIG, 0.0074, 0.0012, 6)
     np.testing.assert_array_equal(correction_of(action).matrix, MATRIX)
@@ -117,14 +117,14 @@ def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
 
 def test_the_frame_goes_first_with_its_misses():
     (offer,) = offers(review(diagnosis=WRONG), at())
-    assert offer.text == "Correct the sensor's frame"
-    assert offer.words == WRONG.words
+    assert offer_text(offer) == "Correct the sensor's frame"
+    assert offer_words(offer) == WRONG.words
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (FRAME, 0.051, 0.006, 6)
     found = correction_of(action)
     np.testing.assert_array_equal(found.matrix, np.kron(np.diag([1.0, 1e-3]), TURN))
     (offer,) = offers(review(TOO_FEW, replace(WRONG, sure=False), 3), at())
-    assert "nearly as likely: poke another landmark" in offer.words
+    assert "nearly as likely: poke another landmark" in offer_words(offer)
 
 
 def test_a_frame_found_under_another_builds_on_it():
@@ -141,7 +141,7 @@ def test_what_is_in_use_is_offered_again_only_from_more_pokes():
     assert offers(review(), at(in_use(pokes=6))) == ()
     for pokes in (5, 7):
         (offer,) = offers(review(pokes=pokes), at(in_use(pokes=6)))
-        assert offer.text == "Correct the rig anew"
+        assert offer_text(offer) == "Correct the rig anew"
         assert offer.action.pokes == pokes
     (offer,) = offers(review(diagnosis=WRONG), at(in_use(pokes=6)))
     assert offer.action.of == FRAME, "a wrong frame is told whatever else is in use"
@@ -151,32 +151,32 @@ def test_the_key_does_what_is_offered_first():
     def may(offers):
         return allowed(at(), arm_scene(), (), Running.STREAMING, (), None, None, offers).correct
 
-    assert may(offers(review(), at())) == "Correct the rig"
-    assert may(offers(review(diagnosis=WRONG), at())) == "Correct the sensor's frame"
-    assert may(()) == ""
+    assert offer_text(may(offers(review(), at()))) == "Correct the rig"
+    assert offer_text(may(offers(review(diagnosis=WRONG), at()))) == "Correct the sensor's frame"
+    assert may(()) is None
 
 
 def test_an_offer_is_told_once_and_made_once():
-    rigging, none = Rigging(), at()
+    rigging, none = RigReview(), at()
     used = at(in_use())
     now, then = (replace(review(), used=one.corrections) for one in (none, used))
-    assert (rigging.offers(none), rigging.news(none)) == ((), "")
+    assert (rigging.offers(none), rigging.news(none)) == ((), None)
     rigging.review = now
     made = rigging.offers(none)
     assert rigging.offers(replace(none, generation=9)) is made
-    news = rigging.news(none)
-    assert news.startswith(made[0].words)
+    news = offer_news(rigging.news(none))
+    assert news.startswith(offer_words(made[0]))
     assert "C uses that; the Rig tab says more, and takes it back" in news
     assert rigging.shown(none) is now
     assert rigging.shown(used) is None, "it says nothing of a session that uses another correction"
-    assert (rigging.offers(used), rigging.news(used)) == ((), "")
+    assert (rigging.offers(used), rigging.news(used)) == ((), None)
     rigging.review = replace(now, generation=2)
     assert rigging.offers(none) is not made
-    assert rigging.news(none) == "", "it was told, and was taken back"
+    assert rigging.news(none) is None, "it was told, and was taken back"
     rigging.review = then
     assert rigging.offers(used) == ()
     rigging.review = replace(then, pokes=review(pokes=9).pokes)
-    assert "C uses that" in rigging.news(used), "another one is offered"
+    assert "C uses that" in offer_news(rigging.news(used)), "another one is offered"
 
 
 # What is said
@@ -271,13 +271,13 @@ def cells(panel) -> list[list[str]]:
 
 
 def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
-    panel.show_frame(shown(replace(at(), landmarks=())))
+    panel.show_state(shown(replace(at(), landmarks=())))
     assert panel.said.text() == NO_POINTS
     assert not panel.points.isVisible()
-    panel.show_frame(shown(replace(at(pokes=(here(1),), at_landmarks={1: "corner"}), generation=2)))
+    panel.show_state(shown(replace(at(pokes=(here(1),), at_landmarks={1: "corner"}), generation=2)))
     assert panel.said.text() == WAITING
     assert cells(panel) == [["corner", "1", "1", DASH], ["other", "0", "0", DASH]]
-    panel.show_frame(shown(replace(at(), landmarks=(OTHER,), generation=3)))
+    panel.show_state(shown(replace(at(), landmarks=(OTHER,), generation=3)))
     assert panel.said.text() == NOT_YET
     assert cells(panel) == [["other", "0", "0", DASH]]
     assert not panel.offer.isVisible()
@@ -286,19 +286,19 @@ def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
 
 def test_the_buttons_use_what_is_offered_and_drop_what_was_used_last(qtbot, panel):
     told = review()
-    panel.show_frame(shown(at(), told))
+    panel.show_state(shown(at(), told))
     assert panel.offer.text().startswith("Correct the rig")
     assert panel.offer.isVisible()
     with qtbot.waitSignal(panel.correct_requested) as wanted:
         panel.offer.click()
     assert wanted.args == [offers(told, at())[0].action]
-    panel.show_frame(shown(replace(at(in_use(FRAME), in_use(RIG)), generation=2), told))
+    panel.show_state(shown(replace(at(in_use(FRAME), in_use(RIG)), generation=2), told))
     assert not panel.offer.isVisible()
     assert panel.drop.isVisible()
     with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
         panel.drop.click()
     assert Uncorrect(*dropped.args) == Uncorrect(RIG)
-    panel.show_frame(shown(replace(at(in_use(FRAME)), generation=3), told))
+    panel.show_state(shown(replace(at(in_use(FRAME)), generation=3), told))
     with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
         panel.drop.click()
     assert dropped.args == [FRAME]

@@ -9,9 +9,9 @@ from guide_support import guidance, part
 from scene3d_support import estimate
 from window_support import PLAN, frame, session, slip, touch
 
-from app.guiding import plan_of
-from app.running import Running
-from app.short_way import ShortWay
+from app.state.running import Running
+from app.text.now import modules_enough_words
+from skincal.session.guiding import ModulesEnough, plan_of
 from skincal.taxels.result import Estimate, Method, State
 
 FIRST, SECOND = 3, 15
@@ -30,6 +30,14 @@ def at(pokes=ENOUGH, sd=1e-3, generation=1, excluded=(), blind=(), dead=(), done
     snapshot = session(generation, pokes=pokes, excluded=excluded)
     snapshot = replace(snapshot, estimates={**snapshot.estimates, Method.MODULES: tuple(told[c] for c in range(24))})
     return replace(frame(snapshot, method=method), guidance=guidance(done=done), **changes)
+
+
+class ShortWay(ModulesEnough):
+    """What is said of it at a moment; empty where nothing is."""
+
+    def news(self, at) -> str:
+        is_news = self.is_news(at.snapshot, at.revision, at.guidance, at.method, streaming=at.connected)
+        return modules_enough_words() if is_news else ""
 
 
 def test_it_is_said_once():

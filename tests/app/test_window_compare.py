@@ -15,7 +15,6 @@ from test_scene3d_view import pixels as picture
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import NAMES, PLAN, SCENE, frame, session
 
-from app.board_watch import BoardWatch
 from app.compare_words import (
     MOST_MODULES,
     difference_words,
@@ -30,19 +29,21 @@ from app.compare_words import (
 )
 from app.comparing import LAYOUT, Origin, Places, Source, default_pair, sources_of
 from app.display_units import ChannelNames
-from app.opening import Part
 from app.panels.compare import ComparePanel
-from app.plan import Plan
 from app.scene3d.compare import heads
 from app.scene3d.ground import Cloud, Comparison
 from app.scene3d.looks import DARK as DARK_LOOK
 from app.scene3d.looks import LIGHT as LIGHT_LOOK
 from app.scene3d.looks import Tint
+from app.session.open_request import OpenRequest
 from app.theme import DARK
 from skincal.model.skin import Anchor
 from skincal.modules import health
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange
 from skincal.rig.correction_fit import RigAnswer
+from skincal.session.error_history import ErrorCourse
+from skincal.session.modules_check import ModulesCheck
+from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
@@ -222,7 +223,7 @@ def modules_of(panel) -> list[list[str]]:
 def test_it_says_how_far_the_shown_method_lies_from_the_layout(qtbot):
     panel = make_panel(qtbot, part())
     free = known((0.0, 0.003, 0.0)) | known((0.0, 0.003, 0.004), rows=[15])
-    panel.show_frame(at(free))
+    panel.show_state(at(free))
     assert [box.currentText() for box in panel.boxes] == ["Layout", "Free method"]
     assert panel.summary.text() == "24 taxels, mean 3.1 mm, largest 5.0 mm (11-03)"
     rows = modules_of(panel)
@@ -237,7 +238,7 @@ def test_it_says_how_far_the_shown_method_lies_from_the_layout(qtbot):
 
 def test_a_click_on_the_worst_wants_that_taxel(qtbot):
     panel = make_panel(qtbot, part())
-    panel.show_frame(at(known() | known((0.0, 0.0, 0.004), rows=[15])))
+    panel.show_state(at(known() | known((0.0, 0.0, 0.004), rows=[15])))
     panel.worst.scrollToItem(panel.worst.item(0))
     panel.ensureWidgetVisible(panel.worst)
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
@@ -248,7 +249,7 @@ def test_a_click_on_the_worst_wants_that_taxel(qtbot):
 
 def test_what_is_drawn_leads_from_one_to_the_other_as_long_as_asked(qtbot):
     panel = make_panel(qtbot, part())
-    panel.show_frame(at(known((0.0, 0.003, 0.0))))
+    panel.show_state(at(known((0.0, 0.003, 0.0))))
     drawn = panel.drawn[-1]
     places = laid(PLAN).places
     assert [cloud.tint for cloud in drawn.clouds] == [Tint.FROM, Tint.TO]
@@ -276,33 +277,33 @@ def choose(panel, row: int, text: str) -> None:
 
 def test_the_operators_choice_stays_and_before_and_after_come_with_a_review(qtbot):
     panel = make_panel(qtbot, part())
-    panel.show_frame(at(known((0.0, 0.003, 0.0))))
-    panel.show_frame(at(known((0.0, 0.003, 0.0)), generation=2, method=Method.SURFACE))
+    panel.show_state(at(known((0.0, 0.003, 0.0))))
+    panel.show_state(at(known((0.0, 0.003, 0.0)), generation=2, method=Method.SURFACE))
     assert panel.boxes[1].currentText() == "Surface method", "it follows the method while nothing was chosen"
     told = review({Method.FREE: beside(0.008, 0.0, 0.0)}, {Method.FREE: beside(0.001, 0.0, 0.0)})
     reviewed = replace(at(known(), generation=3), review=told)
-    panel.show_frame(reviewed)
+    panel.show_state(reviewed)
     choose(panel, 0, "Free before correction")
     choose(panel, 1, "Free after correction")
     assert panel.summary.text().startswith("24 taxels, mean 7.0 mm")
     choose(panel, 0, "Layout")
     assert panel.summary.text().startswith("24 taxels, mean 1.0 mm")
-    panel.show_frame(replace(reviewed, method=Method.SURFACE, revision=4))
+    panel.show_state(replace(reviewed, method=Method.SURFACE, revision=4))
     assert panel.boxes[1].currentText() == "Free after correction"
-    panel.show_frame(at(known(), generation=5))
+    panel.show_state(at(known(), generation=5))
     assert [each.currentText() for each in panel.boxes] == ["Layout", "Free method"], "what is gone is not compared"
 
 
 def test_without_layout_and_surface_it_has_no_modules_and_says_what_is_missing(qtbot):
     panel = make_panel(qtbot, part(plan=False), (Method.FREE,))
-    panel.show_frame(at(known(), where=scene(None)))
+    panel.show_state(at(known(), where=scene(None)))
     assert panel.summary.text().startswith("The same places twice")
     assert panel.worst.count() == 0
     assert not panel.modules.isVisible()
     assert not panel.spacing.isVisible()
     assert panel.spacing.text() == ""
     both = make_panel(qtbot, part(plan=False, surface=True), (Method.SURFACE, Method.FREE))
-    both.show_frame(at(known(), known((0.0, 0.0, 0.002), Method.SURFACE), where=scene(None)))
+    both.show_state(at(known(), known((0.0, 0.0, 0.002), Method.SURFACE), where=scene(None)))
     assert [each.currentText() for each in both.boxes] == ["Free method", "Surface method"]
     assert both.summary.text().startswith("24 taxels, mean 2.0 mm")
     assert "ch " in both.worst.item(0).text()
@@ -311,16 +312,16 @@ def test_without_layout_and_surface_it_has_no_modules_and_says_what_is_missing(q
 def test_the_same_frame_draws_nothing_and_a_hidden_panel_works_nothing(qtbot):
     panel = make_panel(qtbot, part())
     moment = at(known())
-    panel.show_frame(moment)
+    panel.show_state(moment)
     qtbot.wait(50)
     paints, drawn = Paints(panel), len(panel.drawn)
     for now_s in range(20):
-        panel.show_frame(replace(moment, now_ns=now_s))
+        panel.show_state(replace(moment, now_ns=now_s))
     qtbot.wait(50)
     assert (paints.count, len(panel.drawn)) == (0, drawn)
     panel.hide()
     drawn = len(panel.drawn)
-    panel.show_frame(at(known((0.0, 0.0, 0.001)), generation=9))
+    panel.show_state(at(known((0.0, 0.0, 0.001)), generation=9))
     assert len(panel.drawn) == drawn
     panel.show()
     assert panel.summary.text().startswith("24 taxels, mean 1.0 mm")
@@ -334,19 +335,33 @@ def anchored(mirror: bool) -> Part:
     return Part(replace(SCENE, skin=skin), None, laid(PLAN), CHANNELS, ())
 
 
+def judge(check: ModulesCheck, state) -> None:
+    check.follow(state.snapshot, state.revision)
+
+
+def judged_and_shown(panel: ComparePanel, of: Part, queue: Queue):
+    """Return what shows a state as the window does: the modules of what is on the screen are judged first."""
+    check = ModulesCheck(of, queue)
+
+    def show(state) -> None:
+        judge(check, state)
+        panel.show_state(replace(state, modules=check.found))
+
+    return show
+
+
 @pytest.mark.parametrize("mirror", [False, True])
 def test_a_mirrored_module_is_named_beside_the_window(qtbot, mirror):
     of, queue = anchored(mirror), Queue()
     panel = make_panel(qtbot, of)
-    panel.begin(BoardWatch(of, queue))
-    moment = at(known())
-    panel.show_frame(moment)
+    show, moment = judged_and_shown(panel, of, queue), at(known())
+    show(moment)
     assert not panel.health.isVisible()
     assert len(queue.waiting) == 1, "it is worked out in the background, once"
-    panel.show_frame(moment)
+    show(moment)
     assert len(queue.waiting) == 1
     queue.finish()
-    panel.show_frame(moment)
+    show(moment)
     assert panel.health.isVisible()
     if mirror:
         assert "\N{WARNING SIGN} 1 module not as planned" in panel.health.text()
@@ -358,28 +373,28 @@ def test_a_mirrored_module_is_named_beside_the_window(qtbot, mirror):
 
 def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     of, queue = anchored(mirror=False), Queue()
-    watch = BoardWatch(of, queue)
+    watch = ModulesCheck(of, queue)
     for generation in (1, 2, 3):
-        watch.follow(at(known(), generation=generation))
+        judge(watch, at(known(), generation=generation))
     assert len(queue.waiting) == 1
     queue.finish()
-    watch.follow(at(known(), generation=3))
+    judge(watch, at(known(), generation=3))
     assert len(queue.waiting) == 1
     queue.finish()
-    watch.follow(at(known(), generation=3))
+    judge(watch, at(known(), generation=3))
     assert not queue.waiting
 
     def broken(*_):
         raise RuntimeError("of the boards")
 
-    monkeypatch.setattr("app.board_watch.mend_boards", broken)
-    watch.follow(at(known(), generation=4))
+    monkeypatch.setattr("skincal.session.modules_check.mend_boards", broken)
+    judge(watch, at(known(), generation=4))
     with pytest.raises(RuntimeError, match="of the boards"):
         queue.finish()
-    monkeypatch.setattr("app.board_watch.mend_boards", health.mend_modules)
-    watch.follow(at(known(), generation=4))
+    monkeypatch.setattr("skincal.session.modules_check.mend_boards", health.mend_modules)
+    judge(watch, at(known(), generation=4))
     assert not queue.waiting, "not at every picture"
-    watch.follow(at(known(), generation=5))
+    judge(watch, at(known(), generation=5))
     queue.finish()
     assert watch.found.judged == 2
 
@@ -454,26 +469,26 @@ def test_heads_end_at_the_tips_and_one_seen_end_on_has_none():
 
 
 def open_compare(bench: Bench, folder) -> ComparePanel:
-    bench.open(Plan(session=folder))
+    bench.open(OpenRequest(session=folder))
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_4)
-    panel = bench.window.desk.workspace.compare
+    panel = bench.window.session_view.workspace.compare
     assert panel.isVisible()
     return panel
 
 
 def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
-    workspace = bench.window.desk.workspace
+    workspace = bench.window.session_view.workspace
     before = picture(workspace.view)
     panel = open_compare(bench, recorded)
-    workspace = bench.window.desk.workspace
+    workspace = bench.window.session_view.workspace
     bench.until(lambda: tinted(picture(workspace.view), DARK_LOOK, Tint.TO) > tinted(before, DARK_LOOK, Tint.TO) + 50, OPEN_MS)
     assert "taxel" in panel.summary.text()
     worst = panel.worst.item(0)
     panel.worst.itemClicked.emit(worst)
-    assert bench.window.desk.selected == worst.data(Qt.ItemDataRole.UserRole)
+    assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
     bench.key(Qt.Key.Key_1)
     assert workspace.view._frame.comparison is None
     assert not workspace.view._stage.compare.dots.actor.GetVisibility()
@@ -481,9 +496,9 @@ def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, r
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):
     calls = []
-    for owner, name in ((BoardWatch, "follow"), (Places, "find"), (ComparePanel, "show_frame")):
+    for owner, name in ((ModulesCheck, "follow"), (ErrorCourse, "follow"), (Places, "find"), (ComparePanel, "show_state")):
         monkeypatch.setattr(owner, name, lambda *_, name=name: calls.append(name))
     bench.open_served("flat-patch")
     bench.until(lambda: len(bench.accepted()) >= 1)
     assert calls == []
-    assert bench.window.desk.workspace.compare._neighbours is None
+    assert bench.window.session_view.workspace.compare._neighbours is None

@@ -15,8 +15,6 @@ from scene3d_support import estimate
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import PLAN, SCENE, changed, frame, pixels, session, touch
 
-from app import controller
-from app.error_tracker import ErrorTracker
 from app.error_words import (
     PAPER,
     Axis,
@@ -29,15 +27,16 @@ from app.error_words import (
     shown_range,
     source_words,
 )
-from app.opening import Part, load_part
 from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
 from app.panels.errors import ErrorsPanel
-from app.plan import Plan
+from app.session import controller
+from app.session.open_request import OpenRequest
 from app.theme import DARK, LIGHT
 from app.workers.device_process import DeviceProcess
 from skincal.files.reference import Origin, Reference
 from skincal.model.scene import resource
-from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorHistory, ErrorSeries, Recount, error_series
+from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorCourse, ErrorHistory, ErrorSeries, Recount, error_series
+from skincal.session.part import Part, load_part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 
@@ -132,6 +131,10 @@ def at(made: Session, **changes):
     return frame(made.snapshot(), **changes)
 
 
+def follow(course: ErrorCourse, state) -> None:
+    course.follow(state.snapshot, state.revision)
+
+
 @pytest.fixture
 def queue():
     return Queue()
@@ -141,13 +144,22 @@ def queue():
 def panel(qtbot, queue):
     """A panel on the screen with its plot."""
     made = ErrorsPanel((Method.FREE,), PLAN)
-    made.begin(ErrorTracker(part(reference(Origin.PLAN, "part")), queue))
+    course, show = ErrorCourse(part(reference(Origin.PLAN, "part")), queue), made.show_state
+
+    def follow_and_show(state) -> None:
+        # As the window does: what a panel on the screen shows is followed first.
+        if made.isVisible():
+            follow(course, state)
+        show(state)
+
+    made.begin(course)
+    made.show_state = follow_and_show
     made.resize(430, 350)
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
         made.show()
     made.set_colours(DARK)
-    made.show_frame(frame(session(-1), now_s=90.0))
+    made.show_state(frame(session(-1), now_s=90.0))
     qtbot.waitUntil(lambda: made.ready, timeout=20_000)
     return made
 
@@ -162,13 +174,13 @@ def line_of(widget, method: int = 0) -> int:
 def test_the_past_of_a_session_that_is_open_already_is_worked_out_and_drawn(panel, queue):
     made = poked(12)
     empty = line_of(panel.plot)
-    panel.show_frame(at(made))
+    panel.show_state(at(made))
     assert "working out" in panel.plot.view.getPlotItem().getAxis("bottom").labelText
     queue.finish()
     for now_s in range(101, 140):
-        panel.show_frame(at(made, now_s=float(now_s)))
+        panel.show_state(at(made, now_s=float(now_s)))
         queue.finish()
-    shown = panel._tracker.series()
+    shown = panel._course.series()
     assert shown.counts.tolist() == list(range(1, 13))
     wanted = error_series(SCENE, None, made.snapshot(), reference(Origin.PLAN).places)
     assert np.array_equal(shown.spreads[Method.FREE], wanted.spreads[Method.FREE], equal_nan=True)
@@ -184,24 +196,24 @@ def test_each_poke_adds_its_point_and_an_exclusion_rewrites_the_course(panel, qu
     whole = poked(8)
     for record in whole.snapshot().pokes:
         made.add(record.outcome)
-        panel.show_frame(at(made))
+        panel.show_state(at(made))
     assert not queue.waiting
-    assert panel._tracker.series().counts.tolist() == list(range(1, 9))
+    assert panel._course.series().counts.tolist() == list(range(1, 9))
     before = pixels(panel.plot)
     made.act(Exclude(2))
-    panel.show_frame(at(made))
+    panel.show_state(at(made))
     queue.finish()
-    panel.show_frame(at(made, now_s=200.0))
+    panel.show_state(at(made, now_s=200.0))
     queue.finish()
-    panel.show_frame(at(made, now_s=300.0))
-    assert panel._tracker.series().pokes.tolist() == [1, 3, 4, 5, 6, 7, 8]
+    panel.show_state(at(made, now_s=300.0))
+    assert panel._course.series().pokes.tolist() == [1, 3, 4, 5, 6, 7, 8]
     assert changed(before, pixels(panel.plot)) > 20
 
 
 def test_what_is_drawn_follows_axis_module_and_source(panel, queue):
     made = poked(6)
     for now_s in range(100, 130):
-        panel.show_frame(at(made, now_s=float(now_s)))
+        panel.show_state(at(made, now_s=float(now_s)))
         queue.finish()
     pictures = [pixels(panel.plot)]
     for choose in (
@@ -213,7 +225,7 @@ def test_what_is_drawn_follows_axis_module_and_source(panel, queue):
     ):
         choose()
         for now_s in range(130, 140):
-            panel.show_frame(at(made, now_s=float(now_s)))
+            panel.show_state(at(made, now_s=float(now_s)))
             queue.finish()
         pictures.append(pixels(panel.plot))
     assert changed(pictures[0], pictures[1]) > 20
@@ -225,7 +237,7 @@ def test_what_is_drawn_follows_axis_module_and_source(panel, queue):
 
 
 def test_the_papers_lines_are_drawn_where_an_error_is(panel):
-    panel.show_frame(at(poked(2)))
+    panel.show_state(at(poked(2)))
     line = panel.plot.papers[Method.FREE]
     assert line.isVisible()
     assert line.value() == pytest.approx(math.log10(7.2))
@@ -272,12 +284,12 @@ def test_the_theme_reaches_the_plot(panel, qtbot):
 def test_a_frame_that_brings_nothing_new_draws_nothing(panel, qtbot, queue):
     made = poked(3)
     for now_s in range(100, 110):
-        panel.show_frame(at(made, now_s=float(now_s)))
+        panel.show_state(at(made, now_s=float(now_s)))
         queue.finish()
     qtbot.wait(50)
     paints = Paints(panel)
     for now_s in range(110, 140):
-        panel.show_frame(at(made, now_s=float(now_s)))
+        panel.show_state(at(made, now_s=float(now_s)))
     qtbot.wait(50)
     assert paints.count == 0
     assert not queue.waiting
@@ -285,23 +297,23 @@ def test_a_frame_that_brings_nothing_new_draws_nothing(panel, qtbot, queue):
 
 def test_a_panel_that_is_hidden_follows_nothing(panel, queue):
     panel.hide()
-    panel.show_frame(at(poked(5)))
+    panel.show_state(at(poked(5)))
     assert not queue.waiting
-    assert not len(panel._tracker.series().counts)
+    assert not len(panel._course.series().counts)
 
 
 def test_work_for_another_source_is_dropped(queue):
-    tracker = ErrorTracker(part(reference(Origin.PLAN, "part")), queue)
+    tracker = ErrorCourse(part(reference(Origin.PLAN, "part")), queue)
     made = at(poked(6))
-    tracker.follow(made)
+    follow(tracker, made)
     (work, done), queue.waiting = queue.waiting[0], []
     tracker.choose(1)
     done(work())
     assert not len(tracker.series().counts)
-    tracker.follow(made)
+    follow(tracker, made)
     for _ in range(10):
         queue.finish()
-        tracker.follow(made)
+        follow(tracker, made)
     assert tracker.series().missing == 0
     known = [e.rms for e in made.snapshot.estimates[Method.FREE] if e.rms is not None]
     assert tracker.series().spreads[Method.FREE][-1, 0, MEAN] == pytest.approx(np.mean(known))
@@ -311,18 +323,18 @@ def test_work_that_fails_is_tried_again_once_the_session_is_another(queue, monke
     def broken(*_):
         raise RuntimeError("of the estimate")
 
-    tracker = ErrorTracker(part(None), queue)
+    tracker = ErrorCourse(part(None), queue)
     made = poked(6)
-    tracker.follow(at(made))
+    follow(tracker, at(made))
     with monkeypatch.context() as fault:
         fault.setattr("skincal.session.error_history.point_of", broken)
         with pytest.raises(RuntimeError, match="of the estimate"):
             queue.finish()
-    tracker.follow(at(made, now_s=101.0))
+    follow(tracker, at(made, now_s=101.0))
     assert not queue.waiting
     made.add(touch(7))
     for _ in range(10):
-        tracker.follow(at(made))
+        follow(tracker, at(made))
         queue.finish()
     whole = error_series(SCENE, None, made.snapshot(), None)
     assert tracker.series().missing == 0
@@ -330,13 +342,13 @@ def test_work_that_fails_is_tried_again_once_the_session_is_another(queue, monke
 
 
 def test_where_no_place_is_known_it_is_the_predicted_error(queue):
-    tracker = ErrorTracker(part(None), queue)
+    tracker = ErrorCourse(part(None), queue)
     assert (tracker.source, tracker.sources) == (None, [None])
-    assert ErrorTracker(part(reference(Origin.PLAN, "part")), queue).source.origin is Origin.PLAN
+    assert ErrorCourse(part(reference(Origin.PLAN, "part")), queue).source.origin is Origin.PLAN
 
 
 def test_a_file_takes_the_place_of_the_file_before_and_the_plan_stays(queue):
-    tracker = ErrorTracker(part(reference(Origin.PLAN, "part")), queue)
+    tracker = ErrorCourse(part(reference(Origin.PLAN, "part")), queue)
     for name in ("a.json", "b.json"):
         tracker.offer(reference(Origin.FILE, name))
     tracker.offer(reference(Origin.TRUTH))
@@ -347,7 +359,7 @@ def test_a_file_takes_the_place_of_the_file_before_and_the_plan_stays(queue):
 def test_a_panel_that_was_never_open_imports_no_plots():
     code = (
         "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]);"
-        "from app.panels.errors import ErrorsPanel; from app.error_tracker import ErrorTracker;"
+        "from app.panels.errors import ErrorsPanel; from skincal.session.error_history import ErrorCourse;"
         "from skincal.taxels.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
         "sys.exit('pyqtgraph' in sys.modules or panel._threads is not None)"
     )
@@ -359,7 +371,7 @@ class Calls:
 
     def __init__(self, monkeypatch) -> None:
         self.count = 0
-        for owner, name in ((ErrorHistory, "take"), (ErrorHistory, "series"), (Recount, "work"), (ErrorTracker, "follow")):
+        for owner, name in ((ErrorHistory, "take"), (ErrorHistory, "series"), (Recount, "work"), (ErrorCourse, "follow")):
             monkeypatch.setattr(owner, name, self._counted(getattr(owner, name)))
 
     def _counted(self, method):
@@ -373,7 +385,7 @@ class Calls:
 def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     calls = Calls(monkeypatch)
     bench.open_served("flat-patch")
-    workspace = bench.window.desk.workspace
+    workspace = bench.window.session_view.workspace
     paints = Paints(workspace.error_course)
     bench.until(lambda: len(bench.accepted()) >= 1)
     assert calls.count == 0
@@ -384,7 +396,7 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     bench.until(lambda: workspace.error_course.plot is not None, OPEN_MS)
     accepted = len(bench.accepted())
     bench.until(lambda: len(bench.accepted()) > accepted)
-    bench.until(lambda: workspace.error_course._tracker.series().counts[-1] > accepted, 5000)
+    bench.until(lambda: workspace.error_course._course.series().counts[-1] > accepted, 5000)
     bench.key(Qt.Key.Key_1)
     qtbot.wait(100)
     calls.count = paints.count = 0
@@ -394,11 +406,11 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
 
 
 def open_errors(bench, folder) -> ErrorsPanel:
-    bench.open(Plan(session=folder))
+    bench.open(OpenRequest(session=folder))
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_6)
-    panel = bench.window.desk.workspace.error_course
-    bench.until(lambda: panel.ready and not panel._tracker.series().missing, OPEN_MS)
+    panel = bench.window.session_view.workspace.error_course
+    bench.until(lambda: panel.ready and not panel._course.series().missing, OPEN_MS)
     return panel
 
 
@@ -407,11 +419,11 @@ def test_a_simulated_sessions_truth_is_found_and_its_error_is_that_of_the_report
 
     panel = open_errors(bench, recorded)
     bench.until(lambda: panel.source_box.currentText() == "Error against the truth (truth.json)", 5000)
-    bench.until(lambda: panel._tracker.series().missing == 0 and len(panel._tracker.series().counts) > 0, OPEN_MS)
+    bench.until(lambda: panel._course.series().missing == 0 and len(panel._course.series().counts) > 0, OPEN_MS)
     truth = read_reference(recorded / "truth.json")
     for method in BOTH:
         told = error_summary(bench.snapshot.estimates[method], truth)
-        last = panel._tracker.series().spreads[method][-1, 0]
+        last = panel._course.series().spreads[method][-1, 0]
         assert last[TAXELS] == (0 if told is None else told.taxels)
         if told is not None:
             assert last[[MEAN, P95, MAX]] == pytest.approx([told.mean, told.p95, told.max])
@@ -423,15 +435,15 @@ def test_a_simulated_sessions_truth_is_found_and_its_error_is_that_of_the_report
 
 def test_excluded_by_key_a_poke_leaves_the_course_and_comes_back(bench, recorded):
     panel = open_errors(bench, recorded)
-    before = panel._tracker.series()
+    before = panel._course.series()
     first = bench.accepted()[0].poke
-    bench.window.desk.select_poke(first)
+    bench.window.session_view.select_poke(first)
     bench.key(Qt.Key.Key_E)
     bench.key(Qt.Key.Key_6)
-    bench.until(lambda: first not in panel._tracker.series().pokes and not panel._tracker.series().missing, 5000)
+    bench.until(lambda: first not in panel._course.series().pokes and not panel._course.series().missing, 5000)
     bench.key(Qt.Key.Key_Backspace)
-    bench.until(lambda: first in panel._tracker.series().pokes and not panel._tracker.series().missing, 5000)
-    after = panel._tracker.series()
+    bench.until(lambda: first in panel._course.series().pokes and not panel._course.series().missing, 5000)
+    after = panel._course.series()
     for method in BOTH:
         assert np.array_equal(before.spreads[method], after.spreads[method], equal_nan=True)
 
@@ -440,14 +452,14 @@ def test_a_file_is_compared_with_and_a_wrong_one_is_said(bench, recorded, tmp_pa
     panel = open_errors(bench, recorded)
     bench.key(Qt.Key.Key_1)
     path = tmp_path / "mine.json"
-    link = bench.window.desk.workspace.part.scene.link
+    link = bench.window.session_view.workspace.part.scene.link
     taxels = [{"channel": c, "position_m": [0.0, 0.0, 0.0]} for c in range(400)]
     path.write_text(json.dumps({"link": link, "taxels": taxels}))
-    bench.window.desk.compare_with(path)
+    bench.window.session_view.compare_with(path)
     bench.until(lambda: panel.source_box.currentText() == "Error against mine.json", 5000)
     assert panel.isVisible()
     path.write_text(json.dumps({"link": "elsewhere", "taxels": taxels}))
-    bench.window.desk.compare_with(path)
+    bench.window.session_view.compare_with(path)
     bench.until(lambda: "in the frame of 'elsewhere'" in bench.window.messages.text.text(), 5000)
     assert panel.source_box.currentText() == "Error against mine.json"
 
@@ -459,8 +471,8 @@ def test_the_open_tab_and_the_axis_are_kept(bench, qtbot, recorded, tmp_path):
     settings = QSettings("skincal", "test")
     assert settings.value("window/tab") == "Errors"
     other = Bench(qtbot, tmp_path)
-    other.open(Plan(session=recorded))
-    workspace = other.window.desk.workspace
+    other.open(OpenRequest(session=recorded))
+    workspace = other.window.session_view.workspace
     assert workspace.tabs.currentWidget() is workspace.error_course
     assert workspace.error_course.axis is Axis.TIME
     other.window.close()

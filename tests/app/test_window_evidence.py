@@ -99,15 +99,15 @@ def shown(qtbot, widget, size=(420, 300)):
 def test_the_list_of_pokes_marks_what_a_taxel_doubts(qtbot):
     panel = shown(qtbot, PokesPanel(NAMES))
     pokes = [touch(1), touch(2)]
-    panel.show_frame(frame(session(1, {3: estimate(3, (0, 0, 0))}, pokes)))
+    panel.show_state(frame(session(1, {3: estimate(3, (0, 0, 0))}, pokes)))
     assert panel.model.index(0, 1).data() == "\N{CHECK MARK} accepted"
     plain = pixels(panel)
-    panel.show_frame(frame(session(2, {3: doubted(3, p2=0.2)}, pokes)))
+    panel.show_state(frame(session(2, {3: doubted(3, p2=0.2)}, pokes)))
     assert panel.model.index(0, 1).data() == "\N{CIRCLE WITH LEFT HALF BLACK} counts 0.2 for 10-03"
     assert "its axis passes" in panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole)
     assert panel.model.index(1, 1).data() == "\N{CHECK MARK} accepted"
     assert changed(plain, pixels(panel)) > 50
-    panel.show_frame(frame(session(3, {3: doubted(3, p2=0.2)}, pokes, excluded=[2])))
+    panel.show_state(frame(session(3, {3: doubted(3, p2=0.2)}, pokes, excluded=[2])))
     assert panel.model.index(0, 1).data() == "\N{CIRCLED MINUS} excluded"
 
 
@@ -115,7 +115,7 @@ def test_inspect_lists_weight_and_trust_and_says_where_else_a_taxel_may_lie(qtbo
     panel = shown(qtbot, InspectPanel(BOTH, NAMES), (420, 700))
     assert not panel.pokes.isVisible()
     known = {3: replace(ambiguous(), doubted={1: 0.25})}
-    panel.show_frame(frame(session(1, known, [touch(1, (3, 4), (10.0, 50.0)), touch(2)]), selected=3))
+    panel.show_state(frame(session(1, known, [touch(1, (3, 4), (10.0, 50.0)), touch(2)]), selected=3))
     assert panel.rival.isVisible()
     assert panel.rival.text().endswith("poke it from another side.")
     rows = [[panel.pokes.topLevelItem(row).text(column) for column in range(4)] for row in range(2)]
@@ -124,10 +124,10 @@ def test_inspect_lists_weight_and_trust_and_says_where_else_a_taxel_may_lie(qtbo
     with qtbot.waitSignal(panel.poke_wanted) as wanted:
         panel.pokes.itemActivated.emit(panel.pokes.topLevelItem(1), 0)
     assert wanted.args == [1]
-    panel.show_frame(frame(session(2, {3: estimate(3, (0, 0, 0))}, [touch(2)]), selected=3))
+    panel.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))}, [touch(2)]), selected=3))
     assert not panel.rival.isVisible()
     assert panel.pokes.topLevelItemCount() == 1
-    panel.show_frame(frame(session(3), selected=4))
+    panel.show_state(frame(session(3), selected=4))
     assert not panel.pokes.isVisible()
 
 
@@ -135,9 +135,9 @@ def test_inspect_lists_weight_and_trust_and_says_where_else_a_taxel_may_lie(qtbo
 def test_the_map_marks_an_ambiguous_taxel_by_a_shape_of_its_own(qtbot, size):
     view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES), size)
     sure = {3: estimate(3, (0, 0, 0)), 20: estimate(20, (0, 0, 0))}
-    view.show_frame(frame(session(1, sure)))
+    view.show_state(frame(session(1, sure)))
     before = pixels(view)
-    view.show_frame(frame(session(2, {**sure, 3: ambiguous()})))
+    view.show_state(frame(session(2, {**sure, 3: ambiguous()})))
     after = pixels(view)
     place = view.place_of(3).toPoint()
     near = np.s_[max(0, place.y() - 9) : place.y() + 9, max(0, place.x() - 9) : place.x() + 9]

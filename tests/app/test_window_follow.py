@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import queue
 import sys
 from dataclasses import replace
 
@@ -10,32 +12,40 @@ from guide_support import guidance, target
 from PySide6.QtCore import Qt
 from whole_window import OPEN_MS
 
-from app.controller import Controller
-from app.plan import server_command
-from app.running import Running
-from app.wishes import wish_of
+from app.session.controller import Controller, operator_target
+from app.session.open_request import server_command
+from app.state.running import Running
 from app.words import peak_channel
 from app.workers.device_process import DeviceProcess
+from skincal.cli.record import OrderLine, _loop
 from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.journal.reader import SessionLog
+from skincal.mesh.load import load_surface
+from skincal.model.readings import Chunk, LinkEvent
+from skincal.rig.correction import RIG, Correction
+from skincal.session.actions import FoundAtLandmark, Stamped, to_json
+from skincal.session.corrections import correct_action
+from skincal.session.road import Road
 from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
+from tests.skincal.poke_script import outcome_key, same_estimates
 
 LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
 
 
 def test_the_wish_is_what_the_window_shows():
     asked = target(3, 0.4)
-    wish = wish_of(guidance(asked), Running.STREAMING)
+    wish = operator_target(guidance(asked), Running.STREAMING)
     assert isinstance(wish, TargetOrder)
     assert (wish.channel, wish.place.tolist(), wish.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
     assert not wish.known
-    head = wish_of(guidance(replace(asked, channel=None, landmark="elbow, outer")), Running.STREAMING)
+    head = operator_target(guidance(replace(asked, channel=None, landmark="elbow, outer")), Running.STREAMING)
     assert isinstance(head, TargetOrder)
     assert (head.channel, head.known) == (None, True)
-    assert wish_of(None, Running.STREAMING) is NoTarget.ANY, "nobody guides"
-    assert wish_of(guidance(None), Running.STREAMING) is NoTarget.WAIT, "it is enough"
+    assert operator_target(None, Running.STREAMING) is NoTarget.ANY, "nobody guides"
+    assert operator_target(guidance(None), Running.STREAMING) is NoTarget.WAIT, "it is enough"
     for running in (Running.OPENING, Running.PAUSED, Running.OFFLINE):
-        assert wish_of(guidance(asked), running) is NoTarget.WAIT
-        assert wish_of(None, running) is NoTarget.WAIT
+        assert operator_target(guidance(asked), running) is NoTarget.WAIT
+        assert operator_target(None, running) is NoTarget.WAIT
 
 
 def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
@@ -81,7 +91,7 @@ def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
     controller.ask(NoTarget.WAIT)  # real devices: nobody to tell
     told = Told()
     controller._server = told
-    shown = wish_of(guidance(target(3)), Running.STREAMING)
+    shown = operator_target(guidance(target(3)), Running.STREAMING)
     for wish in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
         controller.ask(wish)
     assert told.lines == [write_wish(shown), "wait", write_wish(shown)]
@@ -99,7 +109,7 @@ def test_pokes_come_where_the_window_asks_for_them(bench, said):
     asked: dict[int, int] = {}
 
     def poked(count: int) -> bool:
-        shown = bench.window.desk.frame.target
+        shown = bench.window.session_view.state.target
         asked.setdefault(len(bench.accepted()), shown.channel)
         return len(bench.accepted()) >= count
 
@@ -108,10 +118,10 @@ def test_pokes_come_where_the_window_asks_for_them(bench, said):
     hits = [peak_channel(contact) == asked[i] for i, contact in enumerate(contacts[:6])]
     # With an aim of 2 mm among taxels 6 mm apart; by itself it would be one of 64.
     assert sum(hits) >= 2
-    assert read_order(said[-1]).channel == bench.window.desk.frame.target.channel
+    assert read_order(said[-1]).channel == bench.window.session_view.state.target.channel
 
     bench.key(Qt.Key.Key_N)
-    assert read_order(said[-1]).channel == bench.window.desk.frame.target.channel
+    assert read_order(said[-1]).channel == bench.window.session_view.state.target.channel
     bench.key(Qt.Key.Key_G)
     assert said[-1] == "any"
     bench.key(Qt.Key.Key_G)
@@ -124,15 +134,44 @@ def test_pokes_come_where_the_window_asks_for_them(bench, said):
     bench.until(lambda: len(bench.snapshot.pokes) > known)
 
 
-def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked_for(bench, said):
-    bench.open_served()
-    bench.until(lambda: bench.window.desk.frame.target is not None and bench.window.desk.frame.target.landmark != "")
+def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked_for(bench, said, tmp_path):
+    folder = tmp_path / "mine"
+    bench.open_served(folder=folder)
+    session_view = bench.window.session_view
+    bench.until(lambda: session_view.state.target is not None and session_view.state.target.landmark != "")
     bench.until(lambda: len(bench.snapshot.at_landmarks) >= 3)
+    lived = bench.controller._recording.road
     order = read_order(said[-1])
-    assert order.known == (bench.window.desk.frame.target.landmark != "")
+    assert order.known == (bench.window.session_view.state.target.landmark != "")
     made = bench.controller._recording.road.session.landmark_pokes
     assert len({one.name for one in made}) == len(made) >= 3, "one after another, each once"
     for one in made:
         force, moment = move_wrench(one.link_from_sensor, one.force, one.moment)
         away = np.cross(one.place - axis_point(force, moment), force) / np.linalg.norm(force)
         assert np.linalg.norm(away) < 0.006, "sensor noise and 0.7 mm of the hand: the axis passes its landmark"
+    assert bench.controller.act(correct_action(RIG, Correction(1.02 * np.eye(6)), 7e-3, 2e-3, len(made)))
+    bench.until(lambda: RIG in bench.snapshot.corrections)
+    bench.window.close()
+    without_a_window(folder, lived)
+
+
+def without_a_window(folder, lived) -> None:
+    """From the same bytes and orders `record` makes the same session as the window."""
+    log = SessionLog(folder)
+    items = queue.SimpleQueue()
+    for item in log.items():
+        if isinstance(item, Chunk | LinkEvent):
+            items.put(item)
+        elif isinstance(item, Stamped) and not isinstance(item.action, FoundAtLandmark):
+            items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
+    surface = load_surface(log.scene.surface)[0]
+    headless = Road(log.scene, log.links, surface)
+    _loop(headless, items, {}, None, None)
+    headless.close()
+    here, there = headless.snapshot(), lived.snapshot()
+    assert here.at_landmarks == there.at_landmarks
+    assert len(here.at_landmarks) >= 3
+    assert here.corrections.keys() == there.corrections.keys() == {RIG}
+    assert [outcome_key(one.outcome) for one in here.pokes] == [outcome_key(one.outcome) for one in there.pokes]
+    assert same_estimates(here, there)
+    assert here.can_undo == there.can_undo

@@ -20,12 +20,12 @@ from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, 
 from app.panels.inspect import InspectPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.texts import FittedLabel
-from app.plan import Plan
 from app.scene3d.camera import Sight
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.probe import Canvas
 from app.scene3d.target import CORE_LIFT, HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
+from app.session.open_request import OpenRequest
 from app.theme import DARK, Choice
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Target
@@ -275,9 +275,9 @@ def near(view: TaxelMap, channel: int, reach: int) -> tuple[slice, slice]:
 
 
 def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
-    taxels.show_frame(framed(guidance()))
+    taxels.show_state(framed(guidance()))
     before = pixels(taxels)
-    taxels.show_frame(framed(guidance(target(3))))
+    taxels.show_state(framed(guidance(target(3))))
     after = pixels(taxels)
     assert changed(before[near(taxels, 3, 24)], after[near(taxels, 3, 24)]) > 60
     assert changed(before[near(taxels, 15, 12)], after[near(taxels, 15, 12)]) == 0
@@ -286,24 +286,24 @@ def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
     assert (ring.max(axis=1) < 15).any()
     qtbot.wait(30)
     paints = Paints(taxels)
-    taxels.show_frame(framed(guidance(target(3))))
+    taxels.show_state(framed(guidance(target(3))))
     qtbot.wait(30)
     assert paints.count == 0, "the same target is drawn no second time"
-    taxels.show_frame(framed(guidance(target(15))))
+    taxels.show_state(framed(guidance(target(15))))
     qtbot.wait(30)
     assert paints.count == 1
 
 
 def test_a_done_taxel_is_told_by_shape_and_what_is_missing_by_words(taxels):
-    taxels.show_frame(framed(guidance()))
+    taxels.show_state(framed(guidance()))
     good = pixels(taxels)
-    taxels.show_frame(framed(guidance(done=(3,)), 2))
+    taxels.show_state(framed(guidance(done=(3,)), 2))
     done = pixels(taxels)
     assert changed(good[near(taxels, 3, 12)], done[near(taxels, 3, 12)]) > 10
     assert changed(good[near(taxels, 15, 12)], done[near(taxels, 15, 12)]) == 0
     assert "done" in taxels.tell(3)
     assert "needs pokes of its own, a smaller predicted error" in taxels.tell(15)
-    taxels.show_frame(framed(None, 2))
+    taxels.show_state(framed(None, 2))
     assert np.array_equal(good[near(taxels, 3, 12)], pixels(taxels)[near(taxels, 3, 12)]), "without a guide it is good"
     assert "needs" not in taxels.tell(15)
 
@@ -312,11 +312,11 @@ def test_the_taxel_tab_says_what_the_selected_taxel_still_needs(qtbot):
     panel = InspectPanel((Method.FREE,), NAMES)
     qtbot.addWidget(panel)
     for says, last in ((guidance(), "It needs pokes of its own, a smaller predicted error."), (guidance(done=(3,)), "")):
-        panel.show_frame(replace(framed(says, 1 + len(last)), selected=3))
+        panel.show_state(replace(framed(says, 1 + len(last)), selected=3))
         assert panel.reason.text() == last
-    panel.show_frame(replace(framed(guidance(), 9), selected=3))
+    panel.show_state(replace(framed(guidance(), 9), selected=3))
     assert "needs" in panel.reason.text()
-    panel.show_frame(replace(framed(None, 9), selected=3))
+    panel.show_state(replace(framed(None, 9), selected=3))
     assert "needs" not in panel.reason.text(), "nobody guides any more"
 
 
@@ -339,35 +339,35 @@ def test_large_type_becomes_smaller_before_it_is_cut(qtbot):
 
 
 def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
-    desk = bench.window.desk
-    first = desk.frame.target
+    session_view = bench.window.session_view
+    first = session_view.state.target
     assert first is not None
-    assert "target" in desk.workspace.view.list_layers()
-    view, on_map = pixels(desk.workspace.view), pixels(desk.workspace.map)
+    assert "target" in session_view.workspace.view.list_layers()
+    view, on_map = pixels(session_view.workspace.view), pixels(session_view.workspace.map)
 
     bench.key(Qt.Key.Key_G)
-    assert desk.frame.guidance is None
-    assert changed(view, pixels(desk.workspace.view)) > 100
-    assert changed(on_map, pixels(desk.workspace.map)) > 60
+    assert session_view.state.guidance is None
+    assert changed(view, pixels(session_view.workspace.view)) > 100
+    assert changed(on_map, pixels(session_view.workspace.map)) > 60
     bench.key(Qt.Key.Key_G)
-    assert desk.frame.target.channel == first.channel
-    assert changed(view, pixels(desk.workspace.view)) == 0
-    assert changed(on_map, pixels(desk.workspace.map)) == 0
+    assert session_view.state.target.channel == first.channel
+    assert changed(view, pixels(session_view.workspace.view)) == 0
+    assert changed(on_map, pixels(session_view.workspace.map)) == 0
 
     for method in (Method.SURFACE, Method.FREE, Method.MODULES):
-        assert desk.frame.guidance.method is method
-        before, on_map = desk.frame.target, pixels(desk.workspace.map)
+        assert session_view.state.guidance.method is method
+        before, on_map = session_view.state.target, pixels(session_view.workspace.map)
         bench.key(Qt.Key.Key_N)
-        assert desk.frame.target.channel != before.channel
-        assert changed(on_map, pixels(desk.workspace.map)) > 60
+        assert session_view.state.target.channel != before.channel
+        assert changed(on_map, pixels(session_view.workspace.map)) > 60
         bench.key(Qt.Key.Key_V)
-    assert desk.frame.guidance.method is Method.SURFACE
-    assert desk.frame.target.channel != first.channel, "what was skipped stays skipped"
-    again = desk.frame.guidance
-    desk.show_again()
-    assert desk.frame.guidance is again, "nothing is worked out where nothing changed"
+    assert session_view.state.guidance.method is Method.SURFACE
+    assert session_view.state.target.channel != first.channel, "what was skipped stays skipped"
+    again = session_view.state.guidance
+    session_view.follow_again()
+    assert session_view.state.guidance is again, "nothing is worked out where nothing changed"
 
     paints = Paints(bench.window)
     qtbot.wait(1200)
@@ -375,33 +375,33 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
 
 
 def test_turning_is_a_wish_of_the_view_menu_that_is_remembered(bench, qtbot, tmp_path, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     assert bench.window.commands.actions["turn"].isChecked()
-    assert bench.window.desk.workspace.view._stage.turner.wanted
+    assert bench.window.session_view.workspace.view._stage.turner.wanted
     bench.key(Qt.Key.Key_T)
-    assert not bench.window.desk.workspace.view._stage.turner.wanted
+    assert not bench.window.session_view.workspace.view._stage.turner.wanted
     bench.window.close()
     QSettings("skincal", "test").sync()
     other = Bench(qtbot, tmp_path / "again")
-    other.open(Plan(session=recorded))
+    other.open(OpenRequest(session=recorded))
     other.until_all_is_there()
     assert not other.window.commands.actions["turn"].isChecked()
-    assert not other.window.desk.workspace.view._stage.turner.wanted
+    assert not other.window.session_view.workspace.view._stage.turner.wanted
     other.window.close()
 
 
 def test_the_guide_stays_off_where_it_was_switched_off(bench, qtbot, tmp_path, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     assert bench.window.commands.actions["guide"].isChecked()
     bench.key(Qt.Key.Key_G)
     bench.window.close()
     QSettings("skincal", "test").sync()
     other = Bench(qtbot, tmp_path / "again")
-    other.open(Plan(session=recorded))
+    other.open(OpenRequest(session=recorded))
     assert not other.window.commands.actions["guide"].isChecked()
-    assert other.window.desk.frame.guidance is None
+    assert other.window.session_view.state.guidance is None
     other.window.close()
 
 
@@ -409,13 +409,13 @@ def test_the_guide_stays_off_where_it_was_switched_off(bench, qtbot, tmp_path, r
 def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     bench.theme.choose(choice)
     bench.open_served()
-    now = bench.window.desk.workspace.now
+    now = bench.window.session_view.workspace.now
     bench.key(Qt.Key.Key_V)
     bench.until(lambda: now.headline.text().startswith("poke the landmark "))
     bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
-    bench.until(lambda: bench.window.desk.frame.target.channel is not None and now.headline.text().startswith("poke "))
-    asked = bench.window.desk.frame.target
-    assert bench.window.desk.workspace.names.short(asked.channel) in now.headline.text()
+    bench.until(lambda: bench.window.session_view.state.target.channel is not None and now.headline.text().startswith("poke "))
+    asked = bench.window.session_view.state.target
+    assert bench.window.session_view.workspace.names.short(asked.channel) in now.headline.text()
     assert (bench.window.width(), bench.window.height()) == (1280, 720)
     for longest in ("poke 24-11, tilt 28\N{DEGREE SIGN} away from 24-03", "enough: 84 of 84 taxels meet 3 mm"):
         now.headline.setText(longest)

@@ -15,8 +15,8 @@ from app.dialogs.export import ExportDialog
 from app.dialogs.new_session import NewSessionDialog
 from app.dialogs.pedals import PedalsDialog
 from app.pedal import MODIFIERS, PEDALS, USED_BY_WIDGETS, Pedals, key_name, objection
-from app.plan import Plan
-from app.running import Running
+from app.session.open_request import OpenRequest
+from app.state.running import Running
 from skincal.taxels.result import Method
 
 Key = Qt.Key
@@ -27,12 +27,12 @@ def entries(window) -> list[QAction]:
 
 
 def test_every_entry_of_every_menu_has_a_key_of_its_own(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     actions = entries(bench.window)
     assert {action.text() for action in actions if not action.shortcuts()} == set()
     keys = [key.toString() for action in actions for key in action.shortcuts()]
     assert sorted(set(keys)) == sorted(keys), "a key that is there twice does nothing"
-    assert len(actions) == len(COMMANDS) + len(bench.window.desk.workspace.titles()) + 3
+    assert len(actions) == len(COMMANDS) + len(bench.window.session_view.workspace.titles()) + 3
     assert set(bench.window.commands.taken()) == {QKeySequence(key).toString() for key in keys}
     # Nothing can be done that is in no menu: the bar holds no other actions.
     elsewhere = [a for a in bench.window.findChildren(QAction) if a.shortcuts() and a not in actions]
@@ -71,7 +71,7 @@ def learn(bench, key, modifier=Qt.KeyboardModifier.NoModifier) -> PedalsDialog:
 
 
 def test_a_pedal_is_learnt_by_keys_and_acts_as_the_space_bar(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     dialog = learn(bench, Key.Key_F13)
     assert dialog.keys["space"].text() == "F13"
@@ -96,13 +96,13 @@ def test_a_pedal_is_learnt_by_keys_and_acts_as_the_space_bar(bench, recorded):
 
 
 def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     assert bench.window.pedals.learn("another", "F15") == ""
     wishes: list[int] = []
     bench.window.commands.actions["another"].triggered.connect(lambda: wishes.append(1))
-    target = bench.window.desk.frame.target
+    target = bench.window.session_view.state.target
     bench.key(Key.Key_F15)
-    now = bench.window.desk.frame.target
+    now = bench.window.session_view.state.target
     assert (now.channel, now.landmark) != (target.channel, target.landmark)
     again = QKeyEvent(QEvent.Type.KeyPress, Key.Key_F15, Qt.KeyboardModifier.NoModifier, "", True)
     for _ in range(5):
@@ -114,7 +114,7 @@ def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
 
 
 def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     dialog = learn(bench, Key.Key_F13)
     for _ in range(20):
         if dialog.focusWidget() is dialog.forget["space"]:
@@ -135,10 +135,10 @@ def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
 
 
 def test_a_key_that_means_something_is_refused_and_the_next_one_is_waited_for(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     dialog = learn(bench, Key.Key_V)
     assert "V means something already: Next method" in dialog.outcome.text()
-    assert bench.window.desk.frame.method is Method.SURFACE, "the key went to nobody else"
+    assert bench.window.session_view.state.method is Method.SURFACE, "the key went to nobody else"
     tap(bench, Key.Key_Control)
     assert "Ctrl only changes other keys" in dialog.outcome.text()
     tap(bench, Key.Key_B, Qt.KeyboardModifier.ControlModifier)
@@ -197,7 +197,7 @@ def test_pedals_are_kept_and_one_that_got_a_meaning_is_not(qtbot, tmp_path):
 
 
 def test_in_a_field_for_text_a_letter_is_a_letter_and_a_pedal_types_nothing(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.window.pedals.learn("space", "B")
     bench.window.pedals.learn("another", "F15")
     bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
@@ -211,7 +211,7 @@ def test_in_a_field_for_text_a_letter_is_a_letter_and_a_pedal_types_nothing(benc
 
 
 def test_a_new_session_starts_and_its_calibration_is_written_by_the_space_bar(bench, qtbot, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     bench.key(Key.Key_E, Qt.KeyboardModifier.ControlModifier)
     export = dialog_of(bench, ExportDialog)

@@ -9,10 +9,10 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialogButtonBox, QWidget
 from test_scene3d_view import make_view
 
-from app.dialogs.landmark import LandmarkDialog, free_name, objection_to
-from app.marking import ASK, Marking
-from app.panels.message_bar import Message, MessageBar
-from app.plan import Plan
+from app.dialogs.landmark import ASK, LandmarkDialog, LandmarkPicking, free_name, objection_to
+from app.panels.message_bar import MessageBar
+from app.session.open_request import OpenRequest
+from app.text.message import Message
 from skincal.mesh.search import nearest_points
 from skincal.session.actions import AddLandmark
 
@@ -37,9 +37,9 @@ def click_part(view) -> None:
 
 
 def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
-    window, view = bench.window, bench.window.desk.workspace.view
+    window, view = bench.window, bench.window.session_view.workspace.view
     before = bench.snapshot.landmarks
     shown = view._stage.landmarks.marks.data.GetNumberOfLines()
     bench.key(Key.Key_K)
@@ -50,7 +50,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     click_part(view)
     assert not window.messages.isVisible()
     dialog = the_dialog(bench)
-    surface = window.desk.workspace.part.surface
+    surface = window.session_view.workspace.part.surface
     there = dialog.place()
     assert np.linalg.norm(nearest_points(surface, there[None])[0][0] - there) < 1e-5
     assert dialog.name.text() == "landmark 1"
@@ -71,9 +71,9 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
 
 
 def test_escape_or_the_command_again_ends_the_wait(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
-    view, messages = bench.window.desk.workspace.view, bench.window.messages
+    view, messages = bench.window.session_view.workspace.view, bench.window.messages
     for ending in (Key.Key_Escape, Key.Key_K):
         bench.key(Key.Key_K)
         assert view.picking
@@ -92,12 +92,12 @@ def test_escape_or_the_command_again_ends_the_wait(bench, recorded):
 
 
 def test_another_session_waits_for_no_click(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     bench.key(Key.Key_K)
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     assert not bench.window.messages.isVisible()
-    assert not bench.window.desk.marking.waiting
+    assert not bench.window.session_view.picking.waiting
 
 
 # Where nothing can be clicked
@@ -111,7 +111,7 @@ class Acts(list):
 
 def test_coordinates_are_asked_for_at_once_where_there_is_no_surface(qtbot):
     view, acts, said = make_view(qtbot, surface=False), Acts(), []
-    marking = Marking(view, lambda: {"landmark 1"}, acts, "palm", view)
+    marking = LandmarkPicking(view, lambda: {"landmark 1"}, acts, "palm", view)
     marking.said.connect(said.append)
     marking.ask(view.window())
     assert not marking.waiting

@@ -9,10 +9,9 @@ import pytest
 from PySide6.QtCore import QCoreApplication, QEvent, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QFileDialog, QPushButton
-from test_window_compare import Queue, anchored, at, known, make_panel, open_compare
+from test_window_compare import Queue, anchored, at, judged_and_shown, known, make_panel, open_compare
 from whole_window import OPEN_MS, Bench
 
-from app.board_watch import BoardWatch
 from app.panels.compare import ComparePanel
 from skincal.model.scene import resource
 from skincal.model.skin import load_layout
@@ -21,12 +20,12 @@ from skincal.model.skin import load_layout
 def test_the_corrected_layout_can_be_saved_only_while_there_is_one(qtbot):
     of, queue = anchored(mirror=True), Queue()
     panel = make_panel(qtbot, of)
-    panel.begin(BoardWatch(of, queue))
-    panel.show_frame(at(known()))
+    show = judged_and_shown(panel, of, queue)
+    show(at(known()))
     assert panel.save is None
     assert panel.findChildren(QPushButton) == []
     queue.finish()
-    panel.show_frame(at(known()))
+    show(at(known()))
     assert panel.save.isVisible()
     assert "module 10: mirror = false" in panel.save.toolTip()
     with qtbot.waitSignal(panel.layout_wanted) as wanted:
@@ -35,7 +34,7 @@ def test_the_corrected_layout_can_be_saved_only_while_there_is_one(qtbot):
     assert [module.mirror for module in mend.layout.modules] == [False, False]
     # Taxels that lie otherwise: with too few of module 10 nothing is told of it.
     for _ in range(2):
-        panel.show_frame(at(known(rows=range(9, 24)), generation=2))
+        show(at(known(rows=range(9, 24)), generation=2))
         queue.finish()
     QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
     assert panel.save is None
@@ -54,10 +53,10 @@ def mirrored_pokes(tmp_path):
 
 def until_offered(bench: Bench, folder) -> ComparePanel:
     panel = open_compare(bench, folder)
-    workspace = bench.window.desk.workspace
+    workspace = bench.window.session_view.workspace
 
     def offered() -> bool:
-        bench.window.desk.show_again()
+        bench.window.session_view.follow_again()
         return panel.save is not None
 
     bench.until(offered, OPEN_MS)
@@ -85,7 +84,7 @@ def test_in_the_window_the_corrected_layout_is_saved_by_keys_and_said(bench, mir
     (title, name), *more = asked
     assert (title, more) == ("Save the corrected layout", [])
     assert Path(name) == Path.home() / "icub-right-forearm-v1-corrected.modules.toml"
-    layout = bench.window.desk.workspace.part.scene.skin.layout
+    layout = bench.window.session_view.workspace.part.scene.skin.layout
     assert "mirror = false  # so" in path.read_text(encoding="utf-8")
     assert load_layout(path, layout.width).modules[0].mirror is False
     assert layout.modules[0].mirror is True, "nothing is changed by itself"

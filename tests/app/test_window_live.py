@@ -14,19 +14,19 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
-from skincal.session.journal import create_session
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import changed, pixels
 
-from app.panels.message_bar import Message
-from app.plan import Plan, server_command
 from app.run import GARBAGE, Faults
-from app.running import Running
 from app.scene3d.probe import best_canvas
+from app.session.open_request import OpenRequest, server_command
+from app.state.running import Running
+from app.state.view_state import LinkLook
+from app.text.message import Message
 from app.theme import Choice
-from app.words import LinkLook
 from app.workers.device_process import DeviceProcess, parse_links
 from skincal.journal.lock import SessionLock
+from skincal.journal.writer import create_session
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene, resource
 from skincal.session.replay import replay
@@ -46,12 +46,12 @@ def known(snapshot) -> dict[tuple[Method, int], bytes]:
 
 def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.open_served()
-    window, workspace = bench.window, bench.window.desk.workspace
+    window, workspace = bench.window, bench.window.session_view.workspace
     assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Rig"]
     bench.until_all_is_there()
-    bench.until(lambda: window.desk.frame.guidance.landmark is not None)
+    bench.until(lambda: window.session_view.state.guidance.landmark is not None)
     bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
-    assert window.desk.frame.guidance.landmark is None
+    assert window.session_view.state.guidance.landmark is None
     empty_map, empty_view = pixels(workspace.map), pixels(workspace.view)
 
     # All final: a poke that still waits for the tare after it is settled by the closing of the session.
@@ -84,9 +84,9 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.key(Qt.Key.Key_Backspace)
     assert known(bench.snapshot) == estimates
 
-    assert window.desk.frame.method is Method.SURFACE
+    assert window.session_view.state.method is Method.SURFACE
     bench.key(Qt.Key.Key_V)
-    assert window.desk.frame.method is Method.FREE
+    assert window.session_view.state.method is Method.FREE
     assert workspace.method_box.currentData() is Method.FREE
     bench.key(Qt.Key.Key_5)
     assert workspace.tabs.currentWidget() is workspace.devices
@@ -104,10 +104,10 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
 
 def reopened(bench, kept: Path, estimates: dict, path: Path) -> None:
     """The kept session opens where it stopped, and its file says what the window shows."""
-    bench.open(Plan(session=kept))
+    bench.open(OpenRequest(session=kept))
     assert bench.controller.running is Running.OFFLINE
     assert known(bench.snapshot) == estimates
-    assert bench.window.desk.workspace.now.headline.text() == "no device connected"
+    assert bench.window.session_view.workspace.now.headline.text() == "no device connected"
     told: list[tuple[str, ...]] = []
     bench.controller.export("csv", path, Method.SURFACE, None, told.append, pytest.fail)
     bench.until(lambda: bool(told), OPEN_MS)
@@ -137,7 +137,7 @@ def test_pause_and_go_on_make_a_new_segment_and_lose_nothing(bench, tmp_path):
     road = replay(tmp_path / "mine")
     assert len(road.snapshot().pokes) >= before + 1
     assert set(estimates) <= set(known(road.snapshot()))
-    assert bench.window.desk.workspace.rig.arm is None
+    assert bench.window.session_view.workspace.rig.arm is None
 
 
 def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
@@ -145,7 +145,7 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
     bench.until(lambda: len(bench.accepted()) >= 1)
     pokes = len(bench.snapshot.pokes)
     os.kill(bench.controller._server._process.processId(), signal.SIGKILL)
-    bench.until(lambda: bench.window.desk.workspace.now.headline.text().startswith("lost"), 5000)
+    bench.until(lambda: bench.window.session_view.workspace.now.headline.text().startswith("lost"), 5000)
     bench.until(lambda: any("device process was killed" in m.text for m in bench.messages), 5000)
     assert bench.window.messages.isVisible()
     assert len(bench.snapshot.pokes) >= pokes
@@ -154,8 +154,8 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
 
 
 def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
-    bench.open(Plan(session=recorded))
-    head = bench.window.desk.workspace.progress
+    bench.open(OpenRequest(session=recorded))
+    head = bench.window.session_view.workspace.progress
     head.setText("84 of 84 taxels estimated, 312 pokes, 21 at landmarks, 14 rejected, 12 excluded")
     assert not head.is_elided()
 
@@ -163,7 +163,7 @@ def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
 def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):
     segment = recorded / "segment-0001.mcap"
     segment.write_bytes(segment.read_bytes()[:-3000])
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     found = [message for message in bench.messages if segment.name in message.text]
     assert found
     assert all(message.found and not message.error for message in found)
@@ -173,20 +173,20 @@ def test_a_session_that_is_recorded_elsewhere_is_refused_with_a_sentence(bench, 
     before = {path: path.read_bytes() for path in recorded.rglob("*") if path.is_file()}
     lock = SessionLock(recorded)
     try:
-        bench.window.open(Plan(session=recorded))
+        bench.window.open(OpenRequest(session=recorded))
         bench.until(lambda: any("is being recorded by process" in m.text and m.error for m in bench.messages))
         assert bench.controller.running is Running.OFFLINE
         bench.key(Qt.Key.Key_Escape)
     finally:
         lock.release()
     assert {path: path.read_bytes() for path in recorded.rglob("*") if path.is_file()} == before
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
 
 
 def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(bench, tmp_path):
     bad = tmp_path / "bad.toml"
     bad.write_text("name = 3")
-    bench.window.open(Plan(scene=bad, server=server_command(bad)))
+    bench.window.open(OpenRequest(scene=bad, server=server_command(bad)))
     server = bench.controller._server
     bench.until(lambda: not server.running and len(bench.messages) == 2)
     assert bench.messages[0] == bench.messages[1], "from the window's own reading of the scene, and from the process"
@@ -196,7 +196,7 @@ def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(
 
 
 def test_an_idle_window_draws_nothing_and_costs_next_to_nothing(bench, qtbot, recorded, least_time):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     qtbot.wait(1500)
     paints = Paints(bench.window)
@@ -207,8 +207,8 @@ def test_an_idle_window_draws_nothing_and_costs_next_to_nothing(bench, qtbot, re
 
 
 def test_everything_fits_at_1280_by_720(bench, recorded):
-    bench.open(Plan(session=recorded))
-    window, workspace = bench.window, bench.window.desk.workspace
+    bench.open(OpenRequest(session=recorded))
+    window, workspace = bench.window, bench.window.session_view.workspace
     assert (window.width(), window.height()) == (1280, 720)
     assert window.minimumSizeHint().width() <= 1280
     assert window.minimumSizeHint().height() <= 720 - 40
@@ -225,8 +225,8 @@ def test_everything_fits_at_1280_by_720(bench, recorded):
 
 
 def test_a_taxel_is_selected_in_every_view_and_marked_by_key(bench, recorded):
-    bench.open(Plan(session=recorded))
-    workspace = bench.window.desk.workspace
+    bench.open(OpenRequest(session=recorded))
+    workspace = bench.window.session_view.workspace
     estimated = next(e for e in bench.snapshot.estimates[Method.SURFACE] if e.state is State.ESTIMATED)
     place = workspace.map.place_of(estimated.channel).toPoint()
     QTest.mouseClick(workspace.map, Qt.MouseButton.LeftButton, pos=place)
@@ -238,12 +238,12 @@ def test_a_taxel_is_selected_in_every_view_and_marked_by_key(bench, recorded):
     bench.key(Qt.Key.Key_D)
     assert estimated.channel not in bench.snapshot.dead
     bench.key(Qt.Key.Key_Escape)
-    assert bench.window.desk.frame.selected is None
+    assert bench.window.session_view.state.selected is None
 
 
 def test_light_and_dark_reach_every_panel(bench, qtbot, recorded):
-    bench.open(Plan(session=recorded))
-    workspace = bench.window.desk.workspace
+    bench.open(OpenRequest(session=recorded))
+    workspace = bench.window.session_view.workspace
     bench.until_all_is_there()
     dark = pixels(bench.window)
     bench.theme.choose(Choice.LIGHT)
@@ -256,8 +256,8 @@ def test_light_and_dark_reach_every_panel(bench, qtbot, recorded):
 
 
 def test_an_arm_pose_is_chosen_by_hand_where_no_joints_stream(bench, recorded):
-    bench.open(Plan(session=recorded))
-    workspace = bench.window.desk.workspace
+    bench.open(OpenRequest(session=recorded))
+    workspace = bench.window.session_view.workspace
     bench.key(Qt.Key.Key_7)
     arm = workspace.rig.arm
     assert arm is not None
@@ -269,11 +269,11 @@ def test_an_arm_pose_is_chosen_by_hand_where_no_joints_stream(bench, recorded):
 def test_bad_input_ends_in_a_sentence_and_not_in_a_window_that_is_gone(bench, tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text('name = "x"\n')
-    bench.window.open(Plan(scene=scene, server=(sys.executable, "-c", "input()")))
+    bench.window.open(OpenRequest(scene=scene, server=(sys.executable, "-c", "input()")))
     bench.until(lambda: any("link is missing" in m.text or "[skin]" in m.text for m in bench.messages), OPEN_MS)
     assert bench.controller.running is Running.OFFLINE
     assert bench.window.messages.isVisible()
-    bench.window.open(Plan(session=tmp_path / "nothing"))
+    bench.window.open(OpenRequest(session=tmp_path / "nothing"))
     bench.until(lambda: any("nothing" in m.text for m in bench.messages), OPEN_MS)
 
 
@@ -282,7 +282,7 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     kept.write_text("a thesis")
     links = [LinkSpec(stream.value, f"spy:///dev/null?file={kept}", (stream,)) for stream in (Stream.WRENCH, Stream.SKIN)]
     create_session(tmp_path / "strange", scene, links).close()
-    bench.open(Plan(session=tmp_path / "strange"))
+    bench.open(OpenRequest(session=tmp_path / "strange"))
     assert bench.controller.running is Running.OFFLINE
     bench.controller.go_on()
     bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in bench.window.desk.frame.links))
@@ -364,11 +364,11 @@ def longest_step(bench, qtbot):
     timer.timeout.connect(beat)
     scene = resource("scenes/whole-body/scene.toml")
     with qtbot.waitSignal(bench.controller.session_opened, timeout=60_000):
-        bench.window.open(Plan(scene=scene, server=server_command(scene)))
+        bench.window.open(OpenRequest(scene=scene, server=server_command(scene)))
         best_canvas()  # as the program does while the scene is read beside it
         last[0] = time.thread_time()
         timer.start(0)
-    bench.until(lambda: bench.window.desk.workspace.view.list_layers() != ())
+    bench.until(lambda: bench.window.session_view.workspace.view.list_layers() != ())
     qtbot.wait(500)
     timer.stop()
     return longest[0]
@@ -386,5 +386,5 @@ def test_no_step_of_opening_a_hundred_thousand_triangles_holds_the_window(bench,
     while longest[-1] >= 0.2 and len(longest) < 3:
         # Once more: what others do to the processor's cache only ever adds.
         longest.append(longest_step(bench, qtbot))
-    assert bench.window.desk.workspace.part.surface.triangles.shape[0] > 99_000
+    assert bench.window.session_view.workspace.part.surface.triangles.shape[0] > 99_000
     assert min(longest) < 0.2

@@ -20,11 +20,12 @@ from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.inspect import InspectPanel
 from app.panels.map_layout import fit, plan_map
 from app.panels.marks import SMALL, Stamps, draw_mark
-from app.panels.message_bar import Message, MessageBar
+from app.panels.message_bar import MessageBar
 from app.panels.now import NowPanel
 from app.panels.pokes import PokesPanel
 from app.panels.taxel_map import TaxelMap
-from app.policies import Mark, link_lines
+from app.state.policies import Mark
+from app.text.message import Message
 from app.theme import DARK, HUES, LIGHT, Choice, Colours, Theme, qpalette
 from app.workspace import RIGHT_PX
 from skincal.contacts.outcome import PressPhase, Reason
@@ -100,36 +101,34 @@ def test_the_theme_is_the_operators_or_the_desktops(qapp):
 def test_now_says_what_happens_and_the_ring_fills(qtbot):
     panel = shown(qtbot, NowPanel(), (700, 80))
     panel.begin(session())
-    panel.show_frame(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
+    panel.show_state(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
     assert panel.headline.text() == "hold still"
     little = pixels(panel.sign)
-    panel.show_frame(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
+    panel.show_state(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
     assert changed(little, pixels(panel.sign)) > 200
     gauge = pixels(panel.gauge)
-    panel.show_frame(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
+    panel.show_state(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
     assert changed(gauge, pixels(panel.gauge)) > 200
-    panel.show_frame(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
+    panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
     assert panel.headline.text() == "rejected: slid 2.1 mm, at most 1.5 mm"
     bad = QColor(DARK.bad).getRgb()[:3]
     assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100
 
 
 def test_the_same_frame_draws_nothing(qtbot):
-    at = frame(
-        session(1, {3: estimate(3, (0, 0, 0))}, [touch(1)]), links=link_lines([link()], 0), view=reading(links=(link(),))
-    )
+    at = frame(session(1, {3: estimate(3, (0, 0, 0))}, [touch(1)]), view=reading(links=(link(),)))
     panels = [
         NowPanel(), TaxelMap(SCENE, PLAN.channels, NAMES), PokesPanel(NAMES), InspectPanel(BOTH, NAMES), DevicesPanel(),
     ]  # fmt: skip
     for panel in panels:
         shown(qtbot, panel)
-        panel.show_frame(at)
+        panel.show_state(at)
         qtbot.wait(30)
     watched = [child for panel in panels for child in (panel, *panel.findChildren(QWidget))]
     paints = [Paints(widget) for widget in watched]
     for _ in range(20):
         for panel in panels:
-            panel.show_frame(at)
+            panel.show_state(at)
     qtbot.wait(30)
     assert sum(paint.count for paint in paints) == 0
 
@@ -137,7 +136,7 @@ def test_the_same_frame_draws_nothing(qtbot):
 @pytest.fixture
 def taxels(qtbot):
     view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
-    view.show_frame(frame())
+    view.show_state(frame())
     return view
 
 
@@ -180,24 +179,24 @@ def test_an_answer_a_state_and_a_selection_each_change_their_taxel_alone(taxels)
     before, other = around(taxels, here), around(taxels, there)
     responses = np.zeros(24)
     responses[here] = 80.0
-    taxels.show_frame(frame(view=reading(skin=responses)))
+    taxels.show_state(frame(view=reading(skin=responses)))
     answering = around(taxels, here)
     assert changed(before, answering) > 20
-    taxels.show_frame(frame(session(2, {here: estimate(here, (0, 0, 0))})))
+    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))})))
     known = around(taxels, here)
     assert changed(before, known) > 20
     hue = QColor(HUES[0]).getRgb()[:3]
     assert tuple(int(v) for v in known[9, 9, :3]) == hue
     plain = around(taxels, here, 20)
-    taxels.show_frame(frame(session(2, {here: estimate(here, (0, 0, 0))}), selected=here))
+    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))}), selected=here))
     assert changed(plain, around(taxels, here, 20)) > 40
     assert changed(other, around(taxels, there)) == 0
 
 
 def test_nan_and_infinite_answers_draw_nothing(taxels):
     before = pixels(taxels)
-    taxels.show_frame(frame(view=reading(skin=np.full(24, np.nan))))
-    taxels.show_frame(frame(view=reading(skin=np.full(24, np.inf))))
+    taxels.show_state(frame(view=reading(skin=np.full(24, np.nan))))
+    taxels.show_state(frame(view=reading(skin=np.full(24, np.inf))))
     assert changed(before, pixels(taxels)) == 0
 
 
@@ -247,7 +246,7 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
         QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
     assert clicked.args == [5]
     assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nnot poked yet")
-    taxels.show_frame(frame(selected=3))
+    taxels.show_state(frame(selected=3))
     with qtbot.waitSignal(taxels.taxel_clicked) as moved:
         QTest.keyClick(taxels, Qt.Key.Key_Left)
     assert taxels.place_of(moved.args[0]).x() < taxels.place_of(3).x()
@@ -260,7 +259,7 @@ def test_a_skin_without_a_layout_has_a_map_of_all_its_channels(qtbot):
 
     bare = replace(SCENE, skin=replace(SCENE.skin, layout=None))
     view = shown(qtbot, TaxelMap(bare, np.arange(24), ChannelNames(None)))
-    view.show_frame(frame(where=bare))
+    view.show_state(frame(where=bare))
     assert len({view.place_of(c).toTuple() for c in range(24)}) == 24
     assert view.tell(7).startswith("ch 7  (channel 7)")
 
@@ -268,7 +267,7 @@ def test_a_skin_without_a_layout_has_a_map_of_all_its_channels(qtbot):
 def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     panel = shown(qtbot, PokesPanel(NAMES))
     known = {3: estimate(3, (0, 0, 0))}
-    panel.show_frame(frame(session(1, known, [touch(1), slip(2)])))
+    panel.show_state(frame(session(1, known, [touch(1), slip(2)])))
     row = [panel.model.index(1, column).data() for column in range(6)]
     assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0\N{DEGREE SIGN}", "2.0"]
     assert panel.model.index(0, 1).data() == "\N{BALLOT X} slid 2.1 mm"
@@ -277,7 +276,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
         panel.select(1)
     assert wanted.args == [3]
-    panel.show_frame(frame(session(2, known, [touch(1), slip(2), touch(3)], excluded=[1])))
+    panel.show_state(frame(session(2, known, [touch(1), slip(2), touch(3)], excluded=[1])))
     assert panel.selected() == (1,)
     assert panel.model.index(2, 1).data() == "\N{CIRCLED MINUS} excluded"
     assert panel.model.index(0, 0).data() == "3"
@@ -289,14 +288,14 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
 def test_what_follows_the_estimates_is_told_anew_for_every_poke(qtbot, count, excluded, wholly):
     panel = shown(qtbot, PokesPanel(NAMES))
     pokes = [touch(poke) for poke in (1, 2, 3, 4)]
-    panel.show_frame(frame(session(1, pokes=pokes[:3])))
+    panel.show_state(frame(session(1, pokes=pokes[:3])))
     told = set()
     panel.model.dataChanged.connect(
         lambda first, last: told.update(
             (row, column) for row in range(first.row(), last.row() + 1) for column in range(first.column(), last.column() + 1)
         )
     )
-    panel.show_frame(frame(session(2, {3: estimate(3, (0, 0, 0))}, pokes[:count], excluded)))
+    panel.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))}, pokes[:count], excluded)))
     assert told >= {(row, column) for row in range(count) for column in (1, 4)}
     assert {row for row, column in told if column == 0} == wholly
 
@@ -304,7 +303,7 @@ def test_what_follows_the_estimates_is_told_anew_for_every_poke(qtbot, count, ex
 @pytest.mark.parametrize("reason", list(Reason))
 def test_every_reason_can_be_read_in_the_list_as_wide_as_the_window_makes_it(qtbot, reason):
     panel = shown(qtbot, PokesPanel(NAMES), (RIGHT_PX, 250))
-    panel.show_frame(frame(session(2, pokes=[*(touch(n) for n in range(1, 40)), slip(40, reason, 0.0345, 0.001, "m")])))
+    panel.show_state(frame(session(2, pokes=[*(touch(n) for n in range(1, 40)), slip(40, reason, 0.0345, 0.001, "m")])))
     index = panel.model.index(0, 1)
     words = index.data()
     assert words.startswith("\N{BALLOT X} ")
@@ -314,15 +313,15 @@ def test_every_reason_can_be_read_in_the_list_as_wide_as_the_window_makes_it(qtb
 
 def test_another_session_replaces_the_list(qtbot):
     panel = shown(qtbot, PokesPanel(NAMES))
-    panel.show_frame(frame(session(1, pokes=[touch(1), touch(2)])))
-    panel.show_frame(frame(session(2, pokes=[slip(5)])))
+    panel.show_state(frame(session(1, pokes=[touch(1), touch(2)])))
+    panel.show_state(frame(session(2, pokes=[slip(5)])))
     assert [panel.model.index(r, 0).data() for r in range(panel.model.rowCount())] == ["5"]
 
 
 def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
     panel = shown(qtbot, InspectPanel(BOTH, NAMES), (420, 500))
     at = session(1, {3: estimate(3, (0.001, 0.002, 0.003))}, dead={4: "stuck at 255"})
-    panel.show_frame(frame(at, selected=3))
+    panel.show_state(frame(at, selected=3))
     assert panel.cells[Method.FREE][0].text() == "1.0  2.0  3.0"
     assert panel.cells[Method.FREE][3].text() == "1.0 mm"
     assert "apart" in panel.reason.text()
@@ -330,7 +329,7 @@ def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
     with qtbot.waitSignal(panel.mark_dead_requested) as asked:
         QTest.mouseClick(panel.use, Qt.MouseButton.LeftButton)
     assert asked.args == [3]
-    panel.show_frame(frame(at, selected=4))
+    panel.show_state(frame(at, selected=4))
     assert panel.reason.text() == "stuck at 255"
     with qtbot.waitSignal(panel.revive_requested) as back:
         QTest.mouseClick(panel.use, Qt.MouseButton.LeftButton)
@@ -344,11 +343,9 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     panel.set_addresses({"wrench": "/dev/ttyUSB0"})
 
     def show(health, now_s):
-        at = frame(
-            view=reading(links=(health,), losses_unpaired=2), now_s=now_s, links=link_lines([health], round(now_s * 1e9))
-        )
-        panel.show_frame(at)
-        chips.show_frame(at)
+        at = frame(view=reading(links=(health,), losses_unpaired=2), now_s=now_s)
+        panel.show_state(at)
+        chips.show_state(at)
         return panel.cards["wrench"]
 
     card = show(link(), 100.1)
@@ -367,14 +364,14 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
 def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):
     scene = arm_scene()
     panel = shown(qtbot, ArmPanel(scene.arm))
-    panel.show_frame(frame(session(1, pokes=[touch(1)]), where=scene))
+    panel.show_state(frame(session(1, pokes=[touch(1)]), where=scene))
     low, high = panel.rows["low"], panel.rows["high"]
     assert (low.text(1), low.text(2), high.text(2)) == ("0.0\N{DEGREE SIGN}", "1", "0")
     with qtbot.waitSignal(panel.pose_requested) as chosen:
         panel.poses.itemClicked.emit(high, 0)
     assert chosen.args == ["high"]
     joints = link("joints", carries=(Stream.JOINTS,))
-    panel.show_frame(frame(view=reading(links=(joints,)), where=scene))
+    panel.show_state(frame(view=reading(links=(joints,)), where=scene))
     with qtbot.assertNotEmitted(panel.pose_requested):
         panel.poses.itemClicked.emit(high, 0)
 
@@ -384,7 +381,7 @@ def test_curves_draw_every_axis_and_stop_with_the_stream(qtbot):
     times = np.linspace(90.0, 100.0, 10_000)
     wrench = np.stack([np.sin(times + i) * (5 if i < 3 else 0.3) for i in range(6)], axis=1)
     wrench[5000, 0] = np.nan
-    panel.show_frame(frame(view=reading(wrench_s=times, wrench=wrench)))
+    panel.show_state(frame(view=reading(wrench_s=times, wrench=wrench)))
     seen = pixels(panel)[..., :3].astype(int)
     for axis in DARK.axes:
         near = np.abs(seen - QColor(axis).getRgb()[:3]).sum(axis=2) < 60
@@ -394,7 +391,7 @@ def test_curves_draw_every_axis_and_stop_with_the_stream(qtbot):
     qtbot.wait(50)
     before = [paint.count for paint in paints]
     for _ in range(10):
-        panel.show_frame(frame(view=reading(wrench_s=times, wrench=wrench)))
+        panel.show_state(frame(view=reading(wrench_s=times, wrench=wrench)))
     qtbot.wait(50)
     assert [paint.count for paint in paints] == before
 

@@ -9,21 +9,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtTest import QTest
 from whole_window import OPEN_MS
 
-from app import controller, pace
-from app.plan import Plan
-from app.running import Running
+from app.session import controller
+from app.session.open_request import OpenRequest
+from app.state.running import Running
+from app.text.message import STILL_SOLVING
+from app.text.rig import offer_text, offer_words
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
 from skincal.guide.landmark_targets import ASTRAY
+from skincal.model.readings import LinkEvent, LinkState
 from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.actions import SetPose, Undo
 from skincal.session.corrections import correct_action
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.landmarks import poke_landmarks
-from skincal.simulate.rig import Rig, RigErrors
+from skincal.simulate.rig import Rig
 from skincal.taxels.result import Method
 
 Key = Qt.Key
@@ -46,7 +50,7 @@ class Poked:
         monkeypatch.setattr(road, "live", ready)
         bench.controller._set_running(Running.STREAMING)
         self.said: list[str] = []
-        bench.window.desk.said.connect(lambda message: self.said.append(message.text))
+        bench.window.session_view.said.connect(lambda message: self.said.append(message.text))
         self.rng = np.random.default_rng(5)
         self.rig = Rig(road.scene, road.session.surface, RigErrors.paper(), np.random.default_rng(1))
         bench.controller.act(SetPose(POSE))
@@ -54,7 +58,7 @@ class Poked:
 
     @property
     def frame(self):
-        return self.bench.window.desk.frame
+        return self.bench.window.session_view.state
 
     @property
     def asked(self) -> str:
@@ -63,15 +67,15 @@ class Poked:
 
     @property
     def panel(self):
-        return self.bench.window.desk.workspace.rig
+        return self.bench.window.session_view.workspace.rig
 
     @property
     def now(self):
-        return self.bench.window.desk.workspace.now
+        return self.bench.window.session_view.workspace.now
 
     def near(self) -> tuple[int, float]:
         """The taxel nearest to the landmark that is asked for, and how far it lies away, metres."""
-        laid = self.bench.window.desk.workspace.part.laid
+        laid = self.bench.window.session_view.workspace.part.laid
         layout = self.road.scene.skin.layout
         apart = np.linalg.norm(laid.places[layout.channels] - self.frame.target.place, axis=1)
         return int(layout.channels[apart.argmin()]), float(apart.min())
@@ -92,9 +96,13 @@ class Poked:
             )  # fmt: skip
         else:
             outcome = Rejection(number, start_s, start_s + 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", channels, True, **rest)
-        self.road.session.add(outcome)
+        self.end_as(outcome)
         self.bench.until(lambda: self.frame is not before and number in self.bench.snapshot.at_landmarks, 5000)
         return number
+
+    def end_as(self, outcome) -> None:
+        """Have the road settle a poke, as at the end of one that the devices told of."""
+        self.road._settle_item(LinkEvent("wrench", time.monotonic_ns(), LinkState.OPEN), [outcome])
 
     def until_offered(self) -> None:
         self.bench.until(lambda: bool(self.frame.offers), OPEN_MS)
@@ -105,7 +113,7 @@ class Poked:
 def poked(bench, recorded, tmp_path, monkeypatch):
     # What is poked here is in no recording: the others' session must not tell of it.
     folder = shutil.copytree(recorded, tmp_path / "mine")
-    bench.open(Plan(session=folder))
+    bench.open(OpenRequest(session=folder))
     bench.until_all_is_there()
     return Poked(bench, monkeypatch)
 
@@ -205,10 +213,59 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_ans
     bench.key(Key.Key_G)
     session = poked.road.session
     unasked = replace(session.outcome(number - 1), poke=number + 1, start_s=time.monotonic() + 5.0)
-    session.add(unasked)
+    poked.end_as(unasked)
     bench.until(lambda: bench.snapshot.pokes[-1].outcome is unasked, 5000)
     bench.qtbot.wait(50)
     assert list(bench.snapshot.at_landmarks) == [number - 1], "without the guide none is asked for"
+
+
+def test_the_session_goes_on_before_its_value_is_made_and_no_value_shows_half_of_it(poked, monkeypatch):
+    workspace, states = poked.bench.window.session_view.workspace, []
+    show = workspace.show_state
+    monkeypatch.setattr(workspace, "show_state", lambda state: (states.append(state), show(state)))
+    name, number = poked.asked, poked.poke()
+    told = [state for state in states if state.snapshot.pokes[-1].outcome.poke == number]
+    assert told
+    assert {state.snapshot.at_landmarks.get(number) for state in told} == {name}
+    assert {state.target.landmark for state in told} == {poked.asked}, "what is asked for next is in the same value"
+    assert poked.road.asked_landmark == poked.asked
+
+
+def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
+    bench, road = poked.bench, poked.road
+    poked.poke()
+    view, snapshot, asked = bench.window.session_view, road.snapshot(), road.asked_landmark
+    # A poke that nobody has seen yet, at the landmark that is asked for.
+    unseen = replace(road.session.outcome(road.session.last_poke), poke=road.session.last_poke + 1, start_s=1e9)
+    bench.controller.stop()
+    poked.end_as(unseen)
+    changed = road.snapshot()
+    assert changed is not snapshot
+    touched = []
+    for owner, names in (
+        (road, ("feed", "act", "take", "begin_segment")),
+        (road.session, ("act", "add", "find_dead", "settle")),
+        (view.guide, ("follow", "skip")),
+        (view.course, ("follow", "choose")),
+        (bench.controller, ("act", "follow_guide", "tick", "pause", "go_on")),
+    ):
+        for name in names:
+            monkeypatch.setattr(owner, name, lambda *_, name=name: touched.append(name))
+    panels = [view.workspace.tabs.widget(index) for index in range(view.workspace.tabs.count())]
+    for panel in panels:
+        with QSignalBlocker(view.workspace.tabs):
+            view.workspace.tabs.setCurrentWidget(panel)
+        before = view.state
+        view.show()
+        bench.window.repaint()
+        for name in ("snapshot", "live", "guidance", "review", "offers", "may", "revision", "coaching"):
+            assert getattr(view.state, name) is getattr(before, name), name
+    view.select_taxel(poked.near()[0])
+    view.set_colours(bench.theme.colours)
+    assert view.state.selected == poked.near()[0]
+    assert touched == []
+    assert road.snapshot() is changed
+    assert road.asked_landmark == asked
 
 
 def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
@@ -220,12 +277,12 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert poked.asked == "", "these are enough for this arm pose"
     poked.until_offered()
     (offer,) = poked.frame.offers
-    assert offer.text == "Correct the rig"
+    assert offer_text(offer) == "Correct the rig"
     assert len(poked.said) == 1
-    assert offer.words in poked.said[0]
+    assert offer_words(offer) in poked.said[0]
     assert "C uses that; the Rig tab says more, and takes it back" in poked.said[0]
     assert panel.offer.isVisible()
-    assert bench.window.commands.actions["correct"].text().startswith(offer.text)
+    assert bench.window.commands.actions["correct"].text().startswith(offer_text(offer))
     before = bench.snapshot.estimates
     assert_nothing_is_cut(poked)
 
@@ -262,7 +319,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
 
 def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked, monkeypatch):
     bench = poked.bench
-    for module, name in ((controller, "SOLVE_S"), (pace, "SOLVING_S"), (pace, "DRAW_BEHIND_S")):
+    for module, name in ((controller, "SOLVE_S"), (controller, "SOLVING_S"), (controller, "DRAW_BEHIND_S")):
         monkeypatch.setattr(module, name, 0.0)
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
     shown: list[tuple[object, int, str]] = []
@@ -291,9 +348,9 @@ def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(p
     assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
     assert not bench.snapshot.corrections
     assert not bench.controller.act(SetPose(""))
-    assert bench.messages[-1].text == controller.STILL_SOLVING
+    assert bench.messages[-1].text == STILL_SOLVING
     bench.controller.export("csv", tmp_path / "c.csv", Method.SURFACE, None, pytest.fail, told.append)
-    assert told == [controller.STILL_SOLVING]
+    assert told == [STILL_SOLVING]
     bench.controller._timer.start()
     bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
     assert bench.controller.act(Undo())

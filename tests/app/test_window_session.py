@@ -20,8 +20,8 @@ from app.commands import COMMANDS
 from app.dialogs.export import ExportDialog
 from app.dialogs.pedals import PedalsDialog
 from app.dialogs.verdict import VerdictDialog
-from app.plan import Plan, server_command
-from app.running import Running
+from app.session.open_request import OpenRequest, server_command
+from app.state.running import Running
 from app.words import peak_channel
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import load_reference
@@ -93,15 +93,15 @@ class Keys:
     def __init__(self, bench, plate: Path, recording: Path) -> None:
         self.bench, self.qtbot = bench, bench.qtbot
         hasty = ("--careful", "--pace", "2", "--seed", "3")
-        bench.open(Plan(scene=plate, server=(*server_command(plate), *hasty), folder=recording))
+        bench.open(OpenRequest(scene=plate, server=(*server_command(plate), *hasty), folder=recording))
         bench.until_all_is_there()
-        self.desk = bench.window.desk
-        self.workspace = self.desk.workspace
+        self.session_view = bench.window.session_view
+        self.workspace = self.session_view.workspace
         self.back_in_the_window()
 
     @property
     def guidance(self):
-        return self.desk.frame.guidance
+        return self.session_view.state.guidance
 
     @property
     def headline(self) -> str:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from guide_support import guidance, target
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 from whole_window import Paints
 from window_support import NAMES, changed, frame, pixels, session
@@ -15,6 +16,7 @@ from app.guide_words import FOLLOWS, WHAT, sky_words
 from app.panels.inspect import InspectPanel
 from app.panels.sky import LEGENDS, SKY_PX, SkyPanel
 from app.scene3d.camera import PLAIN, Eye
+from app.session.open_request import OpenRequest
 from app.theme import DARK, LIGHT
 from app.top_view import AROUND_TAXEL, EDGE, GRAIN, sky_view
 from app.words import METHOD_NAMES
@@ -104,7 +106,7 @@ def panel(qtbot):
 def framed(says: AxisDiversity | None, selected=None, asked=3, method=Method.FREE, generation=1, **changes):
     asked_for = guidance(None if asked is None else target(asked), method=method)
     at = frame(session(generation), selected=selected, method=method)
-    return replace(at, guidance=asked_for, sky=lambda _channel: says, **changes)
+    return replace(at, guidance=asked_for, sky=says, **changes)
 
 
 def ink(picture, colour) -> int:
@@ -117,7 +119,7 @@ def test_own_pokes_are_filled_others_hollow_and_doubted_ones_small(panel, colour
     panel.set_colours(colours)
     filled = []
     for generation, (own, trust) in enumerate([(True, 1.0), (False, 1.0), (True, 0.1)], start=1):
-        panel.show_frame(framed(sky([push(20, 135)], [own], [trust], best=None), generation=generation))
+        panel.show_state(framed(sky([push(20, 135)], [own], [trust], best=None), generation=generation))
         view = sky_view(sky([push(20, 135)]), Method.FREE, PLAIN)
         at = panel.plot._at(view.dots[0])
         x, y = round(SKY_PX / 2 + at.x()), round(SKY_PX / 2 + at.y())
@@ -129,9 +131,9 @@ def test_own_pokes_are_filled_others_hollow_and_doubted_ones_small(panel, colour
 
 
 def test_the_next_side_is_a_square_and_the_tint_is_seen(panel):
-    panel.show_frame(framed(sky(best=None)))
+    panel.show_state(framed(sky(best=None)))
     plain = pixels(panel.plot)
-    panel.show_frame(framed(sky(best=0.0), generation=2))
+    panel.show_state(framed(sky(best=0.0), generation=2))
     east = pixels(panel.plot)
     assert changed(plain, east) > 2000
     moved = (plain != east).any(axis=2)
@@ -142,50 +144,69 @@ def test_the_next_side_is_a_square_and_the_tint_is_seen(panel):
 
 
 def test_words_say_what_the_method_needs_and_which_the_guide_follows(panel):
-    panel.show_frame(framed(sky([push(20, 0)] * 5, [True, True, False, False, False])))
+    panel.show_state(framed(sky([push(20, 0)] * 5, [True, True, False, False, False])))
     assert panel.whose.text() == "10-03, the target"
     assert panel.spread.text() == "Axes spread 9\N{DEGREE SIGN}, wanted 15\N{DEGREE SIGN}"
     assert panel.contacts.text() == "5 pokes, 2 its own"
     assert "free method" in panel.follows.text()
     assert "tilt" in panel.follows.text()
-    panel.show_frame(framed(sky([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
+    panel.show_state(framed(sky([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
     assert panel.spread.text() == "Their middle lies 1.3 mm beside it, wanted 1.0 mm or less"
     assert "surface method" in panel.follows.text()
     assert "evenness" in panel.follows.text()
-    panel.show_frame(framed(sky(), method=Method.SURFACE))
+    panel.show_state(framed(sky(), method=Method.SURFACE))
     assert (panel.spread.text(), panel.contacts.text()) == ("Not poked yet", "")
 
 
 def test_it_is_of_the_selected_taxel_else_of_the_target_and_goes_where_there_is_neither(panel):
-    asked = []
-    at = replace(framed(sky()), sky=lambda channel: asked.append(channel) or replace(sky(), channel=channel))
-    panel.show_frame(at)
+    at = framed(sky())
+    assert (at.looked_at, replace(at, selected=15).looked_at, framed(None, asked=None).looked_at) == (3, 15, None)
+    panel.show_state(at)
     assert panel.whose.text() == "10-03, the target"
-    panel.show_frame(replace(at, selected=15))
+    panel.show_state(replace(at, selected=15, sky=replace(sky(), channel=15)))
     assert panel.whose.text() == "11-03"
-    assert asked == [3, 15]
-    panel.show_frame(replace(framed(sky(), asked=None), selected=None))
+    panel.show_state(replace(framed(None, asked=None), selected=None))
     assert panel.isHidden()
-    panel.show_frame(replace(at, sky=lambda _channel: None, revision=9))
+    panel.show_state(replace(at, sky=None, revision=9))
     assert panel.isHidden()
 
 
-def test_the_same_sky_is_neither_asked_for_nor_drawn_again(panel, qtbot):
-    asked = []
-    at = replace(framed(sky([push(20, 0)])), sky=lambda channel: asked.append(channel) or sky([push(20, 0)]))
-    panel.show_frame(at)
+def test_the_same_sky_is_not_drawn_again(panel, qtbot):
+    at = framed(sky([push(20, 0)]))
+    panel.show_state(at)
     qtbot.wait(30)
     paints = Paints(panel.plot)
     for _ in range(4):
-        panel.show_frame(replace(at, now_ns=at.now_ns + 1, eye=Eye(PLAIN.right + 1e-4, PLAIN.up)))
+        panel.show_state(replace(at, now_ns=at.now_ns + 1, eye=Eye(PLAIN.right + 1e-4, PLAIN.up)))
     qtbot.wait(30)
-    assert (len(asked), paints.count) == (1, 0)
+    assert paints.count == 0
     turned = replace(at, eye=Eye(PLAIN.up, -PLAIN.right))
-    panel.show_frame(turned)
+    panel.show_state(turned)
     qtbot.wait(30)
-    assert (len(asked), paints.count) == (2, 1)
-    panel.show_frame(replace(turned, guidance=guidance(target(3))))
-    assert len(asked) == 3, "what was skipped changes what is worth asking"
+    assert paints.count == 1
+    panel.show_state(replace(turned, guidance=guidance(target(3)), sky=sky([push(20, 90)])))
+    qtbot.wait(30)
+    assert paints.count == 2, "what was skipped changes what is worth asking"
+
+
+def test_the_window_asks_once_for_the_sky_of_the_taxel_that_is_looked_at(bench, recorded, monkeypatch):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
+    view, asked = bench.window.session_view, []
+    assert view.state.sky.channel == view.state.target.channel
+    sky_of = view.guide.sky
+    monkeypatch.setattr(view.guide, "sky", lambda channel, evidence: asked.append(channel) or sky_of(channel, evidence))
+    other = next(channel for channel in bench.snapshot.pokes[0].outcome.channels.tolist() if channel != view.state.sky.channel)
+    view.select_taxel(other)
+    assert view.state.sky.channel == other
+    for _ in range(4):
+        view.show()
+    assert asked == [other]
+    bench.key(Qt.Key.Key_N)
+    assert asked == [other, other], "what was skipped changes what is worth asking"
+    bench.key(Qt.Key.Key_G)
+    assert view.state.sky is None
 
 
 def test_the_taxel_tab_shows_the_sky_of_the_target_before_anything_is_selected(qtbot):
@@ -194,10 +215,10 @@ def test_the_taxel_tab_shows_the_sky_of_the_target_before_anything_is_selected(q
     tab.resize(420, 500)
     with qtbot.waitExposed(tab):
         tab.show()
-    tab.show_frame(framed(sky([push(20, 0)])))
+    tab.show_state(framed(sky([push(20, 0)])))
     assert tab.sky.isVisible()
     assert tab.title.text() == "No taxel selected"
-    tab.show_frame(replace(framed(sky([push(20, 0)]), generation=2), guidance=None, sky=lambda _channel: None))
+    tab.show_state(replace(framed(sky([push(20, 0)]), generation=2), guidance=None, sky=None))
     assert not tab.sky.isVisible()
 
 

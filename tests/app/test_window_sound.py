@@ -10,7 +10,7 @@ from PySide6.QtCore import QSettings, Qt
 from whole_window import Bench
 
 from app.commands import COMMANDS, key_words
-from app.plan import Plan
+from app.session.open_request import OpenRequest
 from app.sound import NoSoundError, Player
 
 
@@ -39,11 +39,11 @@ def test_a_lost_device_is_heard_again_and_again(bench):
     bench.until(lambda: len(bench.accepted()) >= 1)
     os.kill(bench.controller._server._process.processId(), signal.SIGKILL)
     bench.until(lambda: [name for name, _ in bench.player.played].count("LOST") >= 2)
-    assert bench.window.desk.workspace.now.headline.text().startswith("lost ")
+    assert bench.window.session_view.workspace.now.headline.text().startswith("lost ")
 
 
 def test_old_pokes_are_not_heard(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     assert bench.snapshot.pokes
     assert bench.player.played == []
@@ -71,7 +71,7 @@ def test_no_sound_device_disables_the_entry_with_the_reason_and_nothing_else(qtb
     bench = Bench(qtbot, tmp_path, Player(nothing, speech=("true",)))
     sounds, speech = (bench.window.commands.actions[name] for name in ("sounds", "speech"))
     assert sounds.isEnabled(), "nothing is known before a session is open"
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until(lambda: not sounds.isEnabled(), 5000)
     assert sounds.text() == "Sounds (no sound device)"
     assert not speech.isEnabled()

@@ -11,13 +11,15 @@ from window_support import NAMES, changed, pixels
 
 from app.dialogs.export import ExportDialog
 from app.dialogs.verdict import VerdictDialog
-from app.plan import Plan
-from app.rig_offers import Offer, used_words
+from app.session.open_request import OpenRequest
+from app.state.rig_review import Offer
+from app.text.rig import used_words
 from app.verdict_words import check_words, done_words, figures, left_words, rig_state, sentence
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.session.corrections import correct_action
 from skincal.session.review import Review
 from skincal.taxels.result import Method
 
@@ -158,7 +160,7 @@ def test_all_that_is_said_is_seen(qtbot):
 
 def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
-    offer = Offer("Correct the rig", "The rig can be corrected: held-out pokes then pass at 5.6 mm, now at 9.6 mm.", None)
+    offer = Offer(correct_action(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6))
     assert rig_state((offer,), (), None).endswith("now at 9.6 mm. C uses that, the Rig tab says more.")
     assert rig_state((), (used,), None) == used_words(used)
     assert rig_state((), (), None).startswith("not checked, since landmarks were not poked")
@@ -202,21 +204,21 @@ def test_nothing_is_listed_where_nothing_is_left(qtbot):
 
 
 def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
-    bench.open(Plan(session=recorded))
+    bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
-    desk = bench.window.desk
+    session_view = bench.window.session_view
     bench.key(Key.Key_F)
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
     assert dialog.sentence.text().startswith("Not enough yet: 0 of 84 taxels are done")
     assert dialog.figures[3][1].text() == "3 pokes in 1 min"
     assert dialog.left.model().rowCount() == 84
-    on_map = pixels(desk.workspace.map)
+    on_map = pixels(session_view.workspace.map)
     dialog.left.setFocus()
     for key in (Key.Key_Home, Key.Key_Down, Key.Key_Return):
         tap(bench.qtbot, key)
-    assert desk.selected == desk.frame.guidance.channels[1]
-    assert changed(on_map, pixels(desk.workspace.map)) > 20
+    assert session_view.selected == session_view.state.guidance.channels[1]
+    assert changed(on_map, pixels(session_view.workspace.map)) > 20
     dialog.export.setFocus()
     tap(bench.qtbot, Key.Key_Space)
     bench.until(lambda: any(isinstance(w, ExportDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)

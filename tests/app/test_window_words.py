@@ -16,26 +16,13 @@ from window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, 
 
 from app.display_units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from app.envelope import envelope
-from app.frame import same_results
-from app.plan import Addresses, Plan, dated_folder, link_specs
-from app.policies import (
-    SETTLE_S,
-    VERDICT_S,
-    Mark,
-    NowMemory,
-    Tone,
-    allowed,
-    answer_levels,
-    curve_range,
-    link_lines,
-    marks,
-    now_line,
-    worst,
-)
-from app.running import Running
-from app.storage import Storage
+from app.session.open_request import Addresses, OpenRequest, dated_folder, link_specs
+from app.session.storage import Storage
+from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
+from app.state.running import Running
+from app.state.view_state import LinkLook, same_results
+from app.text.now import SETTLE_S, VERDICT_S, NowMemory, Tone, now_line
 from app.words import (
-    LinkLook,
     error_words,
     link_words,
     pitch_of,
@@ -208,16 +195,16 @@ def test_what_is_said_while_pressing():
 
 
 def test_trouble_goes_before_phases():
-    lost = link_lines([link(state=LinkState.LOST, text="/dev/x vanished; plug it in.")], 0)
-    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY), links=lost))
+    lost = (link(state=LinkState.LOST, text="/dev/x vanished; plug it in."),)
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY, links=lost)))
     assert (now.tone, now.headline, now.detail) == (Tone.BAD, "lost wrench", "/dev/x vanished; plug it in.")
     paused, _ = now_line(NowMemory(), frame(view=reading(PressPhase.PRESSING, 5.0), running=Running.PAUSED))
     assert paused.headline == "paused"
     fresh = session(2, pokes=[touch(1)])
-    now, _ = now_line(NowMemory(), frame(fresh, reading(PressPhase.READY), links=lost))
+    now, _ = now_line(NowMemory(), frame(fresh, reading(PressPhase.READY, links=lost)))
     assert now.headline == "lost wrench"
-    waiting = link_lines([link(last_host_ns=0), link("skin")], round(100.1e9))
-    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA), links=waiting))
+    waiting = (link(last_host_ns=0), link("skin"))
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=waiting), now_s=100.1))
     assert now.headline == "waiting for wrench"
 
 
@@ -342,7 +329,7 @@ def test_sessions_get_folders_of_their_own(tmp_path):
 
 
 def test_a_temporary_recording_goes_unless_it_is_kept(tmp_path):
-    storage = Storage(Plan(), tmp_path)
+    storage = Storage(OpenRequest(), tmp_path)
     assert storage.can_keep
     storage.folder.mkdir(parents=True)
     (storage.folder / "a").write_text("first")
@@ -353,13 +340,13 @@ def test_a_temporary_recording_goes_unless_it_is_kept(tmp_path):
     storage.finish()
     assert not folder.exists()
     assert (kept / "a").read_text() == "first, and what came after"
-    gone = Storage(Plan(), tmp_path)
+    gone = Storage(OpenRequest(), tmp_path)
     gone.finish()
     assert not gone.folder.exists()
 
 
 def test_a_recording_with_a_folder_is_never_removed(tmp_path):
-    storage = Storage(Plan(folder=tmp_path / "mine"), tmp_path)
+    storage = Storage(OpenRequest(folder=tmp_path / "mine"), tmp_path)
     storage.folder.mkdir()
     assert not storage.can_keep
     storage.finish()

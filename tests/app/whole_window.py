@@ -8,10 +8,10 @@ from PySide6.QtCore import QEvent, QObject, QSettings, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QWidget
 
-from app.controller import Controller
-from app.panels.message_bar import Message
-from app.plan import Plan, server_command
+from app.session.controller import Controller
+from app.session.open_request import OpenRequest, server_command
 from app.sound import Player
+from app.text.message import Message
 from app.theme import Choice, Theme
 from app.window import Window
 from skincal.contacts.outcome import Contact
@@ -54,29 +54,29 @@ class Bench:
         with qtbot.waitExposed(self.window):
             self.window.show()
 
-    def open(self, plan: Plan) -> None:
+    def open(self, plan: OpenRequest) -> None:
         with self.qtbot.waitSignal(self.controller.session_opened, timeout=OPEN_MS):
             self.window.open(plan)
-        self.until(lambda: self.window.stack.currentWidget() is self.window.desk.workspace, 5000)
+        self.until(lambda: self.window.stack.currentWidget() is self.window.session_view.workspace, 5000)
         self.qtbot.wait(50)
 
     def open_served(self, name: str = "icub-forearm", **changes) -> None:
         scene = resource(f"scenes/{name}/scene.toml")
-        self.open(Plan(scene=scene, server=(*server_command(scene), "--careful", "--errors", "none"), **changes))
+        self.open(OpenRequest(scene=scene, server=(*server_command(scene), "--careful", "--errors", "none"), **changes))
 
     def until(self, what, timeout: int = POKE_MS) -> None:
         self.qtbot.waitUntil(what, timeout=timeout)
 
     @property
     def snapshot(self):
-        return self.window.desk.frame.snapshot
+        return self.window.session_view.state.snapshot
 
     def accepted(self) -> list[Contact]:
         return [p.outcome for p in self.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
 
     def until_all_is_there(self) -> None:
         """Wait for the 3D view and the curves, and take the messages away, so that nothing moves any more."""
-        workspace = self.window.desk.workspace
+        workspace = self.window.session_view.workspace
         self.until(lambda: workspace.view.list_layers() != () and workspace.readings.curves is not None, OPEN_MS)
         while self.window.messages.isVisible():
             self.window.messages.dismiss()

@@ -11,9 +11,9 @@ from PySide6.QtWidgets import QWidget
 from scene3d_support import layout, live, scene, snapshot
 
 from app.display_units import ChannelNames
-from app.frame import Frame
-from app.running import Running
-from app.words import LinkWords
+from app.state.policies import allowed
+from app.state.running import Running
+from app.state.view_state import ViewState
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.geometry.arm import Arm, DhLink
 from skincal.model.readings import LinkHealth, LinkState, Loss, Stream
@@ -82,12 +82,11 @@ def frame(
     method: Method = Method.FREE,
     selected: int | None = None,
     running: Running = Running.STREAMING,
-    links: tuple[LinkWords, ...] = (),
     where: Scene = SCENE,
-) -> Frame:
+) -> ViewState:
     """A frame; its revision is the snapshot's generation."""
     found = at or session()
-    return Frame(
+    return ViewState(
         snapshot=found,
         live=view or reading(),
         scene=where,
@@ -97,7 +96,7 @@ def frame(
         running=running,
         now_ns=round(now_s * SECOND),
         revision=found.generation,
-        links=links,
+        may=allowed(found, where, (), running, (), selected),
     )
 
 

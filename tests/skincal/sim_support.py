@@ -7,7 +7,8 @@ import numpy as np
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
-from skincal.simulate.rig import Rig, RigErrors
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig import Rig
 
 
 @lru_cache

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.rig import RigErrors
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.estimate_support import solve
 from tests.skincal.sim_support import make_rig

@@ -16,8 +16,8 @@ from skincal.model.readings import Loss
 from skincal.model.scene import load_scene, resource
 from skincal.session.road import Road
 from skincal.simulate.device import DeviceSettings
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.rig import RigErrors
 from skincal.simulate.session import simulate_session
 from skincal.taxels.result import Method, State
 

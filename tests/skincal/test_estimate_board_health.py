@@ -11,7 +11,7 @@ from skincal.model.skin import Layout
 from skincal.modules.health import MisfitKind, find_misfits, spacing_ratio
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig import RigErrors
+from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig
 

@@ -10,7 +10,7 @@ from skincal.model.skin import KINDS, Layout, Module, ModuleKind
 from skincal.modules.health import Misfit, MisfitKind, ModuleChange, _meant, changes_of, find_misfits, mend_layout, mend_modules
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig import RigErrors
+from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 from tests.skincal.test_estimate_board_health import poked

@@ -14,7 +14,7 @@ import pytest
 
 from skincal.methods import estimate_taxels
 from skincal.simulate.contacts import recipe, simulate_contacts, unguided
-from skincal.simulate.rig import RigErrors
+from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import PER_TAXEL, Method, State
 from tests.skincal.sim_support import make_rig
 

@@ -15,8 +15,8 @@ from skincal.modules.pose import LEVER, ModuleModel, ModulePoses, ModulesInSpace
 from skincal.modules.pose_fit import find_touches, offset_squares, whitened
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.rig import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method, State
 from tests.skincal.sim_support import make_rig, scene_and_surface

@@ -17,8 +17,8 @@ from skincal.geometry.wrench import pitch
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.simulate.contacts import recipe, simulate_contacts, unguided
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.rig import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Method
 from skincal.taxels.solve import solve

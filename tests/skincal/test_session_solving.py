@@ -14,7 +14,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig import RigErrors
+from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method
 from tests.skincal.poke_script import same_estimates
 from tests.skincal.sim_support import make_rig

@@ -10,9 +10,10 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.simulate.device import DeviceSettings, Timeline, timeline
 from skincal.simulate.encode import About, Skb, Skt, cobs, make_encoder
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits, Move, Press, Told
 from skincal.simulate.orders import PokeOrder, PoseOrder
-from skincal.simulate.rig import Rig, RigErrors
+from skincal.simulate.rig import Rig
 from skincal.streams.decoders.detect import make_decoder
 from tests.skincal.sim_support import make_rig, scene_and_surface
 

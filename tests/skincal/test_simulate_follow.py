@@ -17,11 +17,11 @@ from skincal.model.scene import Landmark
 from skincal.session.known_points import poke_at
 from skincal.session.road import Road
 from skincal.simulate.device import Timeline
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.follow import Guided
 from skincal.simulate.operator import Auto, Habits, Move, Told
 from skincal.simulate.orders import NoTarget, PokeOrder, PoseOrder, TargetOrder, read_order, write_wish
 from skincal.simulate.poke import tangents
-from skincal.simulate.rig import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig

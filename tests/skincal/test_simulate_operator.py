@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits, Move, Press, Told, press
 from skincal.simulate.orders import PokeOrder, PoseOrder, read_order
 from skincal.simulate.poke import push_directions, tangents
-from skincal.simulate.rig import RigErrors
 from tests.skincal.sim_support import make_rig
 
 

@@ -9,10 +9,11 @@ from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
 from skincal.simulate.contacts import Tare, simulate_contacts, unguided
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.foam import Foam, answer, felt_share
 from skincal.simulate.noise import WrenchNoise
 from skincal.simulate.operator import Habits, aim, place
-from skincal.simulate.rig import Rig, RigErrors
+from skincal.simulate.rig import Rig
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = tuple("1234567")

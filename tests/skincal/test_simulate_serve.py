@@ -12,9 +12,9 @@ import serial
 
 from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceSettings, Timeline
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
-from skincal.simulate.rig import RigErrors
 from skincal.simulate.serve import Server
 from skincal.streams.decoders.detect import make_decoder
 from tests.skincal.sim_support import make_rig

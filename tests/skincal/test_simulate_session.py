@@ -8,8 +8,8 @@ from skincal.contacts.outcome import Contact
 from skincal.journal.reader import SessionLog
 from skincal.model.readings import Chunk
 from skincal.simulate.device import DeviceSettings
+from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.rig import RigErrors
 from skincal.simulate.session import simulate_session
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import scene_and_surface

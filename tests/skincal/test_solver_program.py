@@ -18,7 +18,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig import RigErrors
+from skincal.simulate.faults import RigErrors
 from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
 from skincal.taxels import solve

@@ -9,8 +9,8 @@ import pytest
 
 from skincal.studies import guidance
 from skincal.studies.figure import write_figure
-from skincal.studies.guidance import QUICK, Conditions
-from skincal.studies.poking import WAYS
+from skincal.studies.guidance import QUICK
+from skincal.studies.poking import WAYS, Conditions
 
 TINY = replace(
     QUICK, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,

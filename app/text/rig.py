@@ -1,4 +1,4 @@
-"""What the window offers to put right of a rig, and what it says of it; pure functions, without Qt."""
+"""What is said of a rig and of what could put it right."""
 
 from __future__ import annotations
 
@@ -9,48 +9,45 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.display_units import DASH, in_millimetres, millimetres, number
+from app.state.rig_review import Offer
 from skincal.contacts.outcome import Outcome
-from skincal.rig.correction import FRAME, RIG, UsedCorrection
+from skincal.rig.correction import RIG, UsedCorrection
 from skincal.session.actions import Correct
-from skincal.session.corrections import offered
+from skincal.session.corrections import used_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
 
 
-@dataclass(frozen=True, slots=True)
-class Offer:
-    """A correction that could be used."""
-
-    text: str
-    """What a button says."""
-    words: str
-    """What the operator is told of it, with the misses."""
-    action: Correct
+def offer_text(offer: Offer) -> str:
+    """Return what the button of a correction that could be used says."""
+    if offer.frame is not None:
+        return "Correct the sensor's frame"
+    return "Correct the rig anew" if offer.anew else "Correct the rig"
 
 
-def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
-    """Return what could be put right: the sensor's frame first, since all else was found under it."""
-    if review is None or review.used is not snapshot.corrections:
-        return ()
-    frame, rig, pokes = review.frame, review.rig, len(review.pokes)
-    action = offered(frame, rig, pokes, review.used)
-    if action is None:
-        return ()
-    if action.of == FRAME and frame is not None:
-        perhaps = "" if frame.sure else " Another mistake would be nearly as likely: poke another landmark."
-        return (Offer("Correct the sensor's frame", frame.words + perhaps, action),)
-    used = snapshot.corrections.get(RIG)
-    if used is not None and used.pokes == pokes:
-        return ()
-    text = "Correct the rig" if used is None else "Correct the rig anew"
-    return (Offer(text, rig_words(rig.before, rig.after), action),)
+def offer_words(offer: Offer) -> str:
+    """Return what is said of a correction that could be used, with the misses."""
+    if offer.frame is None:
+        return rig_words(offer.action.before, offer.action.after)
+    perhaps = "" if offer.frame.sure else " Another mistake would be nearly as likely: poke another landmark."
+    return offer.frame.words + perhaps
+
+
+def offer_news(offer: Offer) -> str:
+    """Return what is said once of a correction that could be used."""
+    return f"{offer_words(offer)} C uses that; the Rig tab says more, and takes it back."
+
+
+def corrected_words(action: Correct) -> str:
+    """Return what is said when a correction is used."""
+    return f"{used_words(used_of(action))} Backspace takes it back until the next poke, the Rig tab at any time."
 
 
 def rig_words(before: float, after: float) -> str:
     """Return what a correction of the rig would do, with the misses of held-out pokes, metres."""
-    now, told = millimetres(after), millimetres(before)
-    return f"The rig can be corrected: held-out pokes then pass their landmarks at {now}, now at {told}."
+    then, now = millimetres(after), millimetres(before)
+    return f"The rig can be corrected: held-out pokes then pass their landmarks at {then}, now at {now}."
 
 
 def used_words(used: UsedCorrection) -> str:
@@ -63,7 +60,7 @@ def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -
     other = review.before.get(method, review.after.get(method))
     if other is None:
         return ""
-    here = {one.channel: one.position for one in estimates}
+    here = {estimate.channel: estimate.position for estimate in estimates}
     pairs = [
         (place, there)
         for channel, place in zip(review.channels.tolist(), other, strict=True)
@@ -71,7 +68,7 @@ def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -
     ]
     if not pairs:
         return ""
-    apart = np.array([np.linalg.norm(one - two) for one, two in pairs])
+    apart = np.array([np.linalg.norm(first - second) for first, second in pairs])
     verb = "has moved" if method in review.before else "would move"
     return f"It {verb} the taxels by {millimetres(float(apart.mean()))} in the mean, {millimetres(float(apart.max()))} at most."
 
@@ -98,33 +95,33 @@ class LandmarkRow:
     """Pokes in the present arm pose."""
     every: int
     off: str
-    """How far its pokes pass it, root mean square, as told and under the correction that was found."""
+    """How far its pokes pass it, root mean square, as the rig reports them and under the correction that was found."""
 
 
 def landmark_rows(snapshot: Snapshot, review: Review | None) -> list[LandmarkRow]:
     """Return one row for each landmark."""
-    outcomes = {one.outcome.poke: one for one in snapshot.pokes if one.outcome.poke in snapshot.at_landmarks}
-    counting = {poke: one.outcome for poke, one in outcomes.items() if not one.excluded}
+    outcomes = {record.outcome.poke: record for record in snapshot.pokes if record.outcome.poke in snapshot.at_landmarks}
+    counting = {poke: record.outcome for poke, record in outcomes.items() if not record.excluded}
     of: dict[str, list[int]] = defaultdict(list)
     for poke in counting:
         of[snapshot.at_landmarks[poke]].append(poke)
-    return [_landmark_row(one.name, of[one.name], counting, snapshot.pose, review) for one in snapshot.landmarks]
+    return [_landmark_row(point.name, of[point.name], counting, snapshot.pose, review) for point in snapshot.landmarks]
 
 
 def _landmark_row(
     name: str, pokes: Sequence[int], outcomes: Mapping[int, Outcome], pose: str, review: Review | None
 ) -> LandmarkRow:
-    told, found = ({}, {}) if review is None else (review.told, review.rig.distances)
-    off = _off([told[poke] for poke in pokes if poke in told], [found[poke] for poke in pokes if poke in found])
+    reported, found = ({}, {}) if review is None else (review.told, review.rig.distances)
+    off = _off([reported[poke] for poke in pokes if poke in reported], [found[poke] for poke in pokes if poke in found])
     return LandmarkRow(name, sum(outcomes[poke].pose == pose for poke in pokes), len(pokes), off)
 
 
-def _off(told: Sequence[float], found: Sequence[float]) -> str:
-    if not told:
+def _off(reported: Sequence[float], found: Sequence[float]) -> str:
+    if not reported:
         return DASH
     if not found:
-        return millimetres(_rms(told))
-    return f"{number(in_millimetres(_rms(told)), 1)} \N{RIGHTWARDS ARROW} {millimetres(_rms(found))}"
+        return millimetres(_rms(reported))
+    return f"{number(in_millimetres(_rms(reported)), 1)} \N{RIGHTWARDS ARROW} {millimetres(_rms(found))}"
 
 
 def _rms(values: Sequence[float]) -> float:

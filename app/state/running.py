@@ -1,4 +1,4 @@
-"""What the program does with its devices."""
+"""What the program does with its devices; by itself, since the window has it before a session is there."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""What opening costs: scene, mesh, layout on the mesh, journal; done in the background, without Qt.
+"""What is calibrated, as a scene describes it: the mesh, the layout laid on it, and where taxels may be before any poke.
 
-The imports stand inside the functions so that they, too, happen beside the window.
+The imports stand inside the functions, so that a window can do this beside its own start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
     from skincal.guide.candidates import Cover
     from skincal.mesh.lay import LaidSkin
     from skincal.mesh.surface import Surface
-    from skincal.session.road import Road
-    from skincal.streams.links import LinkSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,14 +48,25 @@ def load_part(path: Path) -> Part:
     """
     scene = load_scene(path)
     if scene.surface is None:
-        return _with_layout(scene, None, ())
+        return lay_part(scene, None, ())
     from skincal.mesh.load import load_surface
 
     surface, findings = load_surface(scene.surface)
-    return _with_layout(scene, surface, tuple(finding.sentence for finding in findings))
+    return lay_part(scene, surface, tuple(finding.sentence for finding in findings))
 
 
-def _with_layout(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:
+def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:
+    """Lay the scene's layout on its mesh, which takes a second where the mesh is large.
+
+    Parameters
+    ----------
+    findings : what the mesh loader has to say
+
+    Raises
+    ------
+    InputError
+        The layout does not lie on the surface.
+    """
     layout = scene.skin.layout
     if layout is None:
         return Part(scene, surface, None, np.arange(scene.skin.channels), findings, cover=_cover(surface))
@@ -79,42 +87,3 @@ def _cover(surface: Surface | None) -> Cover | None:
     from skincal.guide.candidates import Cover
 
     return Cover(surface)
-
-
-def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Road:
-    """Start a recording in a new folder.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be made or is taken.
-    """
-    from skincal.journal.writer import create_session
-    from skincal.session.road import Road
-
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    return _solved(Road(part.scene, links, part.surface, create_session(folder, part.scene, links)))
-
-
-def open_road(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Road]:
-    """Open a recorded session where it stopped.
-
-    Parameters
-    ----------
-    links : where readings come from now; none for those of the recording
-
-    Raises
-    ------
-    InputError
-        The folder is no session.
-    """
-    from skincal.session.replay import resume
-
-    road = _solved(resume(folder, links or None))
-    return _with_layout(road.scene, road.session.surface, road.findings), road
-
-
-def _solved(road: Road) -> Road:
-    """Return the road after its first snapshot, which looks at every taxel and so takes long."""
-    road.snapshot()
-    return road

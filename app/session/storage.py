@@ -7,7 +7,8 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
-from app.plan import Plan, dated_folder
+from app.session.open_request import OpenRequest, dated_folder
+from app.text.message import place_words
 from skincal.journal.lock import LOCK_NAME
 from skincal.model.errors import InputError
 
@@ -20,15 +21,15 @@ class Storage:
 
     Parameters
     ----------
-    plan : says where the recording goes
+    request : says where the recording goes
     documents : folder under which kept sessions are put, each in a folder of its date and time
     """
 
-    def __init__(self, plan: Plan, documents: Path) -> None:
+    def __init__(self, request: OpenRequest, documents: Path) -> None:
         self._documents = documents
-        self._temporary = Path(tempfile.mkdtemp(prefix="skincal-")) if plan.temporary else None
+        self._temporary = Path(tempfile.mkdtemp(prefix="skincal-")) if request.temporary else None
         self.kept: Path | None = None
-        given = plan.session or plan.folder
+        given = request.session or request.folder
         self.folder = given or (self._temporary or documents) / "session"
 
     @property
@@ -69,8 +70,4 @@ class Storage:
 
     def words(self) -> str:
         """Return where the recording is, for the foot of the window."""
-        if self._temporary is None:
-            return f"Session in {self.folder}"
-        if self.kept is not None:
-            return f"Kept in {self.kept}"
-        return "Temporary recording, gone when the window closes; Ctrl+S keeps it"
+        return place_words(self.folder, self.kept, temporary=self._temporary is not None)

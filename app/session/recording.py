@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from app.storage import Storage
+from app.session.storage import Storage
 
 if TYPE_CHECKING:
     from skincal.model.readings import Chunk, LinkEvent

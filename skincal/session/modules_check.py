@@ -1,25 +1,19 @@
-"""Whether modules lie as planned, worked out beside the window for a panel that is open: asked for nothing, it does nothing."""
+"""Whether modules lie as planned, worked out beside an open session: asked for nothing, it does nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
-from app.frame import Frame
 from skincal.modules.health import LayoutMend, judged_modules, mend_modules
 from skincal.modules.pose import ModuleModel
+from skincal.session.error_history import Run
+from skincal.session.part import Part
+from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
-
-if TYPE_CHECKING:
-    from app.opening import Part
-
-Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
-"""Does work beside the window and hands its result over in a tick."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class ModulesFound:
     """What was found in the estimates of one moment."""
 
     method: Method
@@ -30,7 +24,7 @@ class Found:
     """Modules of which enough is known."""
 
 
-class BoardWatch:
+class ModulesCheck:
     """Looks for mirrored, turned and swapped modules; the newest moment is judged, those that came meanwhile are not.
 
     Parameters
@@ -45,30 +39,35 @@ class BoardWatch:
         self._boards: ModuleModel | None = None
         self._busy = False
         self._asked: int | None = None
-        self.found: Found | None = None
+        self.found: ModulesFound | None = None
         """None while nothing was judged."""
 
-    def follow(self, frame: Frame) -> None:
-        """Take a frame that is on the screen, and judge it unless an older one is still being judged."""
+    def follow(self, snapshot: Snapshot, revision: int) -> None:
+        """Judge a session as it stands, unless an older moment is still being judged.
+
+        Parameters
+        ----------
+        revision : another number where pokes, estimates or dead taxels changed
+        """
         layout = self._part.scene.skin.layout
-        if layout is None or self._busy or frame.revision == self._asked:
+        if layout is None or self._busy or revision == self._asked:
             return
         method = Method.SURFACE if self._part.surface is not None else Method.FREE
-        estimates = {one.channel: one for one in frame.snapshot.estimates.get(method, ())}
+        estimates = {estimate.channel: estimate for estimate in snapshot.estimates.get(method, ())}
         if self._boards is None:
             self._boards = ModuleModel(layout, self._part.scene.skin.anchor, self._part.surface)
         boards = self._boards
 
-        def work() -> Found:
+        def work() -> ModulesFound:
             try:
-                return Found(method, mend_modules(boards, estimates), judged_modules(boards, estimates))
+                return ModulesFound(method, mend_modules(boards, estimates), judged_modules(boards, estimates))
             except BaseException:
                 # Who runs the work says why; `take` is not called then.
                 self._busy = False
                 raise
 
-        self._busy, self._asked = True, frame.revision
+        self._busy, self._asked = True, revision
         self._run(work, self._take)
 
-    def _take(self, found: Found) -> None:
+    def _take(self, found: ModulesFound) -> None:
         self._busy, self.found = False, found

@@ -1,7 +1,8 @@
-"""Owns what is open and the one timer; its slots are the operator's wishes.
+"""Owns what is open and the one timer; its slots are what the operator wants.
 
-Each tick takes what arrived, lets the road work on it for a bounded time, and tells the window once, and only if
-something changed. Everything slow is done in the background and comes back in a tick.
+Each tick takes what arrived, lets the road work on it for a bounded time, and hands it on once, and only if something
+changed. Thirty ticks a second, fewer while there is work, none for nothing. Everything slow is done in the background and
+comes back in a tick.
 """
 
 from __future__ import annotations
@@ -14,23 +15,23 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.pace import BEHIND_MS, TICK_MS, Pace
-from app.panels.message_bar import Message
-from app.plan import Plan, find_scene, link_specs
-from app.recording import Recording, stop_all
-from app.running import Running
-from app.storage import Storage
+from app.session.open_request import OpenRequest, find_scene, link_specs
+from app.session.recording import Recording, stop_all
+from app.session.storage import Storage
+from app.state.running import Running
+from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.processes import ProcessService
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from app.opening import Part
     from app.workers.review_client import ReviewClient
     from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
+    from skincal.guide.guidance import Guidance
     from skincal.session.actions import Action
+    from skincal.session.part import Part
     from skincal.session.road import Road
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
@@ -38,6 +39,20 @@ if TYPE_CHECKING:
     from skincal.streams.links import LinkSpec
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
+
+TICK_MS = 33
+"""One picture a tick: 30 a second."""
+BEHIND_MS = 4
+"""The next tick comes this soon while readings still wait, or taxels to be solved."""
+DRAW_S = 0.010
+"""s. Pictures come no faster than this. Well below a tick: after a long one the timer comes early, to keep its pace, and that
+picture must not be left out."""
+DRAW_BEHIND_S = 0.1
+"""s. While there is work, pictures come no faster than this: readings go before pictures."""
+IDLE_S = 0.5
+"""s. While nothing arrives the links are looked at this often, to say that one fell silent."""
+SOLVING_S = 0.4
+"""s. Solving that lasts longer is said."""
 
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
@@ -47,11 +62,39 @@ several ticks, in which the window answers."""
 
 AT_ONCE = 200
 """Taxels that are solved before the next thing is done: 0.1 s at most. Of more, the window waits in its ticks."""
-STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
+
+
+class TickSchedule:
+    """Knows when the last picture was shown, and since when taxels wait to be solved; host's monotonic clock."""
+
+    def __init__(self) -> None:
+        self._shown_ns = 0
+        self._solving_ns = 0
+        """0 where none do."""
+
+    def is_due(self, now_ns: int, *, behind: bool, news: bool) -> bool:
+        """Return whether a picture is due that shows what is shown already.
+
+        Parameters
+        ----------
+        behind : readings wait, or taxels
+        news : something arrived
+        """
+        pause_s = DRAW_BEHIND_S if behind else DRAW_S if news else IDLE_S
+        return (now_ns - self._shown_ns) * 1e-9 >= pause_s
+
+    def show(self, now_ns: int) -> None:
+        """Note that a picture is shown now."""
+        self._shown_ns = now_ns
+
+    def worth_saying(self, unsolved: int, now_ns: int) -> int:
+        """Return how many taxels wait to be solved, once some have waited for long."""
+        self._solving_ns = (self._solving_ns or now_ns) if unsolved else 0
+        return unsolved if (now_ns - self._solving_ns) * 1e-9 >= SOLVING_S else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class Tick:
     """What a tick found."""
 
     snapshot: Snapshot
@@ -61,7 +104,7 @@ class Picture:
     behind_s: float
     """How long ago that was, while readings wait; else 0."""
     evidence: Callable[[Collection[int]], Evidence]
-    """What the contacts of the newest snapshot say of some channels; holds until the next picture."""
+    """What the contacts of the newest snapshot say of some channels; holds until the next tick."""
     unsolved: int = 0
     """How many taxels are still to be solved before there is a newer snapshot; 0 too where that takes no time to speak of."""
 
@@ -79,7 +122,7 @@ class Controller(QObject):
     session_opened = Signal(object)
     """`Snapshot` of the session as it was opened."""
     ticked = Signal(object)
-    """`Picture`."""
+    """`Tick`."""
     running_changed = Signal(object)
     """`Running`."""
     said = Signal(object)
@@ -101,41 +144,43 @@ class Controller(QObject):
         self._server: DeviceProcess | None = None
         self._links: tuple[LinkSpec, ...] = ()
         self._truth = b""
-        self._wish = ""
-        """Line that a simulated operator was told last."""
+        self._sent = ""
+        """Newest line that was sent to a simulated operator."""
         self._storage: Storage | None = None
         self._part: Part | None = None
         self._recording: Recording | None = None
         self._reviewing: ReviewClient | None = None
         self._shown: Snapshot | None = None
-        self._pace = Pace()
+        self._schedule = TickSchedule()
         self.running = Running.OPENING
+        self.prepare: Callable[[], object] = lambda: None
+        """Imports what shows a session; called beside the window, before a part is loaded."""
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(self.tick)
 
     # Opening and closing
 
-    def open(self, plan: Plan) -> None:
+    def open(self, request: OpenRequest) -> None:
         """Open something in place of what is open; returns at once, `part_loaded` and `session_opened` follow."""
         self._release()
         self._set_running(Running.OPENING)
-        self._storage = storage = Storage(plan, self._documents)
+        self._storage = storage = Storage(request, self._documents)
         self._timer.start()
-        if plan.session is not None:
-            folder, self._links = plan.session, link_specs(plan.addresses)
+        if request.session is not None:
+            folder, self._links = request.session, link_specs(request.addresses)
             links = self._links
             self._run(
-                lambda: _load_session(folder, links),
+                lambda: self._load_session(folder, links),
                 lambda found: self._take_session(storage, found),
                 lambda found: found[1].close(),
             )
             return
-        if plan.addresses:
-            self._links = link_specs(plan.addresses)
-        elif plan.server:
-            self._start_server(plan.server)
-        self._run(lambda: _load_scene(plan.scene), self._take_part)
+        if request.addresses:
+            self._links = link_specs(request.addresses)
+        elif request.server:
+            self._start_server(request.server)
+        self._run(lambda: self._load_scene(request.scene), self._take_part)
 
     def _release(self) -> None:
         """Let go of what is open; its end takes too long for the window and happens in the background."""
@@ -150,7 +195,7 @@ class Controller(QObject):
             reviewing.deleteLater()
         storage, self._storage = self._storage, None
         self._part = self._shown = None
-        self._links, self._truth, self._wish, self._pace = (), b"", "", Pace()
+        self._links, self._truth, self._sent, self._schedule = (), b"", "", TickSchedule()
         if recording is not None:
             self._run(recording.end, _nothing)
         elif storage is not None:
@@ -201,15 +246,34 @@ class Controller(QObject):
         self.ask(NoTarget.WAIT)
         self._make_road()
 
-    def ask(self, wish: Wish) -> None:
-        """Tell a simulated operator what the guide shows, where that changed; real devices are told nothing."""
+    def follow_guide(self, guidance: Guidance | None) -> None:
+        """Tell the road which landmark is asked for, and a simulated operator what to poke, where that changed.
+
+        Parameters
+        ----------
+        guidance : what is asked for from now on; None where nobody guides
+        """
+        self._ask_landmark("" if guidance is None or guidance.landmark is None else guidance.landmark.landmark.name)
+        if self._server is not None:
+            self.ask(operator_target(guidance, self.running))
+
+    def _ask_landmark(self, name: str) -> None:
+        recording = self._recording
+        if recording is None or self.running is not Running.STREAMING or name == recording.road.asked_landmark:
+            return
+        from skincal.session.actions import AskLandmark
+
+        recording.road.act(AskLandmark(name), time.monotonic_ns())
+
+    def ask(self, target: Wish) -> None:
+        """Send a simulated operator what the guide shows, where that changed; real devices are sent nothing."""
         if self._server is None:
             return
         from skincal.simulate.orders import write_wish
 
-        line = write_wish(wish)
-        if line != self._wish:
-            self._wish = line
+        line = write_wish(target)
+        if line != self._sent:
+            self._sent = line
             self._server.tell(line)
 
     def _take_part(self, part: Part, *, make_road: bool = True) -> None:
@@ -270,28 +334,27 @@ class Controller(QObject):
         if self._timer.interval() != wanted:
             self._timer.setInterval(wanted)
         now_ns = time.monotonic_ns()
-        if self._pace.is_due(now_ns, behind=behind, news=drained or self._news) or snapshot is not self._shown:
+        if self._schedule.is_due(now_ns, behind=behind, news=drained or self._news) or snapshot is not self._shown:
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
         drained = recording.drain(DRAIN_S)
         recording.road.tick(time.monotonic_ns())
         if recording.journal_failure and self.running is Running.STREAMING:
-            text = f"{recording.journal_failure} Recording is paused; what was recorded until now is safe."
-            self.said.emit(Message(text, error=True))
+            self.said.emit(Message(refused_words(recording.journal_failure), error=True))
             self.pause()
         return drained
 
     def _publish(self, recording: Recording, snapshot: Snapshot, now_ns: int) -> None:
-        self._pace.show(now_ns)
+        self._schedule.show(now_ns)
         self._shown, self._news = snapshot, False
         if snapshot.landmarks:
             self._review(recording.road.session, snapshot)
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
         live = recording.road.live(reached_ns)
         evidence = recording.road.session.evidence
-        unsolved = self._pace.worth_saying(recording.road.session.unsolved, now_ns)
-        self.ticked.emit(Picture(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence, unsolved))
+        unsolved = self._schedule.worth_saying(recording.road.session.unsolved, now_ns)
+        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence, unsolved))
 
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process tell what landmark pokes say of the rig."""
@@ -372,9 +435,7 @@ class Controller(QObject):
             self._run(self._recording.storage.keep, self._kept)
 
     def _kept(self, folder: Path) -> None:
-        self.said.emit(
-            Message(f"This session is kept in {folder}; what is recorded from now on is added when the window closes.")
-        )
+        self.said.emit(Message(kept_words(folder)))
         self._tell_storage()
 
     @property
@@ -440,6 +501,19 @@ class Controller(QObject):
 
         self._threads.submit(work, take, failed or self._fail, dropped)
 
+    def _load_scene(self, scene: Path | None) -> Part:
+        """Load a scene, and import what shows it, beside the window."""
+        self.prepare()
+        from skincal.session.part import load_part
+
+        return load_part(find_scene(scene))
+
+    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Road]:
+        self.prepare()
+        from app.session.opening import open_road
+
+        return open_road(folder, links)
+
     def _fail(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))
         if self._recording is None:
@@ -455,24 +529,28 @@ class Controller(QObject):
             self.stored.emit(self._recording.storage.words())
 
 
-def _load_scene(scene: Path | None) -> Part:
-    """Load a scene, and import what shows it, beside the window."""
-    import app.desk  # noqa: F401
-    from app.opening import load_part
+def operator_target(guidance: Guidance | None, running: Running) -> Wish:
+    """Return what a simulated operator is to poke: what somebody who looks at the window would.
 
-    return load_part(find_scene(scene))
+    Parameters
+    ----------
+    guidance : None where nobody guides
+    """
+    from skincal.simulate.orders import NoTarget, TargetOrder
 
-
-def _load_session(folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Road]:
-    import app.desk  # noqa: F401
-    from app.opening import open_road
-
-    return open_road(folder, links)
+    if running is not Running.STREAMING:
+        return NoTarget.WAIT
+    if guidance is None:
+        return NoTarget.ANY
+    target = guidance.target
+    if target is None:
+        return NoTarget.WAIT
+    return TargetOrder(target.channel, target.place, target.push, known=bool(target.landmark))
 
 
 def begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path, truth: bytes) -> Road:
     """Start a recording; what a simulated rig says of its taxels is laid beside it."""
-    from app.opening import new_road
+    from app.session.opening import new_road
     from skincal.files.reference import TRUTH_NAME
 
     road = new_road(part, links, folder)

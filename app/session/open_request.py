@@ -30,7 +30,7 @@ class Addresses:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class OpenRequest:
     """What to open; `session` goes before everything else."""
 
     scene: Path | None = None

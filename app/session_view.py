@@ -1,4 +1,7 @@
-"""One open session as the operator works on it: panels, selection, method, and the wishes that concern a session.
+"""The view of one open session: panels, selection, method, and what the operator wants of the session.
+
+A tick first lets follow what follows the session (the guide, which landmark is asked for, checks that an open panel wants);
+then one frozen value is made of all that and handed to the views, which change nothing.
 
 It is imported beside the window, after the window is on the screen: numpy and all that stands on it comes with it.
 """
@@ -7,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,33 +18,33 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QFileDialog, QSplitter, QWidget
 
-from app.board_watch import BoardWatch
+from app.coaching import PressCoach
 from app.commands import Commands
-from app.controller import Controller, Picture
-from app.dialogs.export import ExportDialog
+from app.dialogs.export import ExportDialog, ask_layout
+from app.dialogs.landmark import LandmarkPicking
 from app.dialogs.verdict import VerdictDialog
-from app.error_tracker import ErrorTracker
-from app.frame import Frame, same_results
-from app.guiding import Guiding
 from app.heard import Ear, heard
-from app.layout_saving import ask_layout
-from app.marking import Marking
-from app.opening import Part
 from app.panels.devices import LinkChips
-from app.panels.message_bar import Message
-from app.policies import Allowed, allowed, link_lines
-from app.rig_offers import used_words
-from app.rigging import Rigging
 from app.scene3d.view import View3D
-from app.short_way import ShortWay
+from app.session.controller import Controller, Tick
+from app.state.policies import Allowed, allowed
+from app.state.rig_review import RigReview
+from app.state.view_state import ViewState, looked_at, same_results
+from app.text.message import Message
+from app.text.now import modules_enough_words
+from app.text.rig import corrected_words, offer_news, offer_text
 from app.theme import Colours
 from app.verdict_words import rig_state
-from app.wishes import wish_of
 from app.workspace import Workspace
 from skincal.files.calibration import landmark_check
+from skincal.guide.guidance import Guidance
+from skincal.guide.progress import AxisDiversity
 from skincal.model.errors import InputError
 from skincal.session.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
-from skincal.session.corrections import used_of
+from skincal.session.error_history import ErrorCourse
+from skincal.session.guiding import ModulesEnough, SessionGuide
+from skincal.session.modules_check import ModulesCheck
+from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
@@ -53,13 +57,13 @@ LATE_S = 0.3
 """s. What happened longer ago is not heard any more: by now the hand does something else."""
 
 
-class Desk(QObject):
+class SessionView(QObject):
     """What exists as long as a session is open.
 
     Parameters
     ----------
     part : what is calibrated
-    controller : gets the wishes
+    controller : does what the operator wants
     commands : are enabled by what may be done
     documents : where files go unless the operator says otherwise
     make_view : the 3D view
@@ -85,40 +89,48 @@ class Desk(QObject):
         self._controller = controller
         self._commands = commands
         self._documents = documents
-        self._picture: Picture | None = None
+        self._tick: Tick | None = None
         self._revision = 0
         self._clock_offset = time.time() - time.monotonic()
-        self._allowed: Allowed | None = None
         self._ear = Ear()
-        self._rigging = Rigging()
-        self.frame: Frame | None = None
+        self._rig = RigReview()
+        self._guidance: Guidance | None = None
+        self._coach = PressCoach(part.surface)
+        self._may: tuple[tuple[object, ...], Allowed] | None = None
+        """What the newest answer of `_allowed` was made of, and that."""
+        self._sky: tuple[tuple[object, ...], AxisDiversity | None] = ((), None)
+        """What the newest answer of `_sky_of` was made of, and that."""
+        self.state: ViewState | None = None
+        """What is shown; None before the first tick."""
         self.selected: int | None = None
         self.workspace = Workspace(part, make_view)
         self.method = self.workspace.methods[0]
         self.chips = LinkChips()
-        self.tracker = ErrorTracker(part, controller.compute)
-        self.guiding = Guiding(part)
-        self._short_way = ShortWay(self.guiding.plan)
-        self._short_said: Message | None = None
-        self.marking = Marking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
-        self.workspace.error_course.begin(self.tracker)
-        self.workspace.compare.begin(BoardWatch(part, controller.compute))
+        self.course = ErrorCourse(part, controller.compute)
+        self.guide = SessionGuide(part)
+        self._modules_check = ModulesCheck(part, controller.compute)
+        self._modules_enough = ModulesEnough(self.guide.plan)
+        self._enough_said: Message | None = None
+        self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
         self._connect()
-        self.workspace.wait("opening", part.scene.name)
         self.set_addresses()
 
     def _connect(self) -> None:
         workspace = self.workspace
+        workspace.wait("opening", workspace.part.scene.name)
+        workspace.error_course.begin(self.course)
         workspace.taxel_selected.connect(self.select_taxel)
         workspace.method_chosen.connect(self.show_method)
         workspace.inspect.poke_wanted.connect(self.select_poke)
         workspace.compare.layout_wanted.connect(self.ask_layout)
+        workspace.tabs.currentChanged.connect(self._tab_opened)
+        workspace.error_course.source_chosen.connect(self.follow_again)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
         for panel in (workspace.map, workspace.inspect):
             panel.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
             panel.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
-        self.marking.said.connect(self.said)
+        self.picking.said.connect(self.said)
         workspace.pokes.actions_offered = [self._commands.actions[name] for name in ("exclude", "undo")]
         workspace.rig.correct_requested.connect(self._controller.act)
         workspace.rig.uncorrect_requested.connect(lambda of: self._controller.act(Uncorrect(of)))
@@ -137,93 +149,147 @@ class Desk(QObject):
         """Start with a session whose pokes are known already."""
         self.set_addresses()
         self._ear = Ear.of(snapshot)
-        self.guiding.landmarks.begin(snapshot)
         self.workspace.session_opened(snapshot)
 
     # What is shown
 
-    def take_picture(self, picture: Picture) -> None:
-        """Show what a tick found."""
-        at_landmark = self.guiding.landmarks.poked(picture.snapshot)
-        if [one for one in at_landmark if self._controller.act(one)]:
-            return  # that showed a newer picture already
-        before = self.frame
-        if before is None or not same_results(before.snapshot, picture.snapshot):
+    def take_tick(self, tick: Tick) -> None:
+        """Follow what a tick found, then show it."""
+        before = None if self._tick is None else self._tick.snapshot
+        if before is None or not same_results(before, tick.snapshot):
             self._revision += 1
-        self._picture = picture
+        self._tick = tick
+        self._follow()
+        self.show()
+
+    def _follow(self) -> None:
+        """Let the guide and the checks follow the session, and have asked for what the guide asks for."""
+        tick = self._tick
+        if tick is None:
+            return
         # What is shown is seen now, though readings may wait.
-        seen_s = picture.now_ns * 1e-9 + picture.behind_s
-        guidance = self.guiding.follow(picture.snapshot, self._revision, self.method, picture.evidence, seen_s)
-        self.frame = Frame(
-            snapshot=picture.snapshot,
-            live=picture.live,
+        seen_s = tick.now_ns * 1e-9 + tick.behind_s
+        self._guidance = self.guide.follow(tick.snapshot, self._revision, self.method, tick.evidence, seen_s)
+        self._controller.follow_guide(self._guidance)
+        self._coach.follow(tick.live.progress, None if self._guidance is None else self._guidance.target)
+        if self.workspace.compare.isVisible():
+            self._modules_check.follow(tick.snapshot, self._revision)
+        if self.workspace.error_course.isVisible():
+            self.course.follow(tick.snapshot, self._revision)
+
+    def _tab_opened(self, _index: int) -> None:
+        # What these show is worked out only while they are seen, and not only from the next tick on.
+        if self.workspace.tabs.currentWidget() in (self.workspace.compare, self.workspace.error_course):
+            self.follow_again()
+
+    def show(self) -> None:
+        """Show the newest tick with what is selected now; nothing of the session changes."""
+        tick, before = self._tick, self.state
+        if tick is None:
+            return
+        self.state = state = self.view_state(tick)
+        self._hear(state)
+        self._announce_modules(state)
+        self.workspace.show_state(state)
+        self.chips.show_state(state)
+        if before is None or state.may is not before.may:
+            self._enable(state.may)
+
+    def refresh_allowed(self) -> None:
+        """Enable what may be done now."""
+        if self._tick is not None and self.state is not None:
+            self.state = replace(self.state, may=self._allowed(self._tick))
+            self._enable(self.state.may)
+
+    def _enable(self, may: Allowed) -> None:
+        correct = "" if may.correct is None else offer_text(may.correct)
+        self._commands.follow(may, correct, can_keep=self._controller.can_keep)
+
+    def _allowed(self, tick: Tick) -> Allowed:
+        """Return what may be done now; the same object until something that it follows from changes."""
+        snapshot, live, running, offers = tick.snapshot, tick.live, self._controller.running, self._rig.offers(tick.snapshot)
+        pokes, taxel, guidance = self.workspace.pokes.selected(), self.selected, self._guidance
+        carried = tuple(link.carries for link in live.links)
+        made_of = (self._revision, snapshot.can_undo, running, pokes, taxel, carried, guidance, offers)
+        if self._may is None or made_of != self._may[0]:
+            scene = self.workspace.part.scene
+            self._may = made_of, allowed(snapshot, scene, live.links, running, pokes, taxel, guidance, offers)
+        return self._may[1]
+
+    def view_state(self, tick: Tick) -> ViewState:
+        """Return what all views are a function of; making it changes nothing."""
+        snapshot = tick.snapshot
+        return ViewState(
+            snapshot=snapshot,
+            live=tick.live,
             scene=self.workspace.part.scene,
             names=self.workspace.names,
             method=self.method,
             selected=self.selected,
             running=self._controller.running,
-            now_ns=picture.now_ns,
+            now_ns=tick.now_ns,
+            behind_s=tick.behind_s,
+            clock_offset=self._clock_offset,
             revision=self._revision,
-            links=link_lines(picture.live.links, picture.now_ns, self._clock_offset, self._controller.running),
-            guidance=guidance,
-            sky=lambda channel: self.guiding.sky(channel, picture.evidence),
-            coaching=self.guiding.coach(picture.live.progress),
-            review=self._rigging.shown(picture.snapshot),
-            offers=self._rigging.offers(picture.snapshot),
-            unsolved=picture.unsolved,
+            guidance=self._guidance,
+            sky=self._sky_of(tick),
+            coaching=self._coach.coaching,
+            review=self._rig.shown(snapshot),
+            offers=self._rig.offers(snapshot),
+            modules=self._modules_check.found,
+            unsolved=tick.unsolved,
             eye=self.workspace.view.eye(),
+            may=self._allowed(tick),
         )
-        self._hear(self.frame, picture.behind_s)
-        self._tell_short_way(self.frame)
-        self._controller.ask(wish_of(self.frame.guidance, self.frame.running))
-        self.workspace.show_frame(self.frame)
-        self.chips.show_frame(self.frame)
-        self.chips.show_behind(picture.behind_s)
-        if before is None or _allows_other(before, self.frame):
-            self.refresh_allowed()
+
+    def _sky_of(self, tick: Tick) -> AxisDiversity | None:
+        """Return the sky of the taxel that is looked at; the same object until something that it follows from changes."""
+        channel = looked_at(self.selected, self._guidance)
+        made_of = self._revision, self.method, channel, self._guidance
+        if made_of != self._sky[0]:
+            self._sky = made_of, None if channel is None else self.guide.sky(channel, tick.evidence)
+        return self._sky[1]
 
     def take_review(self, review: Review | None) -> None:
         """Show what landmark pokes tell of the rig, and say once what could be put right; None where nobody tells any more."""
-        self._rigging.review = review
-        self.show_again()
-        news = "" if self._picture is None else self._rigging.news(self._picture.snapshot)
-        if news:
-            self.said.emit(Message(news, found=True))
-        self.refresh_allowed()
+        self._rig.review = review
+        self.show()
+        news = None if self._tick is None else self._rig.news(self._tick.snapshot)
+        if news is not None:
+            self.said.emit(Message(offer_news(news), found=True))
 
-    def _tell_short_way(self, frame: Frame) -> None:
+    def _announce_modules(self, state: ViewState) -> None:
         """Say that the modules method needs no more, until it is shown: who pokes does not look at messages that pass."""
-        news = self._short_way.news(frame)
-        if news:
-            self._short_said = Message(news, asks=True)
-            self.said.emit(self._short_said)
-        elif self._short_said is not None and frame.method is Method.MODULES:
-            self.unsaid.emit(self._short_said)
-            self._short_said = None
+        is_news = self._modules_enough.is_news
+        if is_news(state.snapshot, state.revision, state.guidance, state.method, streaming=state.connected):
+            self._enough_said = Message(modules_enough_words(), asks=True)
+            self.said.emit(self._enough_said)
+        elif self._enough_said is not None and state.method is Method.MODULES:
+            self.unsaid.emit(self._enough_said)
+            self._enough_said = None
 
     def correct(self) -> None:
         """Use the correction that is offered."""
-        if self.frame is not None and self.frame.offers:
-            offer = self.frame.offers[0]
-            if self._controller.act(offer.action):
-                back = "Backspace takes it back until the next poke, the Rig tab at any time."
-                self.said.emit(Message(f"{used_words(used_of(offer.action))} {back}"))
+        if self.state is not None and self.state.offers:
+            action = self.state.offers[0].action
+            if self._controller.act(action):
+                self.said.emit(Message(corrected_words(action)))
 
-    def _hear(self, frame: Frame, behind_s: float) -> None:
+    def _hear(self, state: ViewState) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""
-        due, self._ear = heard(self._ear, frame)
-        if due is not None and behind_s <= LATE_S:
+        due, self._ear = heard(self._ear, state)
+        if due is not None and state.behind_s <= LATE_S:
             self.heard.emit(due)
 
-    def show_again(self) -> None:
-        """Show the same moment again, after the selection, the method or the colours changed."""
-        if self._picture is not None:
-            self.take_picture(self._picture)
+    def follow_again(self) -> None:
+        """Follow and show the newest tick again, after the method or what is wanted of the guide changed."""
+        self._follow()
+        self.show()
 
     def show_guide(self) -> None:
         """Say and show what to poke next, or do not."""
-        self.guiding.wanted = self._commands.actions["guide"].isChecked()
-        self.show_again()
+        self.guide.wanted = self._commands.actions["guide"].isChecked()
+        self.follow_again()
 
     def show_turning(self) -> None:
         """Turn the camera to the target between pokes, or do not."""
@@ -231,34 +297,24 @@ class Desk(QObject):
 
     def skip_target(self) -> None:
         """Ask for another target."""
-        self.guiding.skip()
-        self.show_again()
+        self.guide.skip()
+        self.follow_again()
 
     def skip_landmarks(self) -> None:
         """Ask for no landmarks in this arm pose."""
-        self.guiding.landmarks.skip(all_of_pose=True)
-        self.show_again()
-
-    def refresh_allowed(self) -> None:
-        """Enable what may be done now."""
-        if self.frame is None:
-            return
-        frame, pokes = self.frame, self.workspace.pokes.selected()
-        running = self._controller.running
-        links, taxel = frame.live.links, self.selected
-        self._allowed = allowed(frame.snapshot, frame.scene, links, running, pokes, taxel, frame.guidance, frame.offers)
-        self._commands.follow(self._allowed, can_keep=self._controller.can_keep)
+        self.guide.landmarks.skip(all_of_pose=True)
+        self.follow_again()
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
         self.chips.set_colours(colours)
         self.workspace.set_colours(colours)
-        self.show_again()
+        self.show()
 
     def show_method(self, method: Method) -> None:
         """Show another method's estimates."""
         self.method = method
-        self.show_again()
+        self.follow_again()
 
     def next_method(self) -> None:
         """Show the next method's estimates."""
@@ -273,8 +329,7 @@ class Desk(QObject):
         """Select a taxel in every view, or none."""
         if channel != self.selected:
             self.selected = channel
-            self.show_again()
-            self.refresh_allowed()
+            self.show()
 
     def select_nothing(self) -> None:
         """Select no taxel."""
@@ -282,8 +337,8 @@ class Desk(QObject):
 
     def select_last(self) -> None:
         """Show the newest poke in the list."""
-        if self.frame is not None and self.frame.snapshot.pokes:
-            self.select_poke(self.frame.snapshot.pokes[-1].outcome.poke)
+        if self.state is not None and self.state.snapshot.pokes:
+            self.select_poke(self.state.snapshot.pokes[-1].outcome.poke)
 
     def select_poke(self, poke: int) -> None:
         """Show a poke in the list."""
@@ -303,39 +358,40 @@ class Desk(QObject):
 
     def exclude_or_restore(self) -> None:
         """Take the selected pokes out, or in again where all of them are out."""
-        may = self._allowed
-        if may is not None:
+        if self.state is not None:
+            may = self.state.may
             out: list[Action] = [*(AtLandmark(poke, "") for poke in may.unname), *(Exclude(poke) for poke in may.exclude)]
             self._controller.act_all(out or [Restore(poke) for poke in may.restore])
             self.refresh_allowed()
 
     def mark_or_revive(self) -> None:
         """Leave the selected taxel out, or use it again."""
-        if self.selected is not None and self._allowed is not None:
-            self._controller.act(Revive(self.selected) if self._allowed.revive else MarkDead(self.selected))
+        if self.selected is not None and self.state is not None:
+            may = self.state.may
+            self._controller.act(Revive(self.selected) if may.revive else MarkDead(self.selected))
             self.refresh_allowed()
 
     def ask_landmark(self, parent: QWidget) -> None:
         """Ask for a known point of the part and for its name."""
-        if self.frame is not None:
-            self.marking.ask(parent)
+        if self.state is not None:
+            self.picking.ask(parent)
 
     def _landmark_names(self) -> set[str]:
-        return set() if self.frame is None else {one.name for one in self.frame.snapshot.landmarks}
+        return set() if self.state is None else {landmark.name for landmark in self.state.snapshot.landmarks}
 
     @property
     def ends(self) -> bool:
         """Whether it is enough, so that the next thing to do is to look at the verdict."""
-        return self._allowed is not None and self._allowed.ends
+        return self.state is not None and self.state.may.ends
 
     def ask_verdict(self, parent: QWidget) -> None:
         """Show what the session has come to, and lead on to the file."""
-        if self.frame is None or self._picture is None or self.frame.guidance is None:
+        state = self.state
+        if state is None or self._tick is None or state.guidance is None:
             return
-        verdict = self.guiding.verdict(self.frame.guidance, self.frame.snapshot, self._picture.evidence)
-        can_export = self._allowed is not None and self._allowed.export
-        offers, snapshot = self.frame.offers, self.frame.snapshot
-        rig = rig_state(offers, snapshot.corrections.values(), self.frame.review)
+        verdict = self.guide.verdict(state.guidance, state.snapshot, self._tick.evidence)
+        can_export, offers, snapshot = state.may.export, state.offers, state.snapshot
+        rig = rig_state(offers, snapshot.corrections.values(), state.review)
         names = self.workspace.names
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=can_export, settled=not offers)
         dialog.taxel_wanted.connect(self.select_taxel)
@@ -348,7 +404,7 @@ class Desk(QObject):
         dialog = ExportDialog(self.workspace.methods, self.method, stem, parent)
 
         def write(format_: str, path: Path, method: Method) -> None:
-            review = None if self.frame is None else self.frame.review
+            review = None if self.state is None else self.state.review
             check = None if review is None else landmark_check(review.rig)
             self._controller.export(format_, path, method, check, dialog.show_findings, dialog.show_failure)
 
@@ -382,14 +438,13 @@ class Desk(QObject):
 
     def offer(self, reference: Reference) -> None:
         """Compare estimates with it, where the panel of errors is open."""
-        self.tracker.offer(reference)
+        self.course.offer(reference)
         self.workspace.error_course.show_sources()
-        self.show_again()
+        self.follow_again()
 
     def _take_reference(self, reference: Reference) -> None:
         self.offer(reference)
         self.workspace.tabs.setCurrentWidget(self.workspace.error_course)
-        self.show_again()
 
     def ask_picture(self, parent: QWidget) -> None:
         """Ask for a file and write the 3D view to it."""
@@ -414,12 +469,13 @@ class Desk(QObject):
             state = settings.value(name)
             if isinstance(state, QByteArray):
                 splitter.restoreState(state)
-        self.guiding.wanted = bool(settings.value("window/guide", True, type=bool))
-        self._commands.actions["guide"].setChecked(self.guiding.wanted)
+        self.guide.wanted = bool(settings.value("window/guide", True, type=bool))
+        self._commands.actions["guide"].setChecked(self.guide.wanted)
         self._commands.actions["turn"].setChecked(bool(settings.value("window/turn", True, type=bool)))
         self.show_turning()
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
+        self._follow()
 
     def save(self, settings: QSettings) -> None:
         """Remember where the splitters are, and which tab is open; nothing of panels that were not laid out yet."""
@@ -428,24 +484,14 @@ class Desk(QObject):
         for name, splitter in self._splitters().items():
             settings.setValue(name, splitter.saveState())
         self.workspace.error_course.save(settings)
-        settings.setValue("window/guide", self.guiding.wanted)
+        settings.setValue("window/guide", self.guide.wanted)
         settings.setValue("window/turn", self._commands.actions["turn"].isChecked())
         settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
 
     def close(self) -> None:
         """Give the 3D view's resources back, and take out of the window what belongs to this session."""
-        self.marking.stop()
+        self.picking.stop()
         for action in self._tab_actions:
             action.deleteLater()
         self._tab_actions = []
         self.workspace.close_all()
-
-
-def _allows_other(before: Frame, now: Frame) -> bool:
-    """Return whether other things may be done in a frame than in the one before."""
-    return (
-        before.revision != now.revision
-        or before.guidance is not now.guidance
-        or [one.text for one in before.offers] != [one.text for one in now.offers]
-        or before.snapshot.can_undo != now.snapshot.can_undo
-    )

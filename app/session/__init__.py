@@ -1,0 +1,1 @@
+"""What is open: the recording, where it lies, and the tick that drives it; no widgets."""

@@ -1,0 +1,144 @@
+"""The one frozen value that a tick hands to all views: numbers, and what may be done now; every sentence is made from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from app.display_units import ChannelNames
+from app.scene3d.camera import PLAIN, Eye
+from app.state.policies import Allowed
+from app.state.rig_review import Offer
+from app.state.running import Running
+from skincal.guide.coaching import Coaching
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.progress import AxisDiversity
+from skincal.model.readings import LinkHealth, LinkState, is_silent
+from skincal.model.scene import Scene
+from skincal.session.modules_check import ModulesFound
+from skincal.session.review import Review
+from skincal.session.snapshot import LiveView, Snapshot
+from skincal.taxels.result import Estimate, Method
+
+
+class LinkLook(Enum):
+    """How a link is doing; an icon's shape shows it."""
+
+    STREAMING = "streaming"
+    WAITING = "waiting for data"
+    SILENT = "silent"
+    LOST = "lost"
+    ENDED = "ended"
+    AWAY = "not read"
+    """The program reads no devices now: paused, or only looking at a recording."""
+
+
+def link_look(health: LinkHealth, now_ns: int, *, connected: bool = True) -> LinkLook:
+    """Return how a link is doing.
+
+    Parameters
+    ----------
+    now_ns : host's monotonic clock
+    connected : the program reads its devices
+    """
+    if not connected:
+        return LinkLook.AWAY
+    if health.state in (LinkState.LOST, LinkState.FAILED):
+        return LinkLook.LOST
+    if health.state is LinkState.ENDED:
+        return LinkLook.ENDED
+    if health.last_host_ns == 0:
+        return LinkLook.WAITING
+    return LinkLook.SILENT if is_silent(health.last_host_ns * 1e-9, now_ns * 1e-9) else LinkLook.STREAMING
+
+
+def looked_at(selected: int | None, guidance: Guidance | None) -> int | None:
+    """Return the channel of the taxel that is selected, else of the one that is asked for; None where there is neither."""
+    if selected is not None or guidance is None or guidance.target is None:
+        return selected
+    return guidance.target.channel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewState:
+    """What the panels show; each compares it with what it showed before."""
+
+    snapshot: Snapshot
+    live: LiveView
+    scene: Scene
+    names: ChannelNames
+    method: Method
+    selected: int | None
+    """Channel of the selected taxel."""
+    running: Running
+    now_ns: int
+    """Host's monotonic clock; while readings wait, the arrival of the newest that was worked on."""
+    revision: int
+    """Another number where pokes, estimates or dead taxels are others than in the state before; see `same_results`."""
+    may: Allowed
+    """What the operator may do now."""
+    behind_s: float = 0.0
+    """How long ago that was, while readings wait; else 0."""
+    clock_offset: float = 0.0
+    """s to add to the monotonic clock for the time of day."""
+    guidance: Guidance | None = None
+    """What to poke next and what each taxel still needs; None where nobody guides."""
+    sky: AxisDiversity | None = None
+    """What the contacts of the taxel that is looked at are like; None where nobody guides, or nothing is known of it."""
+    coaching: Coaching | None = None
+    """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
+    review: Review | None = None
+    """What pokes at landmarks tell of the rig, and the places with and without its correction; None while nothing does."""
+    offers: tuple[Offer, ...] = ()
+    """What could put the rig right; none of it happens by itself."""
+    modules: ModulesFound | None = None
+    """Whether modules lie as planned; None while that was not worked out."""
+    unsolved: int = 0
+    """How many taxels are being solved anew; what is shown is from before. 0 too where that takes no time to speak of."""
+    eye: Eye = PLAIN
+    """How the 3D view's camera stands: small pictures stand upright beside it."""
+
+    @property
+    def now_s(self) -> float:
+        """Host's monotonic clock, seconds."""
+        return self.now_ns * 1e-9
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Estimates of the method that is shown; empty where the scene has no such method."""
+        return self.snapshot.estimates.get(self.method, ())
+
+    @property
+    def target(self) -> Target | None:
+        """The poke that is asked for; None where none is."""
+        return None if self.guidance is None else self.guidance.target
+
+    @property
+    def looked_at(self) -> int | None:
+        """Channel of the taxel that is selected, else of the one that is asked for; None where there is neither."""
+        return looked_at(self.selected, self.guidance)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the program reads its devices."""
+        return self.running is Running.STREAMING
+
+    def look(self, link: LinkHealth) -> LinkLook:
+        """Return how one of `live.links` is doing."""
+        return link_look(link, self.now_ns, connected=self.connected)
+
+    def by_channel(self) -> Mapping[int, Estimate]:
+        """Return the shown method's estimates by their channel."""
+        return {estimate.channel: estimate for estimate in self.estimates}
+
+
+def same_results(first: Snapshot, second: Snapshot) -> bool:
+    """Return whether two snapshots tell the same of pokes and taxels.
+
+    Streamed joints make a new snapshot with every frame of the skin; tables and maps must not be made anew for that.
+    """
+    return first is second or (
+        first.generation == second.generation
+        or all(getattr(first, name) == getattr(second, name) for name in ("pokes", "estimates", "dead", "at_landmarks"))
+    )

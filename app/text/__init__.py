@@ -1,0 +1,1 @@
+"""Every sentence that an operator reads: pure functions of what a tick hands to the views."""

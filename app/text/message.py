@@ -1,0 +1,46 @@
+"""Messages at the head of the window, and what its foot says of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A message to the operator."""
+
+    text: str
+    error: bool = False
+    """It stays until it is dismissed."""
+    asks: bool = False
+    """It asks for something, and stays until that is done."""
+    found: bool = False
+    """It says what was found, neither a success nor a fault."""
+
+
+def refused_words(failure: str) -> str:
+    """Return what is said where the disk takes nothing more, for the reason `failure`."""
+    return f"{failure} Recording is paused; what was recorded until now is safe."
+
+
+def kept_words(folder: Path) -> str:
+    """Return what is said where a temporary recording was copied to `folder`."""
+    return f"This session is kept in {folder}; what is recorded from now on is added when the window closes."
+
+
+def place_words(folder: Path, kept: Path | None, *, temporary: bool) -> str:
+    """Return where a recording is, for the foot of the window.
+
+    Parameters
+    ----------
+    kept : where it was copied to; None where it was not
+    temporary : the folder goes with the window
+    """
+    if not temporary:
+        return f"Session in {folder}"
+    if kept is not None:
+        return f"Kept in {kept}"
+    return "Temporary recording, gone when the window closes; Ctrl+S keeps it"

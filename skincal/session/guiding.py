@@ -1,0 +1,337 @@
+"""Follows an open session for the operator: what to poke next, landmarks first, and whether the modules method needs no more.
+
+Who shows it tells a recording which landmark is asked for by `AskLandmark`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Rejection
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guide import Guide
+from skincal.guide.landmark_targets import LandmarkRound, LandmarkTarget, Stances, rig_moves
+from skincal.guide.places import SPACING, PlannedPlaces, plan_from, unplaced
+from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
+from skincal.guide.verdict import Verdict, verdict_of
+from skincal.model.scene import Landmark
+from skincal.modules.pose import ModuleModel
+from skincal.rig.correction import RigPrior
+from skincal.rig.correction_fit import LandmarkPoke
+from skincal.rig.expected_gain import Gain, PlannedPoke, expected_error
+from skincal.session.known_points import landmark_normals, landmark_pokes
+from skincal.session.part import Part
+from skincal.session.snapshot import Snapshot
+from skincal.taxels.contact_table import Evidence
+from skincal.taxels.result import Estimate, Method, State
+
+POSES = 7
+"""Arm poses that the gain is predicted for, those with most contacts, beside the present one: streamed joints make more."""
+STILL_S = 1.0
+"""s. Landmarks are asked for where the arm has stood so long: on its way it goes through poses in which nobody pokes."""
+
+
+class SessionGuide:
+    """Says what to poke next by the method that is shown, with or without a layout.
+
+    Parameters
+    ----------
+    part : what is calibrated
+    """
+
+    def __init__(self, part: Part) -> None:
+        self._scene, self._surface = part.scene, part.surface
+        self._cover = part.cover
+        self.plan = plan_of(part)
+        """Where the layout puts the taxels."""
+        self.landmarks = LandmarkGuide(part, self.plan)
+        layout = part.scene.skin.layout
+        self._boards = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
+        self._nothing: dict[tuple[Method, int], Estimate] = {}
+        self._guides: dict[Method, Guide] = {}
+        """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
+        self._followed: tuple[int, Method] | None = None
+        self._skin_guidance: Guidance | None = None
+        """Of the skin alone."""
+        self._guidance: Guidance | None = None
+        """What is shown."""
+        self.wanted = True
+        """The operator wants to be guided."""
+
+    def follow(
+        self,
+        snapshot: Snapshot,
+        revision: int,
+        method: Method,
+        evidence: Callable[[Collection[int]], Evidence],
+        now_s: float,
+    ) -> Guidance | None:
+        """Return what to poke next; worked out anew only where the revision or the method is another. None: no guide.
+
+        Parameters
+        ----------
+        revision : another number where pokes, estimates or dead taxels changed
+        evidence : what the contacts of this snapshot say of some channels
+        now_s : host's monotonic clock, seconds, when it is seen
+        """
+        if not self.wanted:
+            self._followed = self._guidance = None
+            self.landmarks.forget()
+            return None
+        if (revision, method) != self._followed:
+            guide = self._guide_of(method)
+            if self._followed is None or self._followed[1] is not method or self._guidance is not self._skin_guidance:
+                # Meanwhile another target was shown, or none.
+                guide.forget_target()
+            self._skin_guidance = guide.update(
+                _contacts(snapshot),
+                self._estimates(snapshot),
+                evidence,
+                _rejections(snapshot),
+                self.landmarks.rig_moves(snapshot),
+            )
+            self._followed = revision, method
+        assert self._skin_guidance is not None
+        self._guidance = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
+        return self._guidance
+
+    def verdict(self, guidance: Guidance, snapshot: Snapshot, evidence: Callable[[Collection[int]], Evidence]) -> Verdict:
+        """Return what the session has come to.
+
+        Parameters
+        ----------
+        guidance : of this snapshot
+        evidence : what the contacts of this snapshot say of some channels
+        """
+        estimates, noise = snapshot.estimates[guidance.method], self._scene.noise
+        contacts, settings = _contacts(snapshot), GuideSettings()
+        return verdict_of(guidance, estimates, contacts, evidence, noise, self._surface, settings, self._boards)
+
+    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
+        """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
+
+        Parameters
+        ----------
+        evidence : as in `follow`, which was called before
+        """
+        return self._guides[self._followed[1]].sky(channel, evidence) if self.wanted and self._followed is not None else None
+
+    def skip(self) -> None:
+        """Ask for another poke than the one that was asked for last."""
+        if self._guidance is not None and self._guidance.landmark is not None:
+            self.landmarks.skip()
+        elif self._followed is not None:
+            self._guides[self._followed[1]].skip()
+            self._followed = None
+
+    def _guide_of(self, method: Method) -> Guide:
+        if method not in self._guides:
+            layout = self._scene.skin.layout
+            spacing = SPACING if layout is None else layout.spacing
+            on_surface = self._surface is not None
+            self._guides[method] = Guide(
+                self.plan, self._scene.noise, method, spacing, cover=self._cover, on_surface=on_surface
+            )
+        return self._guides[method]
+
+    def _estimates(self, snapshot: Snapshot) -> Mapping[Method, Sequence[Estimate]]:
+        """Return one estimate for each channel of the plan, in its order."""
+        return {method: self._planned(method, every) for method, every in snapshot.estimates.items()}
+
+    def _planned(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
+        channels = self.plan.channels.tolist()
+        if [estimate.channel for estimate in estimates] == channels:
+            return estimates
+        known = {estimate.channel: estimate for estimate in estimates}
+        return [known.get(channel) or self._unseen(method, channel) for channel in channels]
+
+    def _unseen(self, method: Method, channel: int) -> Estimate:
+        """Return what is said of a channel that the session does not know; the same each time."""
+        return self._nothing.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
+
+
+class LandmarkGuide:
+    """Says which landmark to poke; the guide of the skin stands behind it.
+
+    `Road` finds which poke was there: `AskLandmark` says what is asked for.
+
+    Parameters
+    ----------
+    part : what is calibrated
+    plan : where the layout puts the taxels
+    """
+
+    def __init__(self, part: Part, plan: PlannedPlaces) -> None:
+        self._scene, self._surface = part.scene, part.surface
+        there = np.isfinite(plan.places).all(axis=1)
+        self._taxels, self._outward = plan.places[there], plan.normals[there]
+        """(n, 3) float each, metres and unit: of the taxels that the layout places."""
+        self._round = LandmarkRound()
+        self._stances = Stances()
+        self._stance, self._stance_s = "", -np.inf
+        """The arm's pose, and since when it holds: host's monotonic clock, seconds."""
+        self._normals: dict[bytes, FloatArray] = {}
+        self._wishes: list[LandmarkTarget] = []
+        """All that is asked for in this arm pose."""
+        self._known: tuple[object, ...] = ()
+        self._shown: Guidance | None = None
+
+    def forget(self) -> None:
+        """Ask for nothing: nobody guides."""
+        self._wishes, self._known = [], ()
+
+    def before_skin(self, guidance: Guidance, snapshot: Snapshot, now_s: float) -> Guidance:
+        """Return the guidance with a landmark before the skin, where one is asked for.
+
+        Parameters
+        ----------
+        guidance : of the skin
+        now_s : host's monotonic clock, seconds, when it is seen
+        """
+        here = self._key(snapshot.pose, snapshot.link_from_sensor)
+        if here != self._stance:
+            self._stance, self._stance_s = here, now_s if self._stance and not self._is_named(here) else -np.inf
+        still = now_s - self._stance_s >= STILL_S
+        known = ([landmark.name for landmark in snapshot.landmarks], snapshot.at_landmarks, here, still, guidance)
+        if known != self._known:
+            self._known = known
+            self._wishes = self._plan(snapshot) if still else []
+            now = self._wish
+            if now is None:
+                self._shown = guidance
+            else:
+                gain = self._gain_of(snapshot)
+                self._shown = guidance.before_skin(now, self._normal(now.landmark), gain)
+        return self._shown or guidance
+
+    def _is_named(self, pose: str) -> bool:
+        """Return whether the scene knows that arm pose; streamed joints pass through others that have no name of their own."""
+        return self._scene.arm is None or pose in self._scene.arm.poses
+
+    def _key(self, pose: str, link_from_sensor: FloatArray | None) -> str:
+        return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
+
+    @property
+    def _wish(self) -> LandmarkTarget | None:
+        return self._wishes[0] if self._wishes else None
+
+    def _plan(self, snapshot: Snapshot) -> list[LandmarkTarget]:
+        if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
+            return []
+        poked = [(self._key(poke.pose, poke.link_from_sensor), poke.name) for poke in self._made(snapshot)]
+        return self._round.plan(snapshot.landmarks, poked, self._stance)
+
+    def _made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
+        """Return the landmark pokes that count."""
+        counting = (record.outcome for record in snapshot.pokes if not record.excluded)
+        return landmark_pokes(counting, snapshot.landmarks, snapshot.at_landmarks)
+
+    def rig_moves(self, snapshot: Snapshot) -> float:
+        """Return by how much the rig moves estimates, as landmark pokes tell: sd in each direction, metres."""
+        return rig_moves(self._made(snapshot), self._scene.noise)
+
+    def _gain_of(self, snapshot: Snapshot) -> Gain | None:
+        """Predict what the landmarks of this arm pose are worth for the taxels that are poked in it and in those before."""
+        here = snapshot.link_from_sensor
+        if here is None or not len(self._taxels):
+            return None
+        contacts = _contacts(snapshot).values()
+        often = [name for name, _ in Counter(contact.pose for contact in contacts).most_common(POSES)]
+        poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
+        poses[snapshot.pose] = here
+        planned = [PlannedPoke(wish.landmark.place, self._normal(wish.landmark), here, snapshot.pose) for wish in self._wishes]
+        made, noise = [poke for poke in self._made(snapshot) if poke.pose in poses], self._scene.noise
+        return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
+
+    def skip(self, *, all_of_pose: bool = False) -> None:
+        """Ask for that landmark no more in this arm pose, or for none."""
+        if self._wish is not None:
+            if all_of_pose:
+                self._round.leave_out(self._stance)
+            else:
+                self._round.skip(self._wish.landmark.name, self._stance)
+        self._known = ()
+
+    def _normal(self, landmark: Landmark) -> FloatArray:
+        """Return the outward normal at a landmark: its own, else the surface's, else away from the skin's middle."""
+        key = landmark.place.tobytes()
+        if key not in self._normals:
+            (found,) = landmark_normals([landmark], self._surface)
+            self._normals[key] = self._outward_at(landmark.place) if found is None else found
+        return self._normals[key]
+
+    def _outward_at(self, place: FloatArray) -> FloatArray:
+        away = place - self._taxels.mean(axis=0) if len(self._taxels) else place
+        size = float(np.linalg.norm(away))
+        return away / size if size > 0 else np.array([0.0, 0.0, 1.0])
+
+
+class ModulesEnough:
+    """Notices once that the modules method needs no more pokes, while the method that is shown asks for hundreds.
+
+    Parameters
+    ----------
+    plan : where the layout puts the taxels
+    """
+
+    def __init__(self, plan: PlannedPlaces) -> None:
+        self._plan, self._settings = plan, GuideSettings()
+        self._seen: int | None = None
+        self._noticed = False
+
+    def is_news(self, snapshot: Snapshot, revision: int, guidance: Guidance | None, method: Method, *, streaming: bool) -> bool:
+        """Return whether it is enough by the modules method, and was not noticed before.
+
+        Parameters
+        ----------
+        revision : another number where pokes, estimates or dead taxels changed
+        guidance : by the method that is shown; None where nobody guides
+        streaming : the devices are read
+        """
+        asked = guidance is not None and guidance.phase is not GuidePhase.ENOUGH
+        # Who has seen that method need no more knows it.
+        self._noticed |= method is Method.MODULES and not asked and guidance is not None
+        if self._noticed or not asked or method is Method.MODULES or not streaming or revision == self._seen:
+            return False
+        self._seen = revision
+        self._noticed = self._enough(snapshot)
+        return self._noticed
+
+    def _enough(self, snapshot: Snapshot) -> bool:
+        """Return whether no taxel of the plan needs anything by the modules method."""
+        module_of = dict(zip(self._plan.channels.tolist(), self._plan.modules.tolist(), strict=True))
+        enough = self._settings.module_pokes
+        known = [estimate for estimate in snapshot.estimates.get(Method.MODULES, ()) if estimate.channel in module_of]
+        if all(estimate.state is State.DEAD for estimate in known) or any(self._needs(estimate, enough) for estimate in known):
+            return False  # whatever was poked where
+        counting = _contacts(snapshot).values()
+        own = Counter(module_of.get(int(contact.channels[contact.responses.argmax()])) for contact in counting)
+        return not any(self._needs(estimate, own[module_of[estimate.channel]]) for estimate in known)
+
+    def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
+        """Return what a taxel needs whose module has so many pokes; nothing else of the facts is looked at."""
+        nothing = float("nan")
+        return needs(estimate, Facts(pokes, nothing, nothing, nothing), Method.MODULES, self._settings)
+
+
+def plan_of(part: Part) -> PlannedPlaces:
+    """Return where the part's layout puts the taxels; nowhere where there is no layout or it is not laid."""
+    layout, laid = part.scene.skin.layout, part.laid
+    plan = None if layout is None or laid is None else plan_from(layout, laid)
+    return plan or unplaced(part.channels, None if layout is None else layout.module_of[part.channels])
+
+
+def _contacts(snapshot: Snapshot) -> dict[int, Contact]:
+    """Return the contacts that count, by the number of their poke."""
+    counting = (record.outcome for record in snapshot.pokes if not record.excluded)
+    return {outcome.poke: outcome for outcome in counting if isinstance(outcome, Contact)}
+
+
+def _rejections(snapshot: Snapshot) -> dict[int, Rejection]:
+    """Return the pokes that do not count by themselves, by their number."""
+    outcomes = (record.outcome for record in snapshot.pokes)
+    return {outcome.poke: outcome for outcome in outcomes if isinstance(outcome, Rejection)}

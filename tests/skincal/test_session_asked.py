@@ -1,0 +1,159 @@
+"""A landmark is asked for, and the poke that follows is found to be there: by the road, by `record`, and by a replay."""
+
+from __future__ import annotations
+
+import json
+import queue
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.cli.record import OrderLine, _loop
+from skincal.contacts.outcome import Contact, Rejection
+from skincal.journal.reader import SessionLog
+from skincal.journal.writer import create_session
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk
+from skincal.model.scene import Landmark, load_scene
+from skincal.session.actions import AskLandmark, FoundAtLandmark, Stamped, Undo, from_json, to_json
+from skincal.session.known_points import REACTION_S
+from skincal.session.replay import load, replay
+from skincal.session.road import Road
+from tests.skincal.poke_script import LINKS, Script, as_chunks, outcome_key, same_estimates, small_scene, write_scene
+
+FORCE, POINT = np.array([1.0, 2.0, -8.0]), np.array([0.02, 0.05, 0.10])
+HEAD, TAIL = Landmark("head", POINT, None), Landmark("tail", POINT + 0.01, None)
+
+
+def bytes_of(scene, answers=({}, {3: 80.0}, {})):
+    """Pokes at one point, each answered as told."""
+    script = Script(scene).quiet()
+    for answer in answers:
+        script.press(FORCE, POINT, answer).quiet()
+    return as_chunks(script.samples)
+
+
+def starts_of(scene, items):
+    """When each poke begins, host's monotonic clock, nanoseconds."""
+    road = Road(scene, LINKS, None)
+    for item in items:
+        road.feed(item)
+    return [round(record.outcome.start_s * 1e9) for record in road.snapshot().pokes]
+
+
+def fed(road, items, orders):
+    """Feed bytes, and do each order at its time."""
+    waiting = sorted(orders, key=lambda order: order.host_ns)
+    for item in items:
+        while waiting and waiting[0].host_ns <= item.host_ns:
+            order = waiting.pop(0)
+            road.act(order.action, order.host_ns)
+        road.feed(item)
+    return road
+
+
+@pytest.fixture
+def scene():
+    return replace(small_scene(), landmarks=(HEAD, TAIL))
+
+
+def test_a_poke_that_begins_after_the_landmark_is_asked_for_is_at_it_whether_a_taxel_answers_or_not(scene):
+    items = bytes_of(scene)
+    _, second, _ = starts_of(scene, items)
+    road = fed(Road(scene, LINKS, None), items, [Stamped(second - 500_000_000, AskLandmark("head"))])
+    kinds = [type(record.outcome) for record in road.snapshot().pokes]
+    assert kinds == [Rejection, Contact, Rejection]
+    assert road.snapshot().at_landmarks == {2: "head", 3: "head"}
+    assert road.snapshot().can_undo == "poke 3 at head"
+
+
+def test_a_poke_that_was_on_its_way_is_not_at_it_and_none_is_once_nothing_is_asked_for(scene):
+    items = bytes_of(scene)
+    _, second, third = starts_of(scene, items)
+    late = second - round(REACTION_S * 0.9e9)
+    orders = [Stamped(late, AskLandmark("tail")), Stamped(third - 300_000_000, AskLandmark(""))]
+    assert fed(Road(scene, LINKS, None), items, orders).snapshot().at_landmarks == {}
+    assert fed(Road(scene, LINKS, None), items, orders[:1]).snapshot().at_landmarks == {3: "tail"}
+
+
+def test_a_landmark_that_is_not_there_cannot_be_asked_for_and_asking_changes_nothing_that_is_known(scene):
+    road = Road(scene, LINKS, None)
+    before = road.snapshot()
+    with pytest.raises(InputError, match="head, tail"):
+        road.act(AskLandmark("nose"), 1)
+    road.act(AskLandmark("head"), 2)
+    assert road.asked_landmark == "head"
+    assert road.snapshot() is before
+    with pytest.raises(InputError, match="nothing to undo"):
+        road.act(Undo(), 3)
+    road.begin_segment()
+    assert road.asked_landmark == "", "what follows a break was not asked for"
+
+
+@pytest.mark.parametrize("action", [AskLandmark("a b"), AskLandmark(""), FoundAtLandmark(3, "a b")])
+def test_these_actions_travel_as_json(action):
+    assert from_json(json.loads(json.dumps(to_json(action)))) == action
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """A session in which a landmark was asked for, undone and asked for again."""
+    path = write_scene(tmp_path / "source").path
+    with path.open("a", encoding="utf-8") as file:
+        for landmark in (HEAD, TAIL):
+            file.write(f'\n[[landmarks]]\nname = "{landmark.name}"\nplace = {landmark.place.tolist()}\n')
+    scene = load_scene(path)
+    items = bytes_of(scene)
+    first, _, third = starts_of(scene, items)
+    orders = [
+        Stamped(first - 500_000_000, AskLandmark("head")),
+        Stamped(third - 700_000_000, Undo()),
+        Stamped(third - 600_000_000, AskLandmark("tail")),
+    ]
+    road = fed(Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS)), items, orders)
+    road.close()
+    return tmp_path / "s", road
+
+
+@pytest.mark.parametrize("again", [replay, load])
+def test_a_session_played_or_loaded_has_the_same_landmark_pokes_and_the_same_to_undo(recorded, again):
+    folder, road = recorded
+    other = again(folder)
+    assert other.findings == ()
+    assert road.snapshot().at_landmarks == {1: "head", 3: "tail"}
+    assert other.snapshot().at_landmarks == road.snapshot().at_landmarks
+    assert other.snapshot().can_undo == road.snapshot().can_undo == "poke 3 at tail"
+    assert same_estimates(other.snapshot(), road.snapshot())
+
+
+def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
+    folder, road = recorded
+    items = queue.SimpleQueue()
+    for item in SessionLog(folder).items():
+        if isinstance(item, Stamped):
+            if not isinstance(item.action, FoundAtLandmark):
+                items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
+        elif hasattr(item, "link"):
+            items.put(item)
+    items.put(OrderLine(10**18, b'{"do": "ask_landmark", "name": "nose"}\n'))
+    items.put(OrderLine(10**18, b"poke 3\n"))
+    headless = Road(SessionLog(folder).scene, LINKS, None)
+    _loop(headless, items, {}, None, None)
+    assert headless.snapshot().at_landmarks == {1: "head", 3: "tail"}
+    mine, theirs = ([outcome_key(one.outcome) for one in each.snapshot().pokes] for each in (headless, road))
+    assert mine == theirs
+    assert same_estimates(headless.snapshot(), road.snapshot())
+    said = capsys.readouterr().err
+    assert 'order {"do": "ask_landmark", "name": "nose"}: not done. There is no landmark' in said
+    assert "order poke 3: not done." in said
+
+
+def test_the_bytes_are_what_counts(recorded):
+    """What was found to be at a landmark follows from bytes and orders: without the orders nothing is."""
+    folder, _ = recorded
+    headless = Road(SessionLog(folder).scene, LINKS, None)
+    for item in SessionLog(folder).items():
+        if isinstance(item, Chunk):
+            headless.feed(item)
+    assert headless.snapshot().at_landmarks == {}
