@@ -20,7 +20,7 @@ from PySide6.QtWidgets import QApplication
 from app.controller import Controller
 from app.panels.message_bar import Message
 from app.plan import Addresses, Plan, check_addresses, dated_folder, find_scene, server_command
-from app.scene3d.probe import best_canvas
+from app.scene3d.canvas import best_canvas
 from app.sound import Player
 from app.theme import Choice, Theme
 from app.window import Window

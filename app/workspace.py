@@ -175,7 +175,7 @@ class Workspace(QWidget):
             self.errors.setText(error_words(frame.estimates))
             self.method_box.setCurrentIndex(self.method_box.findData(frame.method))
         room = 0.0 if frame.guidance is None else leeway(frame.guidance)
-        self.view.show(frame.snapshot, frame.live, frame.method, frame.selected, frame.target, room)
+        self.view.show_moment(frame.snapshot, frame.live, frame.method, frame.selected, frame.target, room)
         self._show_tab()
 
     def _show_tab(self) -> None:

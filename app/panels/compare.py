@@ -46,8 +46,7 @@ from app.comparing import Origin, Pair, Places, Source, default_pair, sources_of
 from app.display_units import ChannelNames
 from app.frame import Frame
 from app.panels.texts import on_panel, put, quiet
-from app.scene3d.ground import Cloud, Comparison
-from app.scene3d.looks import DARK, LIGHT, Tint
+from app.scene3d.static_scene import DARK, LIGHT, Cloud, Comparison, Tint
 from app.theme import GAP, Colours
 from skincal.geometry.arrays import FloatArray
 from skincal.model.skin import Layout

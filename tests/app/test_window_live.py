@@ -22,7 +22,7 @@ from app.panels.message_bar import Message
 from app.plan import Plan, server_command
 from app.run import GARBAGE, Faults
 from app.running import Running
-from app.scene3d.probe import best_canvas
+from app.scene3d.canvas import best_canvas
 from app.theme import Choice
 from app.words import LinkLook
 from skincal.journal.lock import SessionLock
