@@ -17,7 +17,7 @@ from types import TracebackType
 from PySide6.QtCore import QMetaObject, QObject, QSettings, QStandardPaths, Qt, QTimer, Signal
 from PySide6.QtWidgets import QApplication
 
-from app.scene3d.probe import best_canvas
+from app.scene3d.canvas import best_canvas
 from app.session.controller import Controller
 from app.session.open_request import Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
 from app.sound import Player

@@ -175,7 +175,7 @@ class Workspace(QWidget):
             self.errors.setText(error_words(state.estimates))
             self.method_box.setCurrentIndex(self.method_box.findData(state.method))
         room = 0.0 if state.guidance is None else leeway(state.guidance)
-        self.view.show(state.snapshot, state.live, state.method, state.selected, state.target, room)
+        self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room)
         self._show_tab()
 
     def _show_tab(self) -> None:

@@ -45,8 +45,7 @@ from app.compare_words import (
 from app.comparing import Origin, Pair, Places, Source, default_pair, sources_of
 from app.display_units import ChannelNames
 from app.panels.texts import on_panel, put, quiet
-from app.scene3d.ground import Cloud, Comparison
-from app.scene3d.looks import DARK, LIGHT, Tint
+from app.scene3d.static_scene import DARK, LIGHT, Cloud, Comparison, Tint
 from app.state.view_state import ViewState
 from app.theme import GAP, Colours
 from skincal.geometry.arrays import FloatArray

@@ -6,9 +6,8 @@ import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.entry import contact_point
-from app.scene3d.ground import Frame, Ground
-from app.scene3d.looks import ColourArray, Look
-from app.scene3d.shapes import Balls, Segments
+from app.scene3d.shapes import Balls, Layer, Segments
+from app.scene3d.static_scene import ColourArray, Look, StaticScene, View3DState
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry.arrays import FloatArray
 from skincal.geometry.wrench import axis_point, move_wrench
@@ -21,84 +20,84 @@ OUTSIDE, INSIDE = 0.035, 0.012
 """m. Length of an axis before and beyond the contact: a tool's tip, and enough depth to see where axes cross."""
 
 
-class AxesLayer:
+class AxesLayer(Layer):
     """The axis of the poke in progress with its contact, the last poke's, and those of the selected taxel."""
 
     name = "axes"
 
-    def __init__(self, renderer: vtkRenderer, ground: Ground) -> None:
-        self.ground = ground
+    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+        self.static = static
         self.current = Segments(pixels=5.0)
         self.contact = Balls(pixels=13.0)
         self.past = Segments(pixels=1.5)
-        self._middle = ground.extent.mean(axis=0) if len(ground.extent) else np.zeros(3)
+        self._middle = static.extent.mean(axis=0) if len(static.extent) else np.zeros(3)
         self._look: Look | None = None
         self._past_key: object = None
         self._axis: bytes = b""
         for shape in (self.past, self.current, self.contact):
             renderer.AddActor(shape.actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
         self._look = look
         self._past_key = None
         self._axis = b"\0"
 
-    def show(self, frame: Frame) -> bool:
+    def show(self, state: View3DState) -> bool:
         """Show the axes of a moment; return whether anything changed."""
-        changed = self._show_current(frame)
-        key = (frame.snapshot.generation, frame.method, frame.selected)
+        changed = self._show_current(state)
+        key = (state.snapshot.generation, state.method, state.selected)
         if key == self._past_key:
             return changed
         self._past_key = key
-        self._show_past(frame)
+        self._show_past(state)
         return True
 
-    def _show_current(self, frame: Frame) -> bool:
-        progress = None if frame.live is None else frame.live.progress
+    def _show_current(self, state: View3DState) -> bool:
+        progress = None if state.live is None else state.live.progress
         axis = b"" if progress is None else _key(progress)
         if axis == self._axis:
             return False
         self._axis = axis
         if progress is None or not axis:
-            self.current.join(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8))
-            self.contact.set(np.empty((0, 3)), np.empty((0, 3), np.uint8))
+            self.current.clear()
+            self.contact.clear()
             return True
         direction = progress.force / np.linalg.norm(progress.force)
-        at = contact_point(self.ground.surface, progress.axis_point, direction, self._near(frame, progress))
+        at = contact_point(self.static.surface, progress.axis_point, direction, self._near(state, progress))
         self.current.join(_span(at[None], direction[None]), self._ink("ink", 1))
         self.contact.set(at[None], self._ink("ink", 1))
         return True
 
-    def _near(self, frame: Frame, progress: Progress) -> FloatArray:
+    def _near(self, state: View3DState, progress: Progress) -> FloatArray:
         """Where the taxels are that answer now, by estimate or plan; else the middle of the part."""
-        estimates = frame.estimates()
+        estimates = state.estimates()
         places: list[FloatArray] = []
-        for row in (self.ground.row.get(int(channel), -1) for channel in progress.channels):
+        for row in (self.static.row.get(int(channel), -1) for channel in progress.channels):
             position = estimates[row].position if 0 <= row < len(estimates) else None
             if position is not None:
                 places.append(position)
-            elif row >= 0 and np.isfinite(self.ground.places[row, 0]):
-                places.append(self.ground.places[row])
+            elif row >= 0 and np.isfinite(self.static.places[row, 0]):
+                places.append(self.static.places[row])
         return np.mean(places, axis=0) if places else self._middle
 
-    def _show_past(self, frame: Frame) -> None:
-        last = _last(frame.snapshot)
+    def _show_past(self, state: View3DState) -> None:
+        last = _last(state.snapshot)
         groups = [self._group([last], self._middle, "ink")] if last is not None else []
-        if frame.selected is not None and frame.selected in self.ground.row:
-            contacts = _touching(frame.snapshot, frame.selected)
-            groups.append(self._group(contacts, self._place_of(frame, frame.selected), "faint"))
+        if state.selected is not None and state.selected in self.static.row:
+            contacts = _touching(state.snapshot, state.selected)
+            groups.append(self._group(contacts, self._place_of(state, state.selected), "faint"))
         ends = [ends for ends, _ in groups] or [np.empty((0, 2, 3))]
         colours = [colours for _, colours in groups] or [np.empty((0, 3), np.uint8)]
         self.past.join(np.concatenate(ends), np.concatenate(colours))
 
-    def _place_of(self, frame: Frame, channel: int) -> FloatArray:
-        row = self.ground.row[channel]
-        estimates = frame.estimates()
+    def _place_of(self, state: View3DState, channel: int) -> FloatArray:
+        row = self.static.row[channel]
+        estimates = state.estimates()
         position = estimates[row].position if row < len(estimates) else None
         if position is not None:
             return position
-        planned = self.ground.places[row]
+        planned = self.static.places[row]
         return planned if np.isfinite(planned[0]) else self._middle
 
     def _group(self, contacts: list[Contact], near: FloatArray, colour: str) -> tuple[FloatArray, ColourArray]:
@@ -106,7 +105,7 @@ class AxesLayer:
         points = np.array([point for point, _ in lines]).reshape(-1, 3)
         directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
         if len(contacts) == 1:
-            at = np.array([contact_point(self.ground.surface, points[0], directions[0], near)])
+            at = np.array([contact_point(self.static.surface, points[0], directions[0], near)])
         else:
             at = points + directions * np.einsum("ix,ix->i", near - points, directions)[:, None]
         return _span(at, directions), self._ink(colour, len(contacts))

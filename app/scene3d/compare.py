@@ -12,9 +12,8 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
 from app.scene3d.estimates import FAR_SIDE
-from app.scene3d.ground import Comparison, Frame, Ground
-from app.scene3d.looks import DARK, ColourArray, Look, Tint
-from app.scene3d.shapes import Dots, Segments
+from app.scene3d.shapes import Dots, Layer, Segments
+from app.scene3d.static_scene import DARK, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
 from skincal.geometry.arrays import FloatArray
 
 DOT = 1.5e-3
@@ -31,43 +30,43 @@ ALONG = 1e-6
 """Sine. An arrow that the camera looks along has no head: it is a dot."""
 
 
-class CompareLayer:
+class CompareLayer(Layer):
     """The dots and the arrows of a comparison; nothing while nothing is compared."""
 
     name = "compare"
 
-    def __init__(self, renderer: vtkRenderer, ground: Ground) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
         self.dots = Dots(pixels=DOT_PIXELS[1])
         self.arrows = Segments(pixels=2.0)
         self.dots.actor.GetProperty().SetRenderPointsAsSpheres(True)
         self._look = DARK
         self._shown: Comparison | None = None
         self._sight: Sight | None = None
-        self._part = ground.extent
-        known = ground.surface is not None and ground.laid is not None
-        self._normals = ground.normals if known else np.full((len(ground.channels), 3), np.nan)
+        self._part = static.extent
+        known = static.surface is not None and static.laid is not None
+        self._normals = static.normals if known else np.full((len(static.channels), 3), np.nan)
         for shape in (self.arrows, self.dots):
             renderer.AddActor(shape.actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
         self._look = look
         if self._shown is not None:
             self._draw(self._shown)
 
-    def show(self, frame: Frame) -> bool:
+    def show(self, state: View3DState) -> bool:
         """Show what is compared in a moment; return whether anything changed."""
-        if frame.comparison is self._shown:
+        if state.comparison is self._shown:
             return False
-        self._shown = frame.comparison
+        self._shown = state.comparison
         if self._shown is not None:
             self._draw(self._shown)
         else:
-            self.dots.set(np.empty((0, 3)), np.empty((0, 3), np.uint8))
-            self.arrows.join(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8))
+            self.dots.clear()
+            self.arrows.clear()
         return True
 
-    def follow(self, sight: Sight) -> None:
+    def fit_to(self, sight: Sight) -> None:
         """Keep the dots' size on the part, all before it, and the arrows' heads flat to the camera; leave out the far side."""
         if self._shown is None or sight.same(self._sight):
             return
@@ -81,14 +80,14 @@ class CompareLayer:
             return
         near = ~(self._normals @ sight.towards < FAR_SIDE)
         dots = [_known(cloud.places, near) for cloud in shown.clouds]
-        tints = [self._colour(cloud.tint, len(places)) for cloud, places in zip(shown.clouds, dots, strict=True)]
+        tints = [np.tile(self._colour(cloud.tint), (len(places), 1)) for cloud, places in zip(shown.clouds, dots, strict=True)]
         self.dots.set(sight.bring_before(np.concatenate(dots), self._part), np.concatenate(tints))
         shafts = _known(shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
         strokes = np.concatenate([shafts, heads(shafts, sight.towards)])
-        self.arrows.join(sight.bring_before(strokes, self._part), self._colour(Tint.TO, len(strokes)))
+        self.arrows.join(sight.bring_before(strokes, self._part), self._colour(Tint.TO))
 
-    def _colour(self, tint: Tint, count: int) -> ColourArray:
-        return np.tile(np.array(self._look.tints[tint], np.uint8), (count, 1))
+    def _colour(self, tint: Tint) -> ColourArray:
+        return np.array(self._look.tints[tint], np.uint8)
 
 
 def _known(rows: FloatArray, near: NDArray[np.bool_]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Where a force axis enters the part.
+"""Where a line meets the part: a force axis, or a line of sight.
 
 For a line p + s d and a triangle with corners a, b, c wound outward, project everything along d: the line hits the triangle
 if its point lies within the projected triangle, and enters there (d . n < 0) if the projection is wound clockwise.
@@ -72,3 +72,27 @@ def contact_point(surface: Surface | None, point: FloatArray, direction: FloatAr
 def skin_point(surface: Surface | None, place: FloatArray, normal: FloatArray) -> FloatArray:
     """Return the skin's point over or under a believed place, (3,) float, metres; the place itself without a surface."""
     return contact_point(surface, place, -normal, place)
+
+
+def seen_point(surface: Surface, place: FloatArray, direction: FloatArray) -> FloatArray | None:
+    """Return where a line of sight meets the outer side of a part, exactly; None where it misses, or sees an inner side first.
+
+    Parameters
+    ----------
+    place, direction : (3,) float, metres and unit: where the eye is, and which way it looks
+
+    Returns
+    -------
+    (3,) float, metres
+    """
+    outer, inner = (_first(entry_points(surface, place, way), place, direction) for way in (direction, -direction))
+    if outer is None or (inner is not None and (inner - place) @ direction < (outer - place) @ direction):
+        return None
+    return outer
+
+
+def _first(points: FloatArray, place: FloatArray, direction: FloatArray) -> FloatArray | None:
+    """Return the one of (n, 3) points on a line that is nearest before an eye there; None where none is before it."""
+    away = (points - place) @ direction
+    away[away <= 0.0] = np.inf
+    return points[away.argmin()] if np.isfinite(away).any() else None

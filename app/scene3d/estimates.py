@@ -1,4 +1,4 @@
-"""The taxels as estimated: balls in their module's hue, and marks for the states that have no position.
+"""The taxels as estimated: balls in their module's hue, marks for the states that have no position, and how uncertain they are.
 
 State is shape, never hue: a ball is estimated, an open circle at the planned place was touched but is not determined yet, a
 cross is dead. A ring lies around what the last poke changed, two around the selected taxel.
@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
-from app.scene3d.ground import Frame, Ground
-from app.scene3d.looks import ColourArray, Look
-from app.scene3d.shapes import Balls, Segments, crosses, rings
+from app.scene3d.shapes import Balls, Layer, Segments, crosses, rings
+from app.scene3d.static_scene import ColourArray, Look, StaticScene, View3DState
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
@@ -33,20 +32,30 @@ BLIND_REACH = 0.05
 """m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
 LIFT = 4e-4
 """m. Marks float this far above the part."""
+WORST = 3
+"""Ellipsoids at a time: more hide the taxels that they are about."""
+SPACE_95 = 2.7955
+"""sqrt of the 95 % quantile of chi-square with 3 degrees of freedom."""
+SURFACE_95 = 2.4477
+"""sqrt of the 95 % quantile of chi-square with 2 degrees of freedom."""
+LARGEST = 0.15
+"""m. Half axes are cut here in the picture: beyond it an ellipsoid is a line across the view anyhow."""
+DISC_LIFT = 6e-4
+"""m. Discs float this far above the part."""
 
-Other = {Method.FREE: Method.SURFACE, Method.SURFACE: Method.FREE, Method.MODULES: Method.SURFACE}
+OTHER = {Method.FREE: Method.SURFACE, Method.SURFACE: Method.FREE, Method.MODULES: Method.SURFACE}
 
 
-class EstimatesLayer:
+class EstimatesLayer(Layer):
     """Balls, marks, and on wish a line from each estimate to the other method's."""
 
     name = "estimates"
 
-    def __init__(self, renderer: vtkRenderer, ground: Ground) -> None:
-        self.ground = ground
+    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+        self.static = static
         self.balls = Balls(pixels=12.0)
         self.marks = Segments(pixels=2.0)
-        self.differences = Segments(pixels=1.5) if ground.surface is not None else None
+        self.differences = Segments(pixels=1.5) if static.surface is not None else None
         self.alternative: Segments | None = None
         """Where else the selected taxel may lie; made when a taxel is selected that may."""
         self.shown: IntArray = np.empty(0, dtype=np.int64)
@@ -65,12 +74,12 @@ class EstimatesLayer:
             if shape is not None:
                 renderer.AddActor(shape.actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
         self._ink, self._faint = np.array(look.ink, np.uint8), np.array(look.faint, np.uint8)
         self._key = None
 
-    def follow(self, sight: Sight) -> None:
+    def fit_to(self, sight: Sight) -> None:
         """Keep the balls' size on the part when the camera comes nearer, and leave out those on its far side."""
         self.balls.actor.GetProperty().SetPointSize(float(np.clip(BALL * sight.scale, *BALL_PIXELS)))
         near = ~(self._normals @ sight.towards < FAR_SIDE)
@@ -78,28 +87,28 @@ class EstimatesLayer:
             self.near = near
             self._show_balls()
 
-    def show(self, frame: Frame) -> bool:
+    def show(self, state: View3DState) -> bool:
         """Show a session's estimates by one method; return whether anything changed."""
-        key = (frame.snapshot.generation, frame.method, frame.selected, frame.difference, frame.comparison is None)
+        key = (state.snapshot.generation, state.method, state.selected, state.difference, state.comparison is None)
         if key == self._key:
             return False
         self._key = key
-        estimates = frame.estimates()
+        estimates = state.estimates()
         rows = [row for row, e in enumerate(estimates) if e.state is State.ESTIMATED and e.position is not None]
-        self.shown = self.ground.channels[rows]
+        self.shown = self.static.channels[rows]
         self.places = _positions([estimates[row] for row in rows])
-        self._hues = self.ground.hues[rows]
-        if self.ground.surface is not None and self.ground.laid is not None:
-            self._normals = self.ground.normals[rows]
+        self._hues = self.static.hues[rows]
+        if self.static.surface is not None and self.static.laid is not None:
+            self._normals = self.static.normals[rows]
         else:
             self._normals = np.full((len(rows), 3), np.nan)
         self.near = np.ones(len(rows), dtype=bool)
-        self._compared = frame.comparison is not None
+        self._compared = state.comparison is not None
         self._show_balls()
-        self._show_marks(frame, estimates)
+        self._show_marks(state, estimates)
         if self.differences is not None:
-            self._show_differences(frame, rows)
-        self._show_alternative(frame, estimates)
+            self._show_differences(state, rows)
+        self._show_alternative(state, estimates)
         return True
 
     def _show_balls(self) -> None:
@@ -107,25 +116,25 @@ class EstimatesLayer:
         drawn = np.zeros_like(self.near) if self._compared else self.near
         self.balls.set(self.places[drawn], self._hues[drawn])
 
-    def _show_alternative(self, frame: Frame, estimates: tuple[Estimate, ...]) -> None:
+    def _show_alternative(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
         """Draw a line from the selected taxel to its rival, or along which a blind one lies."""
-        row = self.ground.row.get(-1 if frame.selected is None else frame.selected, len(estimates))
-        ends = _alternative(estimates[row], self.ground.places[row]) if row < len(estimates) else np.empty((0, 2, 3))
+        row = self.static.row.get(-1 if state.selected is None else state.selected, len(estimates))
+        ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else np.empty((0, 2, 3))
         if self.alternative is None and len(ends):
             self.alternative = Segments(pixels=1.5)
             self._renderer.AddActor(self.alternative.actor)
         if self.alternative is not None:
-            self.alternative.join(ends, np.tile(self._ink, (len(ends), 1)))
+            self.alternative.join(ends, self._ink)
 
-    def _show_marks(self, frame: Frame, estimates: tuple[Estimate, ...]) -> None:
-        row = self.ground.row
+    def _show_marks(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
+        row = self.static.row
         parts = [
-            self._rings(estimates, [row[int(c)] for c in frame.snapshot.touched if int(c) in row], RING),
+            self._rings(estimates, [row[int(c)] for c in state.snapshot.touched if int(c) in row], RING),
             self._blind([r for r, e in enumerate(estimates) if e.state is State.BLIND]),
             self._dead([r for r, e in enumerate(estimates) if e.state is State.DEAD]),
         ]
-        if frame.selected in row:
-            parts += [self._rings(estimates, [row[frame.selected]], RING * k) for k in (1.0, 1.5)]
+        if state.selected in row:
+            parts += [self._rings(estimates, [row[state.selected]], RING * k) for k in (1.0, 1.5)]
         self.marks.join(np.concatenate([ends for ends, _ in parts]), np.concatenate([colours for _, colours in parts]))
 
     def _rings(self, estimates: Sequence[Estimate], rows: list[int], radius: float) -> tuple[FloatArray, ColourArray]:
@@ -143,7 +152,7 @@ class EstimatesLayer:
         centres, normals = self._planned(rows)
         known = np.isfinite(centres[:, 0])
         circles = rings(centres[known], normals[known], MARK, sides=12)
-        return circles.reshape(-1, 2, 3), np.repeat(self.ground.hues[rows][known], circles.shape[1], axis=0)
+        return circles.reshape(-1, 2, 3), np.repeat(self.static.hues[rows][known], circles.shape[1], axis=0)
 
     def _dead(self, rows: list[int]) -> tuple[FloatArray, ColourArray]:
         centres, normals = self._planned(rows)
@@ -152,18 +161,18 @@ class EstimatesLayer:
         return strokes, np.tile(self._ink, (len(strokes), 1))
 
     def _planned(self, rows: list[int]) -> tuple[FloatArray, FloatArray]:
-        normals = self.ground.normals[rows]
-        return self.ground.places[rows] + LIFT * normals, normals.copy()
+        normals = self.static.normals[rows]
+        return self.static.places[rows] + LIFT * normals, normals.copy()
 
-    def _show_differences(self, frame: Frame, rows: list[int]) -> None:
-        others = frame.snapshot.estimates.get(Other[frame.method], ())
+    def _show_differences(self, state: View3DState, rows: list[int]) -> None:
+        others = state.snapshot.estimates.get(OTHER[state.method], ())
         paired = [i for i, row in enumerate(rows) if row < len(others) and others[row].position is not None]
-        if not frame.difference:
+        if not state.difference:
             paired = []
         there = _positions([others[rows[i]] for i in paired])
         ends = np.stack([self.places[paired], there], axis=1)
         if self.differences is not None:
-            self.differences.join(ends, np.tile(self._faint, (len(ends), 1)))
+            self.differences.join(ends, self._faint)
 
 
 def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
@@ -186,3 +195,78 @@ def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
 
 def _positions(estimates: list[Estimate]) -> FloatArray:
     return np.array([e.position for e in estimates], dtype=float).reshape(-1, 3)
+
+
+def _unit_circles(sides: int = 48) -> FloatArray:
+    """Return circles about the three axes as segments, (3, sides, 2, 3) float; the last lies across the third axis."""
+    turn = np.arange(sides + 1) * (2 * np.pi / sides)
+    zero = np.zeros_like(turn)
+    c, s = np.cos(turn), np.sin(turn)
+    lines = np.array([np.stack([zero, c, s], axis=1), np.stack([c, zero, s], axis=1), np.stack([c, s, zero], axis=1)])
+    return np.stack([lines[:, :-1], lines[:, 1:]], axis=2).astype(np.float64)
+
+
+CIRCLES = _unit_circles()
+
+
+class UncertaintyLayer(Layer):
+    """The 95 % regions of the worst estimates and of the selected one: three circles an ellipsoid, one a disc on a surface.
+
+    A region is {p + L u : |u| <= s} with L L' the covariance; s = 2.80 = sqrt(chi2(3, 0.95)) in space and
+    2.45 = sqrt(chi2(2, 0.95)) on a surface, where the covariance has no part along the normal. It leaves out what
+    `Estimate` leaves out.
+    """
+
+    name = "uncertainty"
+
+    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+        self.static = static
+        self.lines = Segments(pixels=1.5)
+        self._key: object = None
+        renderer.AddActor(self.lines.actor)
+
+    def show(self, state: View3DState) -> bool:
+        """Show the regions of a moment; return whether anything changed."""
+        key = (state.snapshot.generation, state.method, state.selected)
+        if key == self._key:
+            return False
+        self._key = key
+        rows = self.rows(state)
+        estimates = state.estimates()
+        parts = [region(estimates[row]).reshape(-1, 2, 3) for row in rows]
+        hues: list[ColourArray] = [
+            np.repeat(self.static.hues[[row]], len(p), axis=0) for row, p in zip(rows, parts, strict=True)
+        ]
+        # The empty heads keep the shapes where no region is drawn.
+        self.lines.join(np.concatenate([np.empty((0, 2, 3)), *parts]), np.concatenate([self.static.hues[:0], *hues]))
+        return True
+
+    def rows(self, state: View3DState) -> list[int]:
+        """Return whose regions are drawn: the worst by predicted error, and the selected taxel's."""
+        known = {row: e.rms for row, e in enumerate(state.estimates()) if e.covariance is not None and e.rms is not None}
+        worst = sorted(known, key=lambda row: (-known[row], row))[:WORST]
+        selected = self.static.row.get(-1 if state.selected is None else state.selected)
+        return worst if selected is None or selected not in known or selected in worst else [*worst, selected]
+
+
+def region(estimate: Estimate) -> FloatArray:
+    """Return the outline of an estimate's 95 % region as segments.
+
+    Parameters
+    ----------
+    estimate : without a position or a covariance it has no region
+
+    Returns
+    -------
+    (circles, sides, 2, 3) float, metres, link frame
+    """
+    if estimate.position is None or estimate.covariance is None:
+        return np.empty((0, 1, 2, 3))
+    variances, axes = np.linalg.eigh(estimate.covariance)
+    flat = estimate.method is Method.SURFACE or estimate.triangle is not None
+    half = np.minimum((SURFACE_95 if flat else SPACE_95) * np.sqrt(np.maximum(variances, 0.0)), LARGEST)
+    if not flat:
+        return estimate.position + (CIRCLES * half) @ axes.T
+    # eigh sorts upwards: the first axis is the normal, and the disc is the circle across it.
+    disc = estimate.position + (CIRCLES[:1] * half) @ axes.T
+    return disc if estimate.normal is None else disc + DISC_LIFT * estimate.normal

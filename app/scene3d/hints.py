@@ -6,12 +6,11 @@ import numpy as np
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCamera, vtkPolyDataMapper2D, vtkRenderer, vtkTextActor
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D, vtkRenderer, vtkTextActor
 
-from app.scene3d.camera import pixels_per_metre
-from app.scene3d.ground import Frame
-from app.scene3d.looks import Look, unit
-from app.scene3d.shapes import cells
+from app.scene3d.camera import Sight
+from app.scene3d.shapes import Layer, cells, written
+from app.scene3d.static_scene import Look, unit
 from skincal.geometry.arrays import FloatArray
 
 EDGE = 26
@@ -23,7 +22,7 @@ BAR = 120.0
 LETTERS = ("x", "y", "z")
 
 
-class HintsLayer:
+class HintsLayer(Layer):
     """The scale in millimetres at the lower right, the link's axes at the lower left."""
 
     name = "hints"
@@ -40,45 +39,39 @@ class HintsLayer:
         self.lines = vtkActor2D()
         self.lines.SetMapper(mapper)
         self.lines.GetProperty().SetLineWidth(2.0)
-        self.texts = [_text(letter) for letter in LETTERS]
-        self.length = _text("")
-        self._key: object = None
+        self.texts = [written(vtkTextActor(), letter) for letter in LETTERS]
+        self.length = written(vtkTextActor())
+        self._sight: Sight | None = None
         for actor in (self.lines, *self.texts, self.length):
             renderer.AddViewProp(actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
         self.lines.GetProperty().SetColor(*unit(look.faint))
         for text in (*self.texts, self.length):
             text.GetTextProperty().SetColor(*unit(look.faint))
 
-    def show(self, frame: Frame) -> bool:  # noqa: ARG002
-        """Return False: the hints follow the camera, not the session."""
-        return False
-
-    def follow(self, camera: vtkCamera, size: tuple[int, int]) -> None:
-        """Fit the hints to the camera, in a picture of `size` pixels."""
-        key = (camera.GetMTime(), size)
-        if key == self._key:
+    def fit_to(self, sight: Sight) -> None:
+        """Draw the axes as they lie in the picture, and a bar of a round length."""
+        if sight.same(self._sight):
             return
-        self._key = key
-        self._xy[:6, :2] = self._axes(camera)
-        self._xy[6:, :2] = self._bar(pixels_per_metre(camera, size[1]), size)
+        self._sight = sight
+        self._xy[:6, :2] = self._axes(sight)
+        self._xy[6:, :2] = self._bar(sight)
         self._data.GetPoints().GetData().Modified()
         self._data.GetPoints().Modified()
 
-    def _axes(self, camera: vtkCamera) -> FloatArray:
-        matrix = camera.GetViewTransformMatrix()
-        turned = np.array([[matrix.GetElement(row, axis) for row in range(2)] for axis in range(3)])
+    def _axes(self, sight: Sight) -> FloatArray:
+        turned = np.stack([sight.eye.right, sight.eye.up], axis=1)
         middle = np.full(2, EDGE + ARM)
         for text, direction in zip(self.texts, turned, strict=True):
             text.SetPosition(*(middle + direction * ARM * 1.3))
         return np.stack([np.tile(middle, (3, 1)), middle + ARM * turned], axis=1).reshape(6, 2)
 
-    def _bar(self, scale: float, size: tuple[int, int]) -> FloatArray:
-        length_mm = round_below(BAR / scale * 1e3)
-        right, low = size[0] - EDGE, EDGE
-        left, tick = right - length_mm * 1e-3 * scale, 5
+    def _bar(self, sight: Sight) -> FloatArray:
+        length_mm = round_below(BAR / sight.scale * 1e3)
+        right, low = sight.size[0] - EDGE, EDGE
+        left, tick = right - length_mm * 1e-3 * sight.scale, 5
         self.length.SetInput(f"{length_mm:g} mm")
         self.length.SetPosition((left + right) / 2, low + 14)
         ends = [[(end, low - tick), (end, low + tick)] for end in (left, right)]
@@ -89,13 +82,3 @@ def round_below(value: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above `value`."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9)))
-
-
-def _text(words: str) -> vtkTextActor:
-    text = vtkTextActor()
-    text.SetInput(words)
-    style = text.GetTextProperty()
-    style.SetFontSize(14)
-    style.SetJustificationToCentered()
-    style.SetVerticalJustificationToCentered()
-    return text

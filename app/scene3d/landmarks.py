@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
 
-from app.scene3d.camera import Sight
-from app.scene3d.ground import Frame, Ground
-from app.scene3d.looks import ColourArray, Look, unit
-from app.scene3d.picking import project
-from app.scene3d.shapes import Segments, closed, tangents
+from app.scene3d.camera import Sight, project
+from app.scene3d.shapes import Layer, Segments, closed, tangents, written
+from app.scene3d.static_scene import ColourArray, Look, StaticScene, View3DState, unit
 from skincal.geometry.arrays import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
@@ -39,19 +37,19 @@ FAR_SIDE = -0.1
 a part that fills the picture are seen at such an angle."""
 
 
-class LandmarksLayer:
+class LandmarksLayer(Layer):
     """Diamonds and names; nothing while the session has no landmark."""
 
     name = "landmarks"
 
-    def __init__(self, renderer: vtkRenderer, ground: Ground) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
         self.marks = Segments(pixels=2.0)
         self.names: list[vtkTextActor] = []
         """Made when they are first needed; the first `named` belong to the landmarks, the others are hidden."""
         self.named = 0
         self.places: FloatArray = np.empty((0, 3))
         """(n, 3) float, metres: where the landmarks are."""
-        self._surface = ground.surface
+        self._surface = static.surface
         self._renderer = renderer
         self._landmarks: tuple[Landmark, ...] = ()
         self._poked: frozenset[str] = frozenset()
@@ -65,13 +63,13 @@ class LandmarksLayer:
         self._sight: Sight | None = None
         renderer.AddActor(self.marks.actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
         self._look = look
         self._draw()
         self._colour_names()
 
-    def follow(self, sight: Sight) -> None:
+    def fit_to(self, sight: Sight) -> None:
         """Keep the diamonds large enough to be found when the camera goes away, and leave out those on the part's far side."""
         if not self._landmarks:
             return
@@ -86,9 +84,9 @@ class LandmarksLayer:
             actor.SetVisibility(seen and abs(depth) <= 1.0)
             actor.SetPosition(x + beside, y)
 
-    def show(self, frame: Frame) -> bool:
+    def show(self, state: View3DState) -> bool:
         """Show a session's landmarks; return whether anything changed."""
-        snapshot = frame.snapshot
+        snapshot = state.snapshot
         if not (snapshot.landmarks or self._landmarks) or snapshot.generation == self._generation:
             return False
         self._generation = snapshot.generation
@@ -98,7 +96,7 @@ class LandmarksLayer:
         self._poked = poked
         if snapshot.landmarks != self._landmarks:
             self._landmarks = snapshot.landmarks
-            self.places = np.array([one.place for one in self._landmarks]).reshape(-1, 3)
+            self.places = np.array([landmark.place for landmark in self._landmarks]).reshape(-1, 3)
             self._normals = normals_of(self._landmarks, self._surface)
             self._near = np.ones(len(self._landmarks), dtype=bool)
             self._put_names()
@@ -110,7 +108,7 @@ class LandmarksLayer:
         if self._look is None:
             return
         near = self._near
-        fresh = np.array([one.name not in self._poked for one in self._landmarks], dtype=bool)[near]
+        fresh = np.array([landmark.name not in self._poked for landmark in self._landmarks], dtype=bool)[near]
         diamonds, crosses = strokes(self.places[near], self._normals[near], self._scale * DIAMOND)
         ink, pale = np.array(self._look.ink, np.uint8), _pale(self._look)
         sides = np.where(fresh[:, None, None], ink, pale).repeat(4, axis=1)
@@ -124,7 +122,8 @@ class LandmarksLayer:
         """Write the names beside the diamonds, where there are few."""
         self.named = len(self._landmarks) if len(self._landmarks) <= MOST_NAMES else 0
         for _ in range(len(self.names), self.named):
-            self.names.append(_name())
+            self.names.append(written(vtkTextActor(), letters=LETTERS))
+            self.names[-1].GetTextProperty().SetJustificationToLeft()
             self._renderer.AddViewProp(self.names[-1])
         for actor in self.names[self.named :]:
             actor.VisibilityOff()
@@ -154,9 +153,10 @@ def poked_here(snapshot: Snapshot) -> frozenset[str]:
 
 
 def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> FloatArray:
-    """Return the outward normal at each of n landmarks, (n, 3) float, unit: the link's z where nothing tells it."""
+    """Return the outward normal at each of n landmarks, (n, 3) float, unit: the link's z where it is unknown."""
     up = np.array([0.0, 0.0, 1.0])
-    return np.array([up if one is None else one for one in landmark_normals(landmarks, surface)]).reshape(-1, 3)
+    found = landmark_normals(landmarks, surface)
+    return np.array([up if normal is None else normal for normal in found]).reshape(-1, 3)
 
 
 def strokes(places: FloatArray, normals: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
@@ -179,12 +179,3 @@ def strokes(places: FloatArray, normals: FloatArray, radius: float) -> tuple[Flo
 
 def _pale(look: Look) -> ColourArray:
     return ((np.array(look.ink, float) + 2.0 * np.array(look.faint, float)) / 3.0).astype(np.uint8)
-
-
-def _name() -> vtkTextActor:
-    actor = vtkTextActor()
-    text = actor.GetTextProperty()
-    text.SetFontSize(LETTERS)
-    text.SetJustificationToLeft()
-    text.SetVerticalJustificationToCentered()
-    return actor

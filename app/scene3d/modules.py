@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D, vtkRenderer
 
-from app.scene3d.ground import Frame, Ground
-from app.scene3d.looks import HUES, ColourArray, Look, unit
-from app.scene3d.shapes import Dots, Segments, closed
+from app.scene3d.shapes import Dots, Layer, Segments, closed, written
+from app.scene3d.static_scene import HUES, ColourArray, Look, StaticScene, unit
 from skincal.geometry.arrays import FloatArray
 from skincal.mesh.lay import LaidSkin
 from skincal.model.skin import Layout
@@ -24,32 +23,28 @@ FADE = 0.55
 """Share of the hue in a dot of the plan, the rest is the mesh's grey: fainter than any estimate."""
 
 
-class ModulesLayer:
+class ModulesLayer(Layer):
     """What the maker of the skin says; nothing in it changes during a session."""
 
     name = "modules"
 
-    def __init__(self, renderer: vtkRenderer, ground: Ground, layout: Layout, laid: LaidSkin) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene, layout: Layout, laid: LaidSkin) -> None:
         self.outlines = Segments(pixels=2.0)
         self.outlines.join(*_outline_segments(layout, laid))
         self.dots = Dots(pixels=3.0)
-        self.known = np.isfinite(ground.places[:, 0])
-        self.places = (ground.places + LIFT * ground.normals)[self.known]
-        self.hues = ground.hues[self.known]
+        self.known = np.isfinite(static.places[:, 0])
+        self.places = (static.places + LIFT * static.normals)[self.known]
+        self.hues = static.hues[self.known]
         self.numbers = _numbers(layout, laid) if len(layout.modules) <= MOST_NUMBERS else []
         for actor in (self.outlines.actor, self.dots.actor, *self.numbers):
             renderer.AddActor(actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
         grey = np.array(look.faint, dtype=float)
         self.dots.set(self.places, (FADE * self.hues + (1 - FADE) * grey).astype(np.uint8))
         for number in self.numbers:
             number.GetTextProperty().SetColor(*unit(look.ink))
-
-    def show(self, frame: Frame) -> bool:  # noqa: ARG002
-        """Return False: a session does not change the plan."""
-        return False
 
 
 def _outline_segments(layout: Layout, laid: LaidSkin) -> tuple[FloatArray, ColourArray]:
@@ -82,12 +77,7 @@ def _numbers(layout: Layout, laid: LaidSkin) -> list[vtkBillboardTextActor3D]:
             continue
         middle = places[known].mean(axis=0)
         number = vtkBillboardTextActor3D()
-        number.SetInput(str(module.id))
         number.SetPosition(*(middle + TOWARD_CORNER * (corners[0] - middle) + NUMBER_LIFT * normals[known].mean(axis=0)))
-        text = number.GetTextProperty()
-        text.SetFontSize(15)
-        text.SetBold(True)
-        text.SetJustificationToCentered()
-        text.SetVerticalJustificationToCentered()
-        numbers.append(number)
+        number.GetTextProperty().SetBold(True)
+        numbers.append(written(number, str(module.id), letters=15))
     return numbers

@@ -1,18 +1,154 @@
-"""A picture of a session without a window: for the headless commands. Imports no Qt."""
+"""Pictures without a window: what can draw them here, and a session's picture for the headless commands. Imports no Qt.
+
+On Linux an off-screen picture needs EGL with a driver that starts, or OSMesa. Both are asked through `ctypes`, and nothing is
+left open, before VTK makes its first window: it ends the process where it cannot draw. Windows and macOS bring what is needed.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
+import os
+import sys
 from pathlib import Path
 
-from app.scene3d.graphics import choose_offscreen
-from app.scene3d.ground import Frame, Ground
-from app.scene3d.looks import LIGHT
+import numpy as np
+from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkIOImage import vtkPNGWriter
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
+
+from app.scene3d.offscreen import choose_offscreen
+from app.scene3d.stage import Stage
+from app.scene3d.static_scene import LIGHT, StaticScene, View3DState
 from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
+
+NO_SAMPLES = 0
+"""Software OpenGL pays for every sample of every pixel: four of them make a picture take 2.5 times as long."""
+EGL_DEVICE = 0x313F
+"""EGL_PLATFORM_DEVICE_EXT, of the extension EGL_EXT_platform_device: a display without a window system."""
+MOST_DEVICES = 16
+OSMESA_NAMES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
+VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
+"""VTK's own switch: the class that it makes for a window it is not given."""
+MISSING = (
+    "No picture can be drawn: neither EGL with a driver nor OSMesa was found. "
+    "Install them, on Debian or Ubuntu with: apt-get install --no-install-recommends libegl1 libgl1-mesa-dri"
+)
+
+
+def choose_offscreen() -> None:
+    """Make VTK draw off-screen by what this machine has.
+
+    A choice that the user made by the environment is kept.
+
+    Raises
+    ------
+    InputError
+        There is nothing to draw with; names the packages.
+    """
+    if not sys.platform.startswith("linux") or os.environ.get(VARIABLE):
+        return
+    if egl_starts():
+        os.environ[VARIABLE] = "vtkEGLRenderWindow"
+    elif _load(*OSMESA_NAMES) is not None:
+        os.environ[VARIABLE] = "vtkOSOpenGLRenderWindow"
+    else:
+        raise InputError(MISSING)
+
+
+def egl_starts() -> bool:
+    """Return whether one of EGL's devices starts with a driver; the library alone does not say so."""
+    library = _load("libEGL.so.1")
+    if library is None:
+        return False
+    library.eglGetProcAddress.restype = ctypes.c_void_p
+    query_at = library.eglGetProcAddress(b"eglQueryDevicesEXT")
+    display_at = library.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
+    if not query_at or not display_at:
+        return False
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query_at)
+    display_of = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(display_at)
+    devices, count = (ctypes.c_void_p * MOST_DEVICES)(), ctypes.c_int(0)
+    if not query(MOST_DEVICES, ctypes.addressof(devices), ctypes.addressof(count)):
+        return False
+    return any(_starts(library, display_of(EGL_DEVICE, devices[at], None)) for at in range(count.value))
+
+
+def _starts(library: ctypes.CDLL, display: int | None) -> bool:
+    library.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    library.eglTerminate.argtypes = [ctypes.c_void_p]
+    if not display or not library.eglInitialize(display, None, None):
+        return False
+    library.eglTerminate(display)
+    return True
+
+
+def _load(*names: str) -> ctypes.CDLL | None:
+    for name in names:
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    return None
+
+
+class HiddenWindow:
+    """A VTK window that is never on a screen: draws one renderer of `size` pixels into an array.
+
+    Its context belongs to the thread that drew last; `release` lets another thread draw. VTK's `Render` leaves Python's other
+    threads alone.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.renderer = vtkRenderer()
+        self._window = vtkRenderWindow()
+        self._window.SetMultiSamples(NO_SAMPLES)
+        self._window.SetShowWindow(False)
+        self._window.SetOffScreenRendering(True)
+        self._window.SetSize(*size)
+        self._window.AddRenderer(self.renderer)
+        self._pixels = vtkUnsignedCharArray()
+
+    def resize(self, size: tuple[int, int], density: float) -> None:
+        """Take another size in pixels; `density` is the screen's pixels per unit of text size."""
+        self._window.SetSize(*size)
+        self._window.SetDPI(round(72 * density))
+
+    def draw(self) -> NDArray[np.uint8]:
+        """Return a new picture, (height, width, 4) uint8, first row lowest; valid until the next call."""
+        self._window.Render()
+        width, height = self._window.GetSize()
+        self._window.GetRGBACharPixelData(0, 0, width - 1, height - 1, 0, self._pixels)  # pyright: ignore[reportArgumentType]
+        return vtk_to_numpy(self._pixels).reshape(height, width, 4)
+
+    def png(self) -> bytes:
+        """Return a new picture as the content of a PNG file."""
+        self._window.Render()
+        grabber = vtkWindowToImageFilter()
+        grabber.SetInput(self._window)
+        grabber.ShouldRerenderOff()
+        grabber.ReadFrontBufferOff()
+        writer = vtkPNGWriter()
+        writer.SetInputConnection(grabber.GetOutputPort())
+        writer.WriteToMemoryOn()
+        writer.Write()
+        return vtk_to_numpy(writer.GetResult()).tobytes()
+
+    def release(self) -> None:
+        """Give the context up, so that another thread can draw."""
+        self._window.ReleaseCurrent()
+
+    def close(self) -> None:
+        """Give everything back; the window cannot be used again."""
+        self._window.RemoveRenderer(self.renderer)
+        self._window.Finalize()
 
 
 def picture(
@@ -36,15 +172,11 @@ def picture(
         There is nothing to draw with here (names the packages), or the file cannot be written.
     """
     choose_offscreen()
-    # Only now: these load VTK, which ends the process where it cannot draw.
-    from app.scene3d.stage import Stage
-    from app.scene3d.window import HiddenWindow
-
     channels = [estimate.channel for estimate in snapshot.estimates.get(method, ())]
     window = HiddenWindow(size)
-    stage = Stage(window.renderer, Ground(scene, surface, laid, channels), LIGHT)
+    stage = Stage(window.renderer, StaticScene(scene, surface, laid, channels), LIGHT)
     try:
-        stage.show(Frame(snapshot, None, method, None))
+        stage.show(View3DState(snapshot, None, method, None))
         stage.fit()
         path.write_bytes(window.png())
     except OSError as error:

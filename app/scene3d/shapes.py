@@ -1,4 +1,4 @@
-"""Points, line segments and triangles on the screen, whose arrays change in place.
+"""A layer of the picture, and what layers are made of: points, line segments and triangles whose arrays change in place.
 
 Each shape is one polydata, one mapper and one actor, made once. `set` writes into the arrays that VTK already holds
 while the number of points stays, and swaps them otherwise; the actor stays in either case.
@@ -6,15 +6,37 @@ while the number of points stays, and swaps them otherwise; the actor stays in e
 
 from __future__ import annotations
 
+from typing import ClassVar, TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
+from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkTextActor
 
-from app.scene3d.looks import ColourArray
+from app.scene3d.camera import Sight
+from app.scene3d.static_scene import ColourArray, Look, View3DState
 from skincal.geometry.arrays import FloatArray, IntArray
+
+Text = TypeVar("Text", vtkTextActor, vtkBillboardTextActor3D)
+
+
+class Layer:
+    """One kind of thing in the picture; its constructor makes its actors."""
+
+    name: ClassVar[str]
+    """What the layer shows, in one word."""
+
+    def set_colours(self, look: Look) -> None:
+        """Take the colours of a theme; called before the first `show`."""
+
+    def show(self, state: View3DState) -> bool:  # noqa: ARG002
+        """Change arrays in place for a moment of the session; return whether anything changed."""
+        return False
+
+    def fit_to(self, sight: Sight) -> None:
+        """Fit what depends on the camera, before each picture."""
 
 
 def cells(connectivity: IntArray) -> vtkCellArray:
@@ -26,7 +48,7 @@ def cells(connectivity: IntArray) -> vtkCellArray:
     return array
 
 
-class Shape:
+class DrawnShape:
     """Coloured points and the actor that draws them; subclasses say how points form cells."""
 
     def __init__(self) -> None:
@@ -43,7 +65,7 @@ class Shape:
         Parameters
         ----------
         points : (n, 3) float, metres; n = 0 hides the shape
-        colours : (n, 3) uint8
+        colours : (n, 3) uint8, or (3,) for all
         """
         if len(points) != len(self._points):
             self._allocate(len(points))
@@ -56,6 +78,10 @@ class Shape:
         self.data.GetPoints().Modified()
         self.data.GetPointData().GetScalars().Modified()
         self.data.Modified()
+
+    def clear(self) -> None:
+        """Show nothing."""
+        self.set(np.empty((0, 3)), np.zeros(3, np.uint8))
 
     def connect(self, count: int) -> None:
         """Make the cells for `count` points."""
@@ -79,7 +105,7 @@ def _mapper(data: vtkPolyData) -> vtkPolyDataMapper:
     return mapper
 
 
-class Dots(Shape):
+class Dots(DrawnShape):
     """Points drawn as flat dots of one size in pixels."""
 
     def __init__(self, pixels: float) -> None:
@@ -104,7 +130,7 @@ class Balls(Dots):
         look.SetDiffuse(0.75)
 
 
-class Segments(Shape):
+class Segments(DrawnShape):
     """Line segments, two points each, not lit."""
 
     def __init__(self, pixels: float) -> None:
@@ -123,9 +149,9 @@ class Segments(Shape):
         Parameters
         ----------
         ends : (n, 2, 3) float, metres
-        colours : (n, 3) uint8
+        colours : (n, 3) uint8, or (3,) for all
         """
-        self.set(ends.reshape(-1, 3), np.repeat(colours, 2, axis=0))
+        self.set(ends.reshape(-1, 3), colours if colours.ndim == 1 else np.repeat(colours, 2, axis=0))
 
 
 def closed(corners: FloatArray) -> FloatArray:
@@ -166,3 +192,13 @@ def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second: FloatArray = np.cross(normals, first)
     return first, second
+
+
+def written(text: Text, words: str = "", letters: int = 14) -> Text:
+    """Return a text of so many points, its middle at its position."""
+    text.SetInput(words)
+    style = text.GetTextProperty()
+    style.SetFontSize(letters)
+    style.SetJustificationToCentered()
+    style.SetVerticalJustificationToCentered()
+    return text

@@ -13,10 +13,8 @@ from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
-from app.scene3d.ground import Frame
-from app.scene3d.looks import Look, unit
-from app.scene3d.shading import Shaded
-from app.scene3d.shapes import cells
+from app.scene3d.shapes import Layer, cells
+from app.scene3d.static_scene import Look, Shaded, unit
 
 FRONT_OPACITY = 0.55
 """Share of light that the near wall keeps: an estimate inside is still told apart from one outside."""
@@ -26,7 +24,7 @@ SHADE_FROM = np.array([0.36, 0.48, 0.8])
 """(3,) unit, link frame: the inner side is brightest where its outer side faces this way."""
 
 
-class SurfaceLayer:
+class SurfaceLayer(Layer):
     """The mesh; nothing in it changes during a session."""
 
     name = "surface"
@@ -43,16 +41,12 @@ class SurfaceLayer:
         for actor in (self.inside, self.outside):
             renderer.AddActor(actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
         self.outside.GetProperty().SetColor(*unit(look.front))
         tint = 1.0 - SHADE + SHADE * (self._normals @ SHADE_FROM)
         colours = np.clip(np.outer(tint, look.back), 0, 255).astype(np.uint8)
         self._tinted.GetPointData().SetScalars(numpy_to_vtk(colours, deep=True))
-
-    def show(self, frame: Frame) -> bool:  # noqa: ARG002
-        """Return False: a session does not change the mesh."""
-        return False
 
 
 def _side(mesh: vtkPolyData, hidden: str) -> vtkActor:

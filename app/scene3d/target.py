@@ -10,9 +10,8 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
 from app.scene3d.entry import skin_point
-from app.scene3d.ground import Frame, Ground
-from app.scene3d.looks import Look
-from app.scene3d.shapes import Segments, rings, tangents
+from app.scene3d.shapes import Layer, Segments, rings, tangents
+from app.scene3d.static_scene import Look, StaticScene, View3DState
 from skincal.geometry.arrays import FloatArray
 from skincal.guide.guidance import Target
 
@@ -35,13 +34,13 @@ RIM_LIFT, CORE_LIFT = 3e-3, 5e-3
 BLACK, WHITE = np.zeros(3, np.uint8), np.full(3, 255, np.uint8)
 
 
-class TargetLayer:
+class TargetLayer(Layer):
     """The ring and the arrow of the target; nothing where nobody guides."""
 
     name = "target"
 
-    def __init__(self, renderer: vtkRenderer, ground: Ground) -> None:
-        self.ground = ground
+    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+        self.static = static
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
         self.cone = Segments(pixels=1.5)
@@ -58,27 +57,27 @@ class TargetLayer:
         for shape in (self.rim, self.core, self.cone):
             renderer.AddActor(shape.actor)
 
-    def dress(self, look: Look) -> None:
+    def set_colours(self, look: Look) -> None:
         """Take the cone's colour, between ink and what is not to be in the way; black and white are seen in every theme."""
         self._soft = ((np.array(look.ink, float) + look.faint) / 2.0).astype(np.uint8)
         self._draw()
 
-    def show(self, frame: Frame) -> bool:
+    def show(self, state: View3DState) -> bool:
         """Show the target of a moment; return whether anything changed."""
-        target = frame.target
-        width = 0.0 if target is None else frame.leeway
+        target = state.target
+        width = 0.0 if target is None else state.leeway
         key = b"" if target is None else b"".join(each.tobytes() for each in (target.place, target.normal, target.push))
         if (key, width) == (self._key, self._leeway):
             return False
         self._key, self._target, self._leeway = key, target, width
         if target is not None:
             # A believed place lies above or below the skin; seen from outside, the ring must not. A landmark is where it is.
-            surface = None if target.landmark else self.ground.surface
+            surface = None if target.landmark else self.static.surface
             self._at = skin_point(surface, target.place, target.normal)
         self._draw()
         return True
 
-    def follow(self, sight: Sight) -> None:
+    def fit_to(self, sight: Sight) -> None:
         """Keep the ring large enough to be found when the camera goes away, and the arrow's head flat to the camera."""
         if not sight.same(self._sight):
             self._scale, self._sight = max(1.0, LEAST_PIXELS / (RING * sight.scale)), sight
@@ -88,11 +87,11 @@ class TargetLayer:
         ends = np.empty((0, 2, 3)) if self._target is None else self._strokes(self._target)
         for shape, colour, by in ((self.rim, BLACK, RIM_LIFT), (self.core, WHITE, CORE_LIFT)):
             lifted = ends if self._sight is None else self._sight.lift(ends, by * self._scale)
-            shape.join(lifted, np.tile(colour, (len(ends), 1)))
+            shape.join(lifted, colour)
         soft = np.empty((0, 2, 3))
         if self._target is not None and self._leeway:
             soft = self._at + self._scale * cone(self._target.push, self._leeway)
-        self.cone.join(soft, np.tile(self._soft, (len(soft), 1)))
+        self.cone.join(soft, self._soft)
 
     def _strokes(self, target: Target) -> FloatArray:
         """Return the sides of the ring and the strokes of the arrow, (n, 2, 3) float, metres, on the skin."""

@@ -8,22 +8,19 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QShowEvent
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
+from PySide6.QtGui import QMouseEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
-from app.scene3d.ground import Comparison, Frame, Ground
-from app.scene3d.loading import Loaded, load, mount
-from app.scene3d.looks import DARK, LIGHT
-from app.scene3d.pointer import Pointer
-from app.scene3d.probe import Canvas, best_canvas
+from app.scene3d.canvas import Canvas, Loaded, best_canvas, load, mount
+from app.scene3d.static_scene import DARK, LIGHT, Comparison, StaticScene, View3DState
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface
@@ -33,7 +30,9 @@ from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from app.scene3d.loading import AnyCanvas
+    from vtkmodules.vtkRenderingCore import vtkCamera
+
+    from app.scene3d.canvas import AnyCanvas
     from app.scene3d.stage import Stage
 
 LOG = logging.getLogger(__name__)
@@ -41,6 +40,98 @@ POLL_MS = 10
 """How often the window's thread asks whether the worker is done."""
 SWITCH_S = 0.0005
 """s. Python's thread switch while VTK is imported: at its default of 5 ms the window would answer in jumps."""
+CLICK_PIXELS = 4.0
+"""A press that moves less before its release is a click: hands tremble by two or three pixels."""
+DEGREES_PER_WIDTH = 220.0
+"""A drag across the shorter side of the view turns the part by this much: a bit more than its far side."""
+WHEEL_STEP = 1.15
+"""Factor of nearness for one notch of the wheel."""
+NOTCH = 120.0
+"""Qt's units of a notch."""
+KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease, QEvent.Type.ShortcutOverride)
+
+
+class Pointer(QObject):
+    """Turns mouse events of a canvas into moves of the stage's camera and into clicks.
+
+    Left drag turns, middle or shift-left drag shifts, right drag and the wheel come nearer, a left click picks. The canvas
+    itself sees neither mouse nor keys, so no key binding of VTK can fire.
+
+    Parameters
+    ----------
+    moved : called after the camera moved
+    clicked : called with x and y of a click, pixels of the picture from its lower left
+    """
+
+    def __init__(
+        self, canvas: QWidget, stage: Stage, moved: Callable[[], None], clicked: Callable[[float, float], None]
+    ) -> None:
+        super().__init__(canvas)
+        self._canvas = canvas
+        self._stage = stage
+        self._moved = moved
+        self._clicked = clicked
+        self._start = QPointF()
+        self._last = QPointF()
+        self._dragged = False
+        canvas.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        canvas.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: ARG002
+        """Take mouse events, pass keys on to the window, leave the rest to the canvas."""
+        kind = event.type()
+        if isinstance(event, QWheelEvent):
+            self._near(WHEEL_STEP ** (event.angleDelta().y() / NOTCH))
+        elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
+            self._start = self._last = event.position()
+            self._dragged = False
+            self._stage.hold(True)
+        elif kind == QEvent.Type.MouseMove and isinstance(event, QMouseEvent):
+            self._drag(event)
+        elif kind == QEvent.Type.MouseButtonRelease and isinstance(event, QMouseEvent):
+            self._release(event)
+        elif kind in KEYS:
+            event.ignore()
+        else:
+            return False
+        return True
+
+    def _drag(self, event: QMouseEvent) -> None:
+        buttons = event.buttons()
+        if buttons == Qt.MouseButton.NoButton:
+            return
+        if not self._dragged and (event.position() - self._start).manhattanLength() < CLICK_PIXELS:
+            return
+        self._dragged = True
+        step, self._last = event.position() - self._last, event.position()
+        size = max(1, min(self._canvas.width(), self._canvas.height()))
+        shifting = buttons & Qt.MouseButton.MiddleButton or event.modifiers() & Qt.KeyboardModifier.ShiftModifier
+        if shifting:
+            height = max(1, self._canvas.height())
+            camera.shift(self._camera(), step.x() / height, -step.y() / height)
+        elif buttons & Qt.MouseButton.LeftButton:
+            camera.orbit(self._camera(), step.x() * DEGREES_PER_WIDTH / size, -step.y() * DEGREES_PER_WIDTH / size)
+        else:
+            camera.approach(self._camera(), WHEEL_STEP ** (-step.y() / 20))
+        self._note_move()
+
+    def _release(self, event: QMouseEvent) -> None:
+        self._stage.hold(event.buttons() != Qt.MouseButton.NoButton)
+        if self._dragged or event.button() != Qt.MouseButton.LeftButton:
+            return
+        density = self._canvas.devicePixelRatioF()
+        self._clicked(event.position().x() * density, (self._canvas.height() - event.position().y()) * density)
+
+    def _near(self, factor: float) -> None:
+        camera.approach(self._camera(), factor)
+        self._note_move()
+
+    def _camera(self) -> vtkCamera:
+        return self._stage.renderer.GetActiveCamera()
+
+    def _note_move(self) -> None:
+        self._stage.touch(time.monotonic())
+        self._moved()
 
 
 class View3D(QWidget):
@@ -64,8 +155,8 @@ class View3D(QWidget):
         self.setMinimumSize(240, 180)
         self._choice = canvas
         self._look = DARK
-        self._ground: Ground | None = None
-        self._frame: Frame | None = None
+        self._static: StaticScene | None = None
+        self._state: View3DState | None = None
         self._difference = False
         self._comparison: Comparison | None = None
         self._turning = True
@@ -82,7 +173,7 @@ class View3D(QWidget):
         self._poll.setInterval(POLL_MS)
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
-        self._poll.timeout.connect(self._take_loaded)
+        self._poll.timeout.connect(self._mount_loaded)
 
     def begin(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
         """Start to build the layers that a scene supports; call once the window is on the screen.
@@ -95,21 +186,17 @@ class View3D(QWidget):
         channels : taxels, in the order of the snapshots' estimates
         """
         self.close_view()
-        self._ground = Ground(scene, surface, laid, channels)
+        self._static = StaticScene(scene, surface, laid, channels)
         self._choice = self._choice or best_canvas()
         density = self.devicePixelRatioF()
         size = round(self.width() * density), round(self.height() * density)
         self._switch_s = sys.getswitchinterval()
         sys.setswitchinterval(min(self._switch_s, SWITCH_S))
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="scene3d")
-        self._future = self._worker.submit(load, self._choice, self._ground, self._look, size, self._frame)
+        self._future = self._worker.submit(load, self._choice, self._static, self._look, size, self._state)
         self._poll.start()
 
-    @overload
-    def show(self) -> None: ...
-
-    @overload
-    def show(
+    def show_moment(
         self,
         snapshot: Snapshot,
         live: LiveView | None,
@@ -117,57 +204,40 @@ class View3D(QWidget):
         selected: int | None,
         target: Target | None = None,
         leeway: float = 0.0,
-    ) -> bool: ...
-
-    def show(
-        self,
-        snapshot: Snapshot | None = None,
-        live: LiveView | None = None,
-        method: Method = Method.FREE,
-        selected: int | None = None,
-        target: Target | None = None,
-        leeway: float = 0.0,
-    ) -> bool | None:
-        """Show a moment of a session; without arguments, be visible as any widget.
+    ) -> bool:
+        """Show a moment of a session; return whether the picture changes.
 
         Asks for one picture at most, and for none when nothing changed. While the view is not built or not visible, the
         moment is kept, and shown as soon as it is.
-
-        Returns
-        -------
-        Whether the picture changes.
         """
-        if snapshot is None:
-            super().show()
-            return None
-        self._frame = Frame(snapshot, live, method, selected, self._difference, target, leeway, self._comparison)
-        return self.isVisible() and self._show_frame()
+        self._state = View3DState(snapshot, live, method, selected, self._difference, target, leeway, self._comparison)
+        return self.isVisible() and self._show_state()
 
     def set_difference(self, wanted: bool) -> None:
         """Draw a line from each estimate to the other method's, or do not."""
         self._difference = wanted
-        if self._frame is not None:
-            self._frame = replace(self._frame, difference=wanted)
-            self._show_frame()
+        if self._state is not None:
+            self._state = replace(self._state, difference=wanted)
+            self._show_state()
 
     def set_comparison(self, comparison: Comparison | None) -> None:
         """Lay sets of places over each other in place of the estimates; None shows the estimates again."""
         self._comparison = comparison
-        if self._frame is not None and self._frame.comparison is not comparison:
-            self._frame = replace(self._frame, comparison=comparison)
-            self._show_frame()
+        if self._state is not None and self._state.comparison is not comparison:
+            self._state = replace(self._state, comparison=comparison)
+            self._show_state()
 
     def set_turning(self, wanted: bool) -> None:
         """Turn the camera to the target between pokes, or leave it where it is."""
         self._turning = wanted
         if self._stage is not None:
             self._stage.turner.wanted = wanted
-            self._show_frame()
+            self._show_state()
 
     @property
     def can_pick(self) -> bool:
         """Whether there is a part to click on, and a picture of it."""
-        return self._stage is not None and self._stage.ground.surface is not None
+        return self._stage is not None and self._stage.static.surface is not None
 
     @property
     def picking(self) -> bool:
@@ -187,8 +257,8 @@ class View3D(QWidget):
         """Take the dark or the light theme."""
         self._look = DARK if dark else LIGHT
         if self._stage is not None:
-            self._stage.dress(self._look)
-            self._show_frame()
+            self._stage.set_colours(self._look)
+            self._show_state()
             self._request()
 
     def reset_camera(self) -> None:
@@ -198,20 +268,6 @@ class View3D(QWidget):
             self._stage.fit()
             self._request()
 
-    def orbit(self, right_deg: float, up_deg: float) -> None:
-        """Turn the part under the camera, as a drag of the mouse does."""
-        if self._stage is not None:
-            camera.orbit(self._stage.renderer.GetActiveCamera(), right_deg, up_deg)
-            self._stage.touch(time.monotonic())
-            self._request()
-
-    def approach(self, factor: float) -> None:
-        """Bring the camera `factor` times nearer, as the mouse's wheel does."""
-        if self._stage is not None:
-            camera.approach(self._stage.renderer.GetActiveCamera(), factor)
-            self._stage.touch(time.monotonic())
-            self._request()
-
     def eye(self) -> camera.Eye:
         """Return how the camera stands; plain while there is no picture."""
         return camera.PLAIN if self._stage is None else camera.eye_of(self._stage.renderer.GetActiveCamera())
@@ -219,14 +275,6 @@ class View3D(QWidget):
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that exist; empty while the view is not built."""
         return () if self._stage is None else self._stage.list_layers()
-
-    def screen_place(self, channel: int) -> tuple[float, float] | None:
-        """Return where a taxel's estimate appears, in the widget's coordinates; None where it does not."""
-        if self._stage is None or self._canvas is None or channel not in self._stage.estimates.shown:
-            return None
-        channels, places = self._stage.screen_places()
-        x, y = places[list(channels).index(channel), :2] / self.devicePixelRatioF()
-        return (float(x), float(self._canvas.height() - y)) if x == x else None
 
     def screenshot(self, path: Path) -> None:
         """Write the picture as it stands to an image file, of the kind that the name's ending says.
@@ -238,7 +286,7 @@ class View3D(QWidget):
         """
         if self._canvas is None:
             raise InputError("The 3D view has no picture yet; wait until it is ready.")
-        if not self._canvas.image().save(str(path)):
+        if not self._canvas.grabFramebuffer().save(str(path)):
             raise InputError(f"{path}: the picture cannot be written; choose a folder that exists and a name ending in .png.")
 
     def close_view(self) -> None:
@@ -254,20 +302,20 @@ class View3D(QWidget):
             self._stage.close()
         if self._canvas is not None:
             self._stack.removeWidget(self._canvas)
-            self._canvas.release()
+            self._canvas.close()
             self._canvas.deleteLater()
         self._stage = self._canvas = None
 
     def showEvent(self, event: QShowEvent) -> None:
         """Show the newest moment, which was only kept while the view was hidden."""
         super().showEvent(event)
-        self._show_frame()
+        self._show_state()
 
-    def _show_frame(self) -> bool:
-        if self._stage is None or self._frame is None:
+    def _show_state(self) -> bool:
+        if self._stage is None or self._state is None:
             return False
-        changed = self._stage.show(self._frame)
-        turned = not self._picking and self._stage.turn(self._frame, time.monotonic())
+        changed = self._stage.show(self._state)
+        turned = not self._picking and self._stage.turn(self._state, time.monotonic())
         if not turned and not changed:
             return False
         self._request()
@@ -275,9 +323,9 @@ class View3D(QWidget):
 
     def _request(self) -> None:
         if self._canvas is not None:
-            self._canvas.request()
+            self._canvas.update()
 
-    def _take_loaded(self) -> None:
+    def _mount_loaded(self) -> None:
         """Make the widget once the worker is done, or say why there is none."""
         if self._future is None or self._worker is None or not self._future.done():
             return
@@ -293,33 +341,30 @@ class View3D(QWidget):
         self._worker = self._future = None
 
     def _mount(self, loaded: Loaded) -> None:
-        if self._choice is None or self._ground is None:
+        if self._choice is None or self._static is None:
             return
-        self._canvas, self._stage = mount(self._choice, loaded, self._ground, self._look, self)
+        self._canvas, self._stage = mount(self._choice, loaded, self._static, self._look, self)
         Pointer(self._canvas, self._stage, self._request, self._pick)
         self._stack.addWidget(self._canvas)
         self._stack.setCurrentWidget(self._canvas)
-        self._stage.dress(self._look)
+        self._stage.set_colours(self._look)
         self._stage.fit()
         self.set_turning(self._turning)
         self.set_picking(self._picking)
-        self._show_frame()
+        self._show_state()
         self._request()
         self.ready.emit()
 
     def _pick(self, x: float, y: float) -> None:
         if self._stage is None:
             return
-        if self._picking:
-            self._pick_surface(x, y)
+        if not self._picking:
+            channel = self._stage.pick(x, y)
+            if channel is not None:
+                self.taxel_picked.emit(channel)
             return
-        channel = self._stage.pick(x, y)
-        if channel is not None:
-            self.taxel_picked.emit(channel)
-
-    def _pick_surface(self, x: float, y: float) -> None:
         # A pixel's place is that of its upper left corner: what is meant is its middle.
-        place = None if self._stage is None else self._stage.pick_surface(x + 0.5, y - 0.5)
+        place = self._stage.pick_surface(x + 0.5, y - 0.5)
         if place is not None:
             self.set_picking(False)
             self.surface_picked.emit(place)

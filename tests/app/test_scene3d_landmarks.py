@@ -11,12 +11,13 @@ from PySide6.QtGui import QMouseEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 from scene3d_support import box, contact, snapshot
-from test_scene3d_view import Drawn, around, make_view, pixels, settle
+from view3d_on_screen import Drawn, around, make_view, pixels, settle, turn
 
-from app.scene3d.ground import Frame
+from app.scene3d.camera import project, ray
+from app.scene3d.canvas import Canvas
+from app.scene3d.entry import seen_point
 from app.scene3d.landmarks import MOST_NAMES, normals_of, poked_here
-from app.scene3d.picking import project, ray, seen_point
-from app.scene3d.probe import Canvas
+from app.scene3d.static_scene import View3DState
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import Landmark
@@ -41,7 +42,7 @@ def session(generation, landmarks, at=None, poses=(), pose="low", excluded=()):
 
 
 def show(view, at, target=None):
-    return view.show(at, None, Method.FREE, None, target)
+    return view.show_moment(at, None, Method.FREE, None, target)
 
 
 def seen(view, place):
@@ -89,13 +90,13 @@ def test_nothing_is_drawn_where_nothing_changed_or_there_is_none(view):
     layer, drawn = view._stage.landmarks, Drawn(view)
     assert not layer.marks.actor.GetVisibility()
     assert layer.names == []
-    assert not layer.show(Frame(session(2, ()), None, Method.FREE, None))
+    assert not layer.show(View3DState(session(2, ()), None, Method.FREE, None))
     show(view, session(3, (HEAD,)))
     settle()
     count = drawn.count
     assert not show(view, session(3, (HEAD,)))
     # Streamed joints make a new snapshot of the same landmarks.
-    assert not layer.show(Frame(session(4, (HEAD,)), None, Method.FREE, None)), "another tuple with the same landmark"
+    assert not layer.show(View3DState(session(4, (HEAD,)), None, Method.FREE, None)), "another tuple with the same landmark"
     settle()
     assert drawn.count == count
 
@@ -129,7 +130,7 @@ def test_what_lies_behind_the_part_is_left_out_until_the_part_is_turned(view):
     bare = pixels(view)
     show(view, session(2, (below,)))
     np.testing.assert_array_equal(pixels(view), bare)
-    view.orbit(180.0, 0.0)
+    turn(view, 180.0, 0.0)
     settle()
     layer = view._stage.landmarks
     assert layer.marks.actor.GetVisibility()
@@ -193,14 +194,14 @@ def test_the_picked_point_lies_on_the_part_within_a_pixel_of_what_is_clicked(qtb
         assert aside <= 1.5 * pixel
         assert pixel < 0.5e-3
         assert not view.picking, "one click ends it"
-        view.orbit(-17.0, 9.0)
+        turn(view, -17.0, 9.0)
 
 
 def test_vtk_finds_the_same_point(view):
     """By another route: the picker that casts a ray at the drawn triangles."""
     from vtkmodules.vtkRenderingCore import vtkCellPicker
 
-    view.orbit(25.0, -18.0)
+    turn(view, 25.0, -18.0)
     settle()
     renderer, picker = view._stage.renderer, vtkCellPicker()
     picker.SetTolerance(0.0)
@@ -279,7 +280,7 @@ def test_an_inner_side_in_front_is_no_place_to_poke():
 
 
 def test_a_line_of_sight_passes_through_what_appears_at_its_pixel(view):
-    view.orbit(31.0, 22.0)
+    turn(view, 31.0, 22.0)
     settle()
     renderer = view._stage.renderer
     for known in np.random.default_rng(2).uniform(-0.03, 0.03, (20, 3)):

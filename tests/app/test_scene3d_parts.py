@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 from scene3d_support import box, estimate
 from scipy.stats import chi2
 
-from app.scene3d import graphics
-from app.scene3d.camera import Sight
+from app.scene3d import offscreen
+from app.scene3d.camera import PLAIN, Sight
 from app.scene3d.entry import contact_point, entry_points
-from app.scene3d.looks import HUES, LIGHT, module_hues
-from app.scene3d.shading import shade
+from app.scene3d.static_scene import HUES, LIGHT, module_hues, shade
 from skincal.mesh.surface import make_surface
 from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Layout, Module
@@ -88,7 +87,7 @@ def test_edges_of_a_box_are_shaded_sharp_and_a_ball_smooth():
 
 
 def test_an_ellipsoid_is_drawn_where_chi_square_says(rng):
-    from app.scene3d.uncertainty import region
+    from app.scene3d.estimates import region
 
     root = rng.normal(size=(3, 3)) * 1e-3
     covariance = root @ root.T
@@ -99,13 +98,13 @@ def test_an_ellipsoid_is_drawn_where_chi_square_says(rng):
 
 
 def test_on_a_surface_the_region_is_a_disc_across_the_normal(rng):
-    from app.scene3d.uncertainty import LIFT, region
+    from app.scene3d.estimates import DISC_LIFT, region
 
     normal = np.array([0.0, 0.6, 0.8])
     flat = np.eye(3) - np.outer(normal, normal)
     root = flat @ rng.normal(size=(3, 3)) * 1e-3
     about = _with(estimate(3, (0.01, 0.02, 0.03)), root @ root.T, Method.SURFACE, normal)
-    drawn = region(about).reshape(-1, 3) - about.position - LIFT * normal
+    drawn = region(about).reshape(-1, 3) - about.position - DISC_LIFT * normal
     np.testing.assert_allclose(drawn @ normal, 0.0, atol=1e-9)
     squares = np.einsum("ix,xy,iy->i", drawn, np.linalg.pinv(root @ root.T), drawn)
     np.testing.assert_allclose(squares, chi2(2).ppf(0.95), rtol=2e-3)
@@ -129,7 +128,7 @@ def test_a_scale_bar_has_a_round_length_and_fills_its_place(value):
 
 
 def test_a_click_means_the_foremost_ball_that_it_hits():
-    from app.scene3d.picking import nearest_at
+    from app.scene3d.stage import nearest_at
 
     screen = np.array([(100, 100, 0.9), (103, 100, 0.2), (200, 50, 0.5), (200, 52, 3.0), (np.nan, np.nan, np.nan)])
     assert nearest_at(screen, 100.0, 100.0, ball=6.0) == 1
@@ -141,7 +140,10 @@ def test_a_click_means_the_foremost_ball_that_it_hits():
 
 def test_what_is_lifted_stays_where_it_appears_and_comes_nearer(rng):
     towards = np.array([0.6, 0.0, 0.8])
-    sight, points = Sight(0.5 * towards, towards, 1000.0), rng.uniform((-0.04, -0.04, -0.02), (0.04, 0.04, 0.0), (20, 2, 3))
+    sight, points = (
+        Sight(PLAIN, 0.5 * towards, towards, (640, 480), 1000.0),
+        rng.uniform((-0.04, -0.04, -0.02), (0.04, 0.04, 0.0), (20, 2, 3)),
+    )
     for moved in (sight.lift(points, 3e-3), sight.bring_before(points, box().vertices)):
         ways, lengths = sight.place - points, np.linalg.norm(sight.place - points, axis=-1)
         shorter = np.linalg.norm(sight.place - moved, axis=-1) / lengths
@@ -164,7 +166,7 @@ def test_seven_modules_have_seven_hues_and_the_eighth_repeats_the_first():
 
 def test_importing_the_view_loads_no_drawing_library():
     script = (
-        "import sys, app.scene3d.view, app.scene3d.offscreen\n"
+        "import sys, app.scene3d.view, app.headless\n"
         "print([n for n in ('vtkmodules', 'vtk', 'pyvista', 'pyvistaqt') if n in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
@@ -215,20 +217,20 @@ def _read_png(path: Path) -> np.ndarray:
 
 
 def test_where_nothing_can_draw_the_packages_are_named_before_vtk_is_asked(monkeypatch):
-    monkeypatch.setattr(graphics.sys, "platform", "linux")
-    monkeypatch.delenv(graphics.VARIABLE, raising=False)
-    monkeypatch.setattr(graphics, "_load", lambda *_: None)
+    monkeypatch.setattr(offscreen.sys, "platform", "linux")
+    monkeypatch.delenv(offscreen.VARIABLE, raising=False)
+    monkeypatch.setattr(offscreen, "_load", lambda *_: None)
     with pytest.raises(InputError, match=r"apt-get install .*libegl1 libgl1-mesa-dri"):
-        graphics.choose_offscreen()
+        offscreen.choose_offscreen()
 
 
 def test_osmesa_serves_where_egl_does_not_start(monkeypatch):
-    monkeypatch.setattr(graphics.sys, "platform", "linux")
-    monkeypatch.setenv(graphics.VARIABLE, "")
-    monkeypatch.setattr(graphics, "egl_starts", lambda: False)
-    monkeypatch.setattr(graphics, "_load", lambda *_: object())
-    graphics.choose_offscreen()
-    assert graphics.os.environ[graphics.VARIABLE] == "vtkOSOpenGLRenderWindow"
-    monkeypatch.setattr(graphics, "egl_starts", lambda: True)
-    graphics.choose_offscreen()
-    assert graphics.os.environ[graphics.VARIABLE] == "vtkOSOpenGLRenderWindow", "a choice that is made is kept"
+    monkeypatch.setattr(offscreen.sys, "platform", "linux")
+    monkeypatch.setenv(offscreen.VARIABLE, "")
+    monkeypatch.setattr(offscreen, "egl_starts", lambda: False)
+    monkeypatch.setattr(offscreen, "_load", lambda *_: object())
+    offscreen.choose_offscreen()
+    assert offscreen.os.environ[offscreen.VARIABLE] == "vtkOSOpenGLRenderWindow"
+    monkeypatch.setattr(offscreen, "egl_starts", lambda: True)
+    offscreen.choose_offscreen()
+    assert offscreen.os.environ[offscreen.VARIABLE] == "vtkOSOpenGLRenderWindow", "a choice that is made is kept"

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from scene3d_support import box, estimate, laid, layout, scene, snapshot
 
-from app.scene3d.ground import Cloud, Comparison, Frame, Ground
-from app.scene3d.looks import DARK, HUES, Tint
-from app.scene3d.picking import project
+from app.scene3d.camera import project
+from app.scene3d.static_scene import DARK, HUES, Cloud, Comparison, StaticScene, Tint, View3DState
 from skincal.guide.guidance import Target
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Method
@@ -22,6 +21,7 @@ pytestmark = pytest.mark.pixels
 
 PLAN = layout()
 UP = np.array([0.0, 0.0, 1.0])
+LEANING = np.array([np.sin(0.2), 0.0, np.cos(0.2)])
 PLACES = laid(PLAN).places + 5e-4 * UP
 SCREW = Landmark("screw", np.array([0.0, -0.03, 0.0]), UP)
 CENTRE_CHANNEL = 3
@@ -31,17 +31,17 @@ class Pictures:
     """A stage in a window that is never on a screen."""
 
     def __init__(self) -> None:
-        from app.scene3d.graphics import choose_offscreen
+        from app.scene3d.offscreen import choose_offscreen
 
         choose_offscreen()
+        from app.scene3d.offscreen import HiddenWindow
         from app.scene3d.stage import Stage
-        from app.scene3d.window import HiddenWindow
 
         self.window = HiddenWindow((640, 480))
-        self.stage = Stage(self.window.renderer, Ground(scene(PLAN), box(), laid(PLAN), range(24)), DARK)
+        self.stage = Stage(self.window.renderer, StaticScene(scene(PLAN), box(), laid(PLAN), range(24)), DARK)
         self.stage.fit()
 
-    def of(self, frame: Frame) -> np.ndarray:
+    def of(self, frame: View3DState) -> np.ndarray:
         """(480, 640, 3) int, first row lowest: the picture of a moment."""
         self.stage.show(frame)
         return self.window.draw()[..., :3].astype(int)
@@ -60,15 +60,16 @@ def pictures():
     made.window.close()
 
 
-def moment(method: Method) -> Frame:
+def moment(method: Method) -> View3DState:
     """An estimate of every taxel, by one method only."""
     known = {channel: estimate(channel, PLACES[channel], method) for channel in range(24)}
     made = snapshot(1, {}, {})
-    return Frame(replace(made, estimates={method: tuple(known.values())}, landmarks=(SCREW,)), None, method, None)
+    return View3DState(replace(made, estimates={method: tuple(known.values())}, landmarks=(SCREW,)), None, method, None)
 
 
 def asked_for() -> Target:
-    return Target(CENTRE_CHANNEL, PLACES[CENTRE_CHANNEL] * [1, 1, 0], UP, -UP, 0.0, np.inf, 0.0)
+    """Its normal leans, so that one side of the ring lies a millimetre below the skin."""
+    return Target(CENTRE_CHANNEL, PLACES[CENTRE_CHANNEL] * [1, 1, 0], LEANING, -UP, 0.0, np.inf, 0.0)
 
 
 def comparison() -> Comparison:
@@ -85,9 +86,10 @@ def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures,
     for channel in np.flatnonzero(away > 7e-3):  # what is nearer lies under the target's ring and arrow
         ball = pictures.around(shown, PLACES[channel])
         assert np.abs(ball - HUES[channel // 12]).max() < 80, f"the ball of channel {channel}"
-    ring = np.concatenate([pictures.around(shown, asked_for().place + step, 4) for step in ring_steps()])
-    assert (ring.min(axis=1) > 230).sum() > 10
-    assert (ring.max(axis=1) < 25).sum() > 10
+    for step in ring_steps():
+        ring = pictures.around(shown, asked_for().place + step, 4)
+        assert (ring.min(axis=1) > 230).sum() > 10, "white upon"
+        assert (ring.max(axis=1) < 25).sum() > 10, "black"
     cross = pictures.around(shown, SCREW.place)
     assert (np.abs(cross - DARK.ink).max(axis=1) < 25).sum() > 5
 
@@ -101,9 +103,10 @@ def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures,
 
 
 def ring_steps() -> np.ndarray:
+    """(3, 3) float, metres: from the middle of the ring to where neither arrow nor cone lies; the last is below the skin."""
     from app.scene3d.target import RING
 
-    return RING * np.array([(0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+    return RING * np.array([(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (np.cos(0.2), 0.0, -np.sin(0.2))])
 
 
 def test_no_layer_asks_for_a_polygon_offset(pictures):

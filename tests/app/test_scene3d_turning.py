@@ -11,8 +11,7 @@ from scene3d_support import live, snapshot
 from vtkmodules.vtkRenderingCore import vtkCamera
 
 from app.scene3d import camera
-from app.scene3d.ground import Frame
-from app.scene3d.turning import (
+from app.scene3d.camera import (
     LEFT,
     REST_S,
     TURN_S,
@@ -24,6 +23,7 @@ from app.scene3d.turning import (
     turned_to,
     well_seen,
 )  # fmt: skip
+from app.scene3d.static_scene import View3DState
 from skincal.contacts.outcome import PressPhase
 from skincal.mesh.surface import make_surface
 from skincal.taxels.result import Method
@@ -197,7 +197,7 @@ class Turning:
         view = replace(view, progress=replace(view.progress, phase=self.phase))
         before = self.camera.GetPosition(), self.camera.GetViewUp(), self.camera.GetFocalPoint()
         told = self.turner.step(
-            self.camera, ASPECT, Frame(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
+            self.camera, ASPECT, View3DState(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
         )
         self.now_s += TICK
         moved = not np.allclose(np.concatenate(before), np.concatenate([

@@ -9,40 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
-from PySide6.QtGui import QImage, QWheelEvent
+from PySide6.QtCore import QEvent, QPoint, Qt, QTimer
+from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QMainWindow
 from scene3d_support import box, contact, estimate, laid, layout, live, scene, snapshot
+from view3d_on_screen import KEPT, Drawn, around, drag, make_view, pixels, screen_place, settle, turn, wheel
 
-from app.scene3d import loading
+from app.scene3d import offscreen
 from app.scene3d.axes import MOST_AXES
-from app.scene3d.ground import Frame
-from app.scene3d.looks import DARK, HUES, LIGHT
-from app.scene3d.probe import Canvas
+from app.scene3d.canvas import Canvas
+from app.scene3d.static_scene import DARK, HUES, LIGHT, View3DState
 from app.scene3d.view import View3D
 from skincal.model.errors import InputError
 from skincal.taxels.result import Estimate, Method, State
 
 PLAN = layout()
-KEPT: list[QMainWindow] = []
-"""Windows of this test: Python would delete them with their views."""
 EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "landmarks", "target", "compare", "hints")
-
-
-def make_view(qtbot, canvas=Canvas.RASTER, surface=True, plan=True, skin=None):
-    """A view of the box with skin, built and on the screen."""
-    window = QMainWindow()
-    KEPT.append(window)
-    view = View3D(window, canvas)
-    window.setCentralWidget(view)
-    window.resize(640, 480)
-    qtbot.addWidget(window, before_close_func=lambda _: view.close_view())
-    with qtbot.waitExposed(window):
-        window.show()
-    with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(scene(PLAN if plan else None), box() if surface else None, laid(PLAN) if plan else skin, range(24))
-    settle()
-    return view
 
 
 @pytest.fixture(autouse=True)
@@ -54,36 +36,6 @@ def _windows():
 @pytest.fixture
 def view(qtbot):
     return make_view(qtbot)
-
-
-def settle():
-    """Let everything be painted that was asked for."""
-    for _ in range(4):
-        QApplication.processEvents()
-
-
-def pixels(view):
-    """What the screen shows of the view, (height, width, 3) uint8."""
-    settle()
-    image = view.window().grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
-    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.bytesPerLine())
-    return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
-
-
-def around(picture, place, reach=6):
-    x, y = (round(v) for v in place)
-    return picture[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].astype(int)
-
-
-class Drawn:
-    """Counts the pictures that VTK draws."""
-
-    def __init__(self, view):
-        self.count = 0
-        view._stage.renderer.AddObserver("EndEvent", self._note)
-
-    def _note(self, *_):
-        self.count += 1
 
 
 def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
@@ -98,10 +50,10 @@ def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
 
 
 def test_a_moved_estimate_leaves_its_place_and_appears_at_the_new_one(view):
-    view.show(snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.002))}), None, Method.FREE, None)
-    before, old = pixels(view), view.screen_place(3)
-    assert view.show(snapshot(2, {3: estimate(3, (0.02, -0.02, 0.002))}), None, Method.FREE, None)
-    after, new = pixels(view), view.screen_place(3)
+    view.show_moment(snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.002))}), None, Method.FREE, None)
+    before, old = pixels(view), screen_place(view, 3)
+    assert view.show_moment(snapshot(2, {3: estimate(3, (0.02, -0.02, 0.002))}), None, Method.FREE, None)
+    after, new = pixels(view), screen_place(view, 3)
     assert np.hypot(old[0] - new[0], old[1] - new[1]) > 60
     for place in (old, new):
         changed = np.abs(around(before, place) - around(after, place)).max(axis=-1) > 25
@@ -115,14 +67,14 @@ def test_a_moved_estimate_leaves_its_place_and_appears_at_the_new_one(view):
 
 def test_the_axis_of_a_poke_appears_where_it_enters_and_goes_when_the_tool_lifts(view):
     session = snapshot(1, {})
-    view.show(session, live(), Method.FREE, None)
+    view.show_moment(session, live(), Method.FREE, None)
     idle = pixels(view)
-    assert view.show(session, live((0.0, 0.0, 0.1), (2.0, 0.0, -8.0)), Method.FREE, None)
+    assert view.show_moment(session, live((0.0, 0.0, 0.1), (2.0, 0.0, -8.0)), Method.FREE, None)
     pressing = pixels(view)
     stage = view._stage
     entry = np.array([0.1 * 2 / 8, 0.0, 0.0])
     np.testing.assert_allclose(stage.layers[3].contact._points[0], entry, atol=1e-6)
-    from app.scene3d.picking import project
+    from app.scene3d.camera import project
 
     x, y, _ = project(stage.renderer, entry[None])[0]
     dot = around(pressing, (x, view.height() - y), 3)
@@ -130,7 +82,7 @@ def test_the_axis_of_a_poke_appears_where_it_enters_and_goes_when_the_tool_lifts
     assert around(idle, (x, view.height() - y), 3).max() < 180
     ink = (np.abs(pressing.astype(int) - DARK.ink).max(axis=-1) < 12).sum()
     assert ink - (np.abs(idle.astype(int) - DARK.ink).max(axis=-1) < 12).sum() > 150
-    assert view.show(session, live(), Method.FREE, None)
+    assert view.show_moment(session, live(), Method.FREE, None)
     np.testing.assert_array_equal(pixels(view), idle)
 
 
@@ -138,14 +90,14 @@ def test_the_other_method_shows_its_own_estimates(view):
     free = {3: estimate(3, (-0.018, 0.005, 0.01))}
     surface = {3: estimate(3, (-0.010, 0.015, 0.0), Method.SURFACE), 15: estimate(15, (0.02, 0.01, 0.0), Method.SURFACE)}
     session = snapshot(1, free, surface)
-    view.show(session, None, Method.FREE, None)
-    first, place = pixels(view), view.screen_place(3)
-    assert view.screen_place(15) is None
-    assert view.show(session, None, Method.SURFACE, None)
+    view.show_moment(session, None, Method.FREE, None)
+    first, place = pixels(view), screen_place(view, 3)
+    assert screen_place(view, 15) is None
+    assert view.show_moment(session, None, Method.SURFACE, None)
     second = pixels(view)
-    assert view.screen_place(3) != place
+    assert screen_place(view, 3) != place
     for channel, row in ((3, 0), (15, 1)):
-        ball = around(second, view.screen_place(channel), 2)
+        ball = around(second, screen_place(view, channel), 2)
         assert np.abs(ball - HUES[row].astype(int)).max() < 70
     assert (first != second).any(axis=-1).sum() > 100
     view.set_difference(True)
@@ -157,17 +109,17 @@ def test_the_other_method_shows_its_own_estimates(view):
 def test_nothing_is_drawn_when_nothing_changed(view):
     session, still = snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live()
     pressing = live((0.0, 0.0, 0.1))
-    view.show(session, still, Method.FREE, None)
+    view.show_moment(session, still, Method.FREE, None)
     settle()
     drawn = Drawn(view)
     for _ in range(5):
-        assert not view.show(session, live(), Method.FREE, None)
+        assert not view.show_moment(session, live(), Method.FREE, None)
         settle()
     assert drawn.count == 0
-    assert view.show(session, pressing, Method.FREE, None)
+    assert view.show_moment(session, pressing, Method.FREE, None)
     settle()
     assert drawn.count == 1
-    assert not view.show(session, pressing, Method.FREE, None)
+    assert not view.show_moment(session, pressing, Method.FREE, None)
     settle()
     assert drawn.count == 1
 
@@ -175,7 +127,7 @@ def test_nothing_is_drawn_when_nothing_changed(view):
 def test_many_changes_in_one_tick_make_one_picture(view):
     drawn = Drawn(view)
     for generation in range(2, 12):
-        view.show(snapshot(generation, {3: estimate(3, (0.001 * generation, 0.0, 0.0))}), None, Method.FREE, 3)
+        view.show_moment(snapshot(generation, {3: estimate(3, (0.001 * generation, 0.0, 0.0))}), None, Method.FREE, 3)
     assert drawn.count == 0
     settle()
     assert drawn.count == 1
@@ -185,30 +137,30 @@ def test_a_hidden_view_draws_nothing_and_shows_the_newest_when_it_comes_back(vie
     drawn = Drawn(view)
     view.hide()
     for generation in range(2, 6):
-        assert not view.show(snapshot(generation, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
+        assert not view.show_moment(snapshot(generation, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
         settle()
     assert drawn.count == 0
     view.show()
     settle()
     assert drawn.count == 1
-    assert view.screen_place(3) is not None
+    assert screen_place(view, 3) is not None
 
 
 @pytest.mark.parametrize("channel", [3, 8, 15, 20])
 def test_a_click_on_a_ball_names_its_channel(view, qtbot, channel):
     known = {c: estimate(c, (*PLAN.places[c], 0.0005)) for c in range(24)}
-    view.show(snapshot(1, known), None, Method.FREE, None)
+    view.show_moment(snapshot(1, known), None, Method.FREE, None)
     settle()
-    x, y = view.screen_place(channel)
+    x, y = screen_place(view, channel)
     with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
         qtbot.mouseClick(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
     assert picked.args == [channel]
 
 
 def test_neither_the_background_nor_a_drag_nor_the_far_side_picks(view, qtbot):
-    view.show(snapshot(1, {3: estimate(3, (-0.018, 0.0, 0.001), sd=1e-5)}), None, Method.FREE, None)
+    view.show_moment(snapshot(1, {3: estimate(3, (-0.018, 0.0, 0.001), sd=1e-5)}), None, Method.FREE, None)
     settle()
-    x, y = (round(v) for v in view.screen_place(3))
+    x, y = (round(v) for v in screen_place(view, 3))
     canvas = view._canvas
     with qtbot.assertNotEmitted(view.taxel_picked):
         qtbot.mouseClick(canvas, Qt.MouseButton.LeftButton, pos=QPoint(2, 2))
@@ -216,9 +168,9 @@ def test_neither_the_background_nor_a_drag_nor_the_far_side_picks(view, qtbot):
         qtbot.mouseMove(canvas, QPoint(x + 30, y))
         qtbot.mouseRelease(canvas, Qt.MouseButton.LeftButton, pos=QPoint(x + 30, y))
     view.reset_camera()
-    view.orbit(180.0, 0.0)
+    turn(view, 180.0, 0.0)
     behind = pixels(view)
-    x, y = (round(v) for v in view.screen_place(3))
+    x, y = (round(v) for v in screen_place(view, 3))
     assert np.ptp(around(behind, (x, y), 3), axis=-1).max() < 30, "it does not show through the part"
     with qtbot.assertNotEmitted(view.taxel_picked):
         qtbot.mouseClick(canvas, Qt.MouseButton.LeftButton, pos=QPoint(x, y))
@@ -230,40 +182,20 @@ def test_the_mouse_turns_shifts_and_comes_nearer_and_the_camera_comes_back(view)
         return np.array([active.GetPosition(), active.GetFocalPoint()])
 
     canvas, start, first = view._canvas, place(), pixels(view)
-    _drag(canvas, Qt.MouseButton.LeftButton)
+    drag(canvas, Qt.MouseButton.LeftButton)
     turned = place()
     np.testing.assert_allclose(turned[1], start[1], atol=1e-12)
     assert np.linalg.norm(turned[0] - turned[1]) == pytest.approx(np.linalg.norm(start[0] - start[1]))
     assert np.linalg.norm(turned[0] - start[0]) > 0.02
     assert (pixels(view) != first).any(axis=-1).mean() > 0.1
-    _drag(canvas, Qt.MouseButton.MiddleButton)
+    drag(canvas, Qt.MouseButton.MiddleButton)
     np.testing.assert_allclose((place() - turned)[0], (place() - turned)[1], atol=1e-12)
     before = np.linalg.norm(np.diff(place(), axis=0))
-    _wheel(canvas, 240)
+    wheel(canvas, 240)
     assert np.linalg.norm(np.diff(place(), axis=0)) == pytest.approx(before / 1.15**2)
     view.reset_camera()
     np.testing.assert_allclose(place(), start, atol=1e-9)
     np.testing.assert_array_equal(pixels(view), first)
-
-
-def _drag(canvas, button):
-    from PySide6.QtGui import QMouseEvent
-
-    for kind, x, held in (
-        (QEvent.Type.MouseButtonPress, 200, button),
-        (QEvent.Type.MouseMove, 230, button),
-        (QEvent.Type.MouseMove, 260, button),
-        (QEvent.Type.MouseButtonRelease, 260, Qt.MouseButton.NoButton),
-    ):
-        pressed = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else button
-        event = QMouseEvent(kind, QPointF(x, 200), QPointF(x, 200), pressed, held, Qt.KeyboardModifier.NoModifier)
-        QApplication.sendEvent(canvas, event)
-
-
-def _wheel(canvas, turn):
-    at = QPointF(200, 200)
-    none, plain, phase = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase
-    QApplication.sendEvent(canvas, QWheelEvent(at, at, QPoint(), QPoint(0, turn), none, plain, phase, False))
 
 
 def test_keys_pass_the_view_by(view, qtbot, monkeypatch):
@@ -279,25 +211,25 @@ def test_only_the_worst_three_and_the_selected_have_an_ellipsoid(view):
     spread = {c: estimate(c, (*PLAN.places[c], 0.0), sd=1e-4 * (1 + c)) for c in range(12)}
     layer = view._stage.layers[4]
     session = snapshot(1, spread)
-    assert layer.rows(Frame(session, None, Method.FREE, None)) == [11, 10, 9]
-    assert layer.rows(Frame(session, None, Method.FREE, 10)) == [11, 10, 9]
-    assert layer.rows(Frame(session, None, Method.FREE, 2)) == [11, 10, 9, 2]
-    assert layer.rows(Frame(session, None, Method.FREE, 20)) == [11, 10, 9]
-    view.show(session, None, Method.FREE, None)
+    assert layer.rows(View3DState(session, None, Method.FREE, None)) == [11, 10, 9]
+    assert layer.rows(View3DState(session, None, Method.FREE, 10)) == [11, 10, 9]
+    assert layer.rows(View3DState(session, None, Method.FREE, 2)) == [11, 10, 9, 2]
+    assert layer.rows(View3DState(session, None, Method.FREE, 20)) == [11, 10, 9]
+    view.show_moment(session, None, Method.FREE, None)
     first = pixels(view)
-    view.show(snapshot(2, {**spread, 11: estimate(11, (*PLAN.places[11], 0.0), sd=3e-3)}), None, Method.FREE, None)
+    view.show_moment(snapshot(2, {**spread, 11: estimate(11, (*PLAN.places[11], 0.0), sd=3e-3)}), None, Method.FREE, None)
     assert (pixels(view) != first).any(axis=-1).sum() > 100
 
 
 def test_what_has_no_position_gets_a_mark_at_its_planned_place_and_never_a_ball(view):
-    view.show(snapshot(1, {}), None, Method.FREE, None)
+    view.show_moment(snapshot(1, {}), None, Method.FREE, None)
     nothing = pixels(view)
     blind = Estimate(4, Method.FREE, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]))
     dead = Estimate(16, Method.FREE, State.DEAD, 0)
-    assert view.show(snapshot(2, {4: blind, 16: dead}), None, Method.FREE, None)
+    assert view.show_moment(snapshot(2, {4: blind, 16: dead}), None, Method.FREE, None)
     marked = pixels(view)
     assert len(view._stage.estimates.shown) == 0
-    from app.scene3d.picking import project
+    from app.scene3d.camera import project
 
     for channel in (4, 16):
         x, y, _ = project(view._stage.renderer, np.array([[*PLAN.places[channel], 0.0]]))[0]
@@ -311,9 +243,9 @@ def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     pokes = [contact(n, 3 if n % 2 else 9, (*PLAN.places[3], 0.0), (0.1 * n, 0.0, -8.0)) for n in range(1, 101)]
     session = snapshot(1, {3: estimate(3, (*PLAN.places[3], 0.0))}, pokes=pokes)
     axes = view._stage.layers[3]
-    view.show(session, None, Method.FREE, None)
+    view.show_moment(session, None, Method.FREE, None)
     assert axes.past.data.GetNumberOfLines() == 1, "the last poke's"
-    view.show(session, None, Method.FREE, 3)
+    view.show_moment(session, None, Method.FREE, 3)
     assert axes.past.data.GetNumberOfLines() == 1 + MOST_AXES
     ends = axes.past._points[2:].reshape(-1, 2, 3).astype(float)
     through = ends[:, 1] - ends[:, 0]
@@ -331,7 +263,7 @@ def test_the_themes_differ_in_background_and_ink(view):
 
 
 def test_a_screenshot_is_what_the_screen_shows(view, tmp_path: Path):
-    view.show(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
+    view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
     shown = pixels(view)
     view.screenshot(tmp_path / "view.png")
     image = QImage(str(tmp_path / "view.png"))
@@ -343,13 +275,13 @@ def test_a_screenshot_is_what_the_screen_shows(view, tmp_path: Path):
 
 def test_estimates_stay_in_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
     view = make_view(qtbot, surface=False, plan=False)
-    view.show(snapshot(1, {3: estimate(3, (0.5, 0.4, 0.3)), 4: estimate(4, (0.52, 0.4, 0.3))}), None, Method.FREE, None)
+    view.show_moment(snapshot(1, {3: estimate(3, (0.5, 0.4, 0.3)), 4: estimate(4, (0.52, 0.4, 0.3))}), None, Method.FREE, None)
     settle()
     for channel in (3, 4):
-        x, y = view.screen_place(channel)
+        x, y = screen_place(view, channel)
         assert 0 < x < view.width()
         assert 0 < y < view.height()
-    assert view.show(snapshot(2, {}), live((0.5, 0.4, 0.3)), Method.FREE, 7)
+    assert view.show_moment(snapshot(2, {}), live((0.5, 0.4, 0.3)), Method.FREE, 7)
 
 
 def test_a_new_size_gives_a_new_picture_without_a_gap(view):
@@ -362,7 +294,7 @@ def test_a_new_size_gives_a_new_picture_without_a_gap(view):
 
 
 def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot):
-    view.show(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live((0.0, 0.0, 0.1)), Method.FREE, 3)
+    view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live((0.0, 0.0, 0.1)), Method.FREE, 3)
     settle()
     stage = weakref.ref(view._stage)
     view.close_view()
@@ -373,7 +305,7 @@ def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot
     assert not [timer for timer in view.findChildren(QTimer) if timer.isActive()]
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("scene3d")]
     assert view.list_layers() == ()
-    assert not view.show(snapshot(2, {}), None, Method.FREE, None)
+    assert not view.show_moment(snapshot(2, {}), None, Method.FREE, None)
     view.reset_camera()
     view.set_dark(False)
     with qtbot.waitSignal(view.ready, timeout=60_000):
@@ -388,7 +320,7 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
         view.show()
     with qtbot.assertNotEmitted(view.ready):
         view.begin(scene(PLAN), box(), laid(PLAN), range(24))
-        assert not view.show(snapshot(1, {}), None, Method.FREE, None)
+        assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
         view.close_view()
         settle()
     assert view.list_layers() == ()
@@ -399,14 +331,14 @@ def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, 
     def refuse():
         raise InputError("No picture can be drawn: install libegl1.")
 
-    monkeypatch.setattr(loading, "choose_offscreen", refuse)
+    monkeypatch.setattr(offscreen, "choose_offscreen", refuse)
     view = View3D(canvas=Canvas.RASTER)
     qtbot.addWidget(view)
     with qtbot.waitExposed(view):
         view.show()
     view.begin(scene(PLAN), box(), laid(PLAN), range(24))
     qtbot.waitUntil(lambda: "install libegl1" in view._message.text(), timeout=30_000)
-    assert not view.show(snapshot(1, {}), None, Method.FREE, None)
+    assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
     with pytest.raises(InputError, match="no picture yet"):
         view.screenshot(Path("x.png"))
 
@@ -415,16 +347,16 @@ def test_on_a_graphics_card_the_interactor_shows_the_same_layers(qtbot):
     view = make_view(qtbot, Canvas.OPENGL)
     assert view.list_layers() == EVERY
     assert not [timer for timer in view.findChildren(QTimer) if timer.isActive()]
-    view.show(snapshot(1, {15: estimate(15, (0.018, 0.0, 0.002))}), None, Method.FREE, None)
+    view.show_moment(snapshot(1, {15: estimate(15, (0.018, 0.0, 0.002))}), None, Method.FREE, None)
     settle()
     drawn = Drawn(view)
-    assert not view.show(snapshot(1, {}), None, Method.FREE, None)
+    assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
     settle()
     assert drawn.count == 0
-    assert view.show(snapshot(2, {15: estimate(15, (0.018, 0.003, 0.002))}), None, Method.FREE, None)
+    assert view.show_moment(snapshot(2, {15: estimate(15, (0.018, 0.003, 0.002))}), None, Method.FREE, None)
     settle()
     assert drawn.count == 1
-    x, y = view.screen_place(15)
+    x, y = screen_place(view, 15)
     assert np.abs(around(pixels(view), (x, y), 2) - HUES[1].astype(int)).max() < 70
     with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
         qtbot.mouseClick(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))

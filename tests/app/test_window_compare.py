@@ -10,8 +10,8 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from scene3d_support import box, estimate, laid, scene
-from test_scene3d_view import KEPT, make_view
-from test_scene3d_view import pixels as picture
+from view3d_on_screen import KEPT, make_view, turn
+from view3d_on_screen import pixels as picture
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import NAMES, PLAN, SCENE, frame, session
 
@@ -31,10 +31,9 @@ from app.comparing import LAYOUT, Origin, Places, Source, default_pair, sources_
 from app.display_units import ChannelNames
 from app.panels.compare import ComparePanel
 from app.scene3d.compare import heads
-from app.scene3d.ground import Cloud, Comparison
-from app.scene3d.looks import DARK as DARK_LOOK
-from app.scene3d.looks import LIGHT as LIGHT_LOOK
-from app.scene3d.looks import Tint
+from app.scene3d.static_scene import DARK as DARK_LOOK
+from app.scene3d.static_scene import LIGHT as LIGHT_LOOK
+from app.scene3d.static_scene import Cloud, Comparison, Tint
 from app.session.open_request import OpenRequest
 from app.theme import DARK
 from skincal.model.skin import Anchor
@@ -418,7 +417,7 @@ def test_dots_and_arrows_appear_in_their_tints_and_go(qtbot, dark, look):
     view = make_view(qtbot)
     view.set_dark(dark)
     moment = session(1, known())
-    view.show(moment, None, Method.FREE, None)
+    view.show_moment(moment, None, Method.FREE, None)
     before = picture(view)
     view.set_comparison(comparison())
     after = picture(view)
@@ -434,10 +433,10 @@ def test_dots_and_arrows_appear_in_their_tints_and_go(qtbot, dark, look):
 
 def test_a_comparison_stays_while_moments_pass_and_only_a_new_one_draws(qtbot):
     view = make_view(qtbot)
-    view.show(session(1, known()), None, Method.FREE, None)
+    view.show_moment(session(1, known()), None, Method.FREE, None)
     view.set_comparison(comparison())
     shown = picture(view)
-    assert not view.show(session(1, known()), None, Method.FREE, None)
+    assert not view.show_moment(session(1, known()), None, Method.FREE, None)
     np.testing.assert_array_equal(picture(view), shown)
     points = view._stage.compare.dots._points
     view.set_comparison(comparison((0.0, 0.0, 0.009)))
@@ -447,11 +446,11 @@ def test_a_comparison_stays_while_moments_pass_and_only_a_new_one_draws(qtbot):
 
 def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_side_is_left_out(qtbot):
     view = make_view(qtbot)
-    view.show(session(1, {}), None, Method.FREE, None)
+    view.show_moment(session(1, {}), None, Method.FREE, None)
     view.set_comparison(comparison((0.004, 0.0, -0.01)))
     seen = tinted(picture(view), DARK_LOOK, Tint.TO)
     assert seen > 400
-    view.orbit(0.0, -179.0)
+    turn(view, 0.0, -179.0)
     assert tinted(picture(view), DARK_LOOK, Tint.TO) < 0.1 * seen
 
 
@@ -490,7 +489,7 @@ def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, r
     panel.worst.itemClicked.emit(worst)
     assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
     bench.key(Qt.Key.Key_1)
-    assert workspace.view._frame.comparison is None
+    assert workspace.view._state.comparison is None
     assert not workspace.view._stage.compare.dots.actor.GetVisibility()
 
 

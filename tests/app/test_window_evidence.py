@@ -15,9 +15,9 @@ from app.evidence_words import LISTED, doubt_mark, doubt_words, doubting, miss_o
 from app.panels.inspect import InspectPanel, poke_cells
 from app.panels.pokes import PokesPanel
 from app.panels.taxel_map import TaxelMap
-from app.scene3d import looks
+from app.scene3d import static_scene
 from app.scene3d.estimates import BLIND_REACH, EstimatesLayer
-from app.scene3d.ground import Frame, Ground
+from app.scene3d.static_scene import StaticScene, View3DState
 from app.theme import DARK
 from skincal.taxels.contact_table import gather
 from skincal.taxels.result import Estimate, Method, Rival, State
@@ -151,13 +151,13 @@ def test_the_map_marks_an_ambiguous_taxel_by_a_shape_of_its_own(qtbot, size):
 
 @pytest.fixture
 def layer():
-    made = EstimatesLayer(vtkRenderer(), Ground(SCENE, None, None, PLAN.channels.tolist()))
-    made.dress(looks.DARK)
+    made = EstimatesLayer(vtkRenderer(), StaticScene(SCENE, None, None, PLAN.channels.tolist()))
+    made.set_colours(static_scene.DARK)
     return made
 
 
-def moment(known: Estimate, generation: int, selected: int | None = 3) -> Frame:
-    return Frame(session(generation, {known.channel: known}), None, Method.FREE, selected)
+def moment(known: Estimate, generation: int, selected: int | None = 3) -> View3DState:
+    return View3DState(session(generation, {known.channel: known}), None, Method.FREE, selected)
 
 
 def ends(layer: EstimatesLayer) -> np.ndarray:

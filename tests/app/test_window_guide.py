@@ -13,6 +13,7 @@ from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow
 from scene3d_support import box, estimate, laid
+from view3d_on_screen import drag, screen_place, wheel
 from vtkmodules.vtkRenderingCore import vtkRenderer
 from whole_window import Bench, Paints
 from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session
@@ -20,9 +21,9 @@ from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, 
 from app.panels.inspect import InspectPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.texts import FittedLabel
-from app.scene3d.camera import Sight
-from app.scene3d.ground import Frame, Ground
-from app.scene3d.probe import Canvas
+from app.scene3d.camera import PLAIN, Sight
+from app.scene3d.canvas import Canvas
+from app.scene3d.static_scene import StaticScene, View3DState
 from app.scene3d.target import CORE_LIFT, HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
 from app.session.open_request import OpenRequest
@@ -36,11 +37,11 @@ TILT = float(np.radians(28.0))
 
 @pytest.fixture
 def layer():
-    return TargetLayer(vtkRenderer(), Ground(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
+    return TargetLayer(vtkRenderer(), StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
 
 
-def moment(asked: Target | None, generation: int = 1) -> Frame:
-    return Frame(session(generation), None, Method.FREE, None, target=asked)
+def moment(asked: Target | None, generation: int = 1) -> View3DState:
+    return View3DState(session(generation), None, Method.FREE, None, target=asked)
 
 
 def strokes(layer: TargetLayer) -> np.ndarray:
@@ -82,17 +83,17 @@ def test_the_target_keeps_its_size_on_the_part_until_it_would_not_be_found(layer
     above = np.array([0.0, 0.6, 0.8])
 
     def seen_at(scale: float) -> Sight:
-        return Sight(1e6 * above, above, scale)  # so far away that lines of sight are parallel
+        return Sight(PLAIN, 1e6 * above, above, (640, 480), scale)  # so far away that lines of sight are parallel
 
-    layer.follow(seen_at(4000.0))
+    layer.fit_to(seen_at(4000.0))
     layer.show(moment(target(3)))
     own, middle = strokes(layer).copy(), laid(PLAN).places[3]
-    layer.follow(seen_at(LEAST_PIXELS / RING))
+    layer.fit_to(seen_at(LEAST_PIXELS / RING))
     np.testing.assert_array_equal(strokes(layer), own)
-    layer.follow(seen_at(LEAST_PIXELS / RING / 3.0))
+    layer.fit_to(seen_at(LEAST_PIXELS / RING / 3.0))
     np.testing.assert_allclose(strokes(layer) - middle, 3.0 * (own - middle), atol=1e-7)
     layer.show(moment(None))
-    layer.follow(seen_at(4000.0))
+    layer.fit_to(seen_at(4000.0))
     assert not layer.core.actor.GetVisibility()
 
 
@@ -157,9 +158,9 @@ def seen(view) -> np.ndarray:
 def test_the_target_is_black_and_white_in_both_themes_and_goes_without_a_trace(view, dark):
     view.set_dark(dark)
     at = session(1, {3: estimate(3, laid(PLAN).places[3])})
-    view.show(at, None, Method.FREE, None)
-    without, place = seen(view), view.screen_place(3)
-    assert view.show(at, None, Method.FREE, None, target(3))
+    view.show_moment(at, None, Method.FREE, None)
+    without, place = seen(view), screen_place(view, 3)
+    assert view.show_moment(at, None, Method.FREE, None, target(3))
     shown = seen(view)
     x, y = (round(v) for v in place)
     new = shown[np.abs(shown - without).max(axis=2) > 25]
@@ -169,17 +170,17 @@ def test_the_target_is_black_and_white_in_both_themes_and_goes_without_a_trace(v
     differs = np.abs(shown - without).max(axis=2) > 25
     for side in (np.s_[y - 60 : y, x - 5 : x + 5], np.s_[y : y + 60, x - 5 : x + 5]):
         assert differs[side].any()
-    assert view.show(at, None, Method.FREE, None)
+    assert view.show_moment(at, None, Method.FREE, None)
     assert np.abs(seen(view) - without).max() < 3
 
 
 def test_the_same_target_asks_for_no_picture(view):
     drawn = []
     view._stage.renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
-    assert view.show(session(1), None, Method.FREE, None, target(3))
+    assert view.show_moment(session(1), None, Method.FREE, None, target(3))
     settle()
     count = len(drawn)
-    assert not view.show(session(1), None, Method.FREE, None, target(3))
+    assert not view.show_moment(session(1), None, Method.FREE, None, target(3))
     settle()
     assert len(drawn) == count
 
@@ -194,7 +195,7 @@ def ticks(view, at, seconds: float, view_of=None) -> int:
     """Show the same moment as the window's ticks do; return how often the picture changed."""
     count, end = 0, time.monotonic() + seconds
     while time.monotonic() < end:
-        count += view.show(at, view_of, Method.FREE, None, below())
+        count += view.show_moment(at, view_of, Method.FREE, None, below())
         settle()
         time.sleep(0.02)
     return count
@@ -220,7 +221,9 @@ def test_the_view_turns_to_a_target_that_nobody_sees_and_then_rests(view):
     assert ticks(view, at, 0.5) == 0
 
 
-@pytest.mark.parametrize("move", [lambda v: v.orbit(9.0, 0.0), lambda v: v.approach(1.2), lambda v: v.reset_camera()])
+@pytest.mark.parametrize(
+    "move", [lambda v: drag(v._canvas, Qt.MouseButton.LeftButton), lambda v: wheel(v._canvas, 120), lambda v: v.reset_camera()]
+)
 def test_a_hand_ends_a_turn_of_the_view(view, move):
     assert ticks(view, session(1), 0.12) > 0
     move(view)

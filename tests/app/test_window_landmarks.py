@@ -7,7 +7,7 @@ import pytest
 from PySide6.QtCore import QLocale, QPoint, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialogButtonBox, QWidget
-from test_scene3d_view import make_view
+from view3d_on_screen import make_view
 
 from app.dialogs.landmark import ASK, LandmarkDialog, LandmarkPicking, free_name, objection_to
 from app.panels.message_bar import MessageBar

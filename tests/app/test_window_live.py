@@ -18,7 +18,7 @@ from whole_window import OPEN_MS, Bench, Paints
 from window_support import changed, pixels
 
 from app.run import GARBAGE, Faults
-from app.scene3d.probe import best_canvas
+from app.scene3d.canvas import best_canvas
 from app.session.open_request import OpenRequest, server_command
 from app.state.running import Running
 from app.state.view_state import LinkLook

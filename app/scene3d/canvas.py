@@ -1,0 +1,190 @@
+"""The widget that shows the picture, drawn by a graphics card or by software, and what can be made beside the window's thread.
+
+Importing VTK takes longer than a window may stand still, and so does the first picture, in which software OpenGL compiles
+its shaders. `load` runs in a worker; with EGL or OSMesa, which know no threads of their own, it also draws that picture.
+`mount` runs in the window's thread and makes the widget.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent, QResizeEvent
+from PySide6.QtWidgets import QWidget
+
+from app.scene3d.static_scene import Look, StaticScene, View3DState
+
+if TYPE_CHECKING:
+    from pyvistaqt import QtInteractor
+
+    from app.scene3d.offscreen import HiddenWindow
+    from app.scene3d.stage import Stage
+
+    AnyCanvas: TypeAlias = "QtInteractor | RasterCanvas"
+
+
+GL_RENDERER = 0x1F01
+SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader", "gdi generic", "basic render")
+"""Names by which software says what it is."""
+CARD_SAMPLES = 4
+"""Samples a pixel on a graphics card, where they cost little."""
+FIRST_SIZE = (640, 400)
+"""Pixels of a first picture while the widget has no size yet."""
+
+
+class Canvas(Enum):
+    """How the 3D view gets its picture."""
+
+    OPENGL = "opengl"
+    RASTER = "raster"
+
+
+@cache
+def best_canvas() -> Canvas:
+    """Return the canvas for this machine; takes about 40 ms the first time, on the thread of the window."""
+    context, surface = QOpenGLContext(), QOffscreenSurface()
+    surface.create()
+    if not context.create() or not surface.isValid() or not context.makeCurrent(surface):
+        return Canvas.RASTER
+    name = str(context.functions().glGetString(GL_RENDERER)).lower()
+    context.doneCurrent()
+    surface.destroy()
+    return Canvas.RASTER if any(word in name for word in SOFTWARE) else Canvas.OPENGL
+
+
+class RasterCanvas(QWidget):
+    """Shows the picture of a `HiddenWindow`, drawn again when asked and when its size changes; used as a `QtInteractor` is.
+
+    On software OpenGL a picture takes two thirds of the time of a `QOpenGLWidget`, the rest of the window stays out of
+    OpenGL, and it works where Qt has none.
+    """
+
+    def __init__(self, window: HiddenWindow, parent: QWidget) -> None:
+        super().__init__(parent)
+        self._window: HiddenWindow | None = window
+        self._image = QImage()
+        self._stale = True
+        self._size = (0, 0)
+        self.setMouseTracking(False)
+
+    def update(self, *part: Any) -> None:
+        """Ask for one new picture; many requests before it is painted make one, and a hidden canvas makes none."""
+        self._stale = True
+        super().update(*part)
+
+    def grabFramebuffer(self) -> QImage:  # noqa: N802 - as of a QOpenGLWidget
+        """Return the picture as it stands, drawn now if it is stale."""
+        self._refresh()
+        return self._image
+
+    def close(self) -> bool:
+        """Close the window behind; the last picture stays."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+        return super().close()
+
+    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: ARG002
+        """Paint the picture; only a stale one is drawn by VTK."""
+        self._refresh()
+        painter = QPainter(self)
+        painter.drawImage(0, 0, self._image)
+        painter.end()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Have the next picture drawn in the new size."""
+        self._stale = True
+        super().resizeEvent(event)
+
+    def _refresh(self) -> None:
+        density = self.devicePixelRatioF()
+        size = max(1, round(self.width() * density)), max(1, round(self.height() * density))
+        if self._window is None or not (self._stale or size != self._size):
+            return
+        if size != self._size:
+            self._window.resize(size, density)
+            self._size = size
+        self._stale = False
+        pixels = self._window.draw()
+        # VTK's first row is the lowest; the flipped copy is the image's own, so the next picture cannot tear it.
+        image = QImage(pixels[::-1].tobytes(), size[0], size[1], QImage.Format.Format_RGBX8888)
+        self._image = image.convertToFormat(QImage.Format.Format_RGB32)
+        self._image.setDevicePixelRatio(density)
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """What the worker made; None where that must wait for the window's thread."""
+
+    window: HiddenWindow | None
+    stage: Stage | None
+
+    def close(self) -> None:
+        """Give back what was made and never shown."""
+        if self.stage is not None:
+            self.stage.close()
+        if self.window is not None:
+            self.window.close()
+
+
+def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int], state: View3DState | None) -> Loaded:
+    """Import what the canvas needs and make what needs no widget.
+
+    Parameters
+    ----------
+    size : pixels of the picture to come
+    state : what to show first, if known
+
+    Raises
+    ------
+    InputError
+        There is nothing to draw with here.
+    """
+    _ = static.shaded
+    if static.surface is not None:
+        # The ring on the skin asks for these first: worked out when they are asked for, they would hold the window.
+        _ = static.surface.centres, static.surface.radii
+    if canvas is Canvas.OPENGL:
+        # pyvista imports the widgets only as it makes an interactor, in the window's thread: here they stop nothing.
+        import pyvistaqt  # noqa: F401
+        import vtkmodules.vtkInteractionWidgets  # noqa: F401
+
+        import app.scene3d.stage  # noqa: F401
+
+        return Loaded(None, None)
+    from app.scene3d.offscreen import HiddenWindow, choose_offscreen
+    from app.scene3d.stage import Stage
+
+    choose_offscreen()
+    if not sys.platform.startswith("linux"):
+        return Loaded(None, None)
+    window = HiddenWindow(size if min(size) > 1 else FIRST_SIZE)
+    stage = Stage(window.renderer, static, look)
+    stage.warm(window.draw)
+    if state is not None:
+        stage.show(state)
+    stage.fit()
+    window.draw()
+    window.release()
+    return Loaded(window, stage)
+
+
+def mount(canvas: Canvas, loaded: Loaded, static: StaticScene, look: Look, parent: QWidget) -> tuple[AnyCanvas, Stage]:
+    """Make the widget, and the stage where the worker could not."""
+    from app.scene3d.stage import Stage
+
+    if canvas is Canvas.OPENGL:
+        from pyvistaqt import QtInteractor
+
+        # Drawn when Qt asks for it and never by itself; its `render` would draw each picture twice.
+        interactor = QtInteractor(parent, auto_update=False, multi_samples=CARD_SAMPLES)
+        interactor.setAcceptDrops(False)
+        return interactor, Stage(interactor.renderer, static, look)
+    from app.scene3d.offscreen import HiddenWindow
+
+    window = loaded.window or HiddenWindow(FIRST_SIZE)
+    return RasterCanvas(window, parent), loaded.stage or Stage(window.renderer, static, look)

@@ -1,0 +1,99 @@
+"""A 3D view on a (virtual) screen, and what its pixels show."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
+from PySide6.QtGui import QImage, QMouseEvent, QWheelEvent
+from PySide6.QtWidgets import QApplication, QMainWindow
+from scene3d_support import box, laid, layout, scene
+
+from app.scene3d import camera
+from app.scene3d.canvas import Canvas
+from app.scene3d.view import View3D
+
+KEPT: list[QMainWindow] = []
+"""Windows of this test: Python would delete them with their views."""
+
+
+def make_view(qtbot, canvas=Canvas.RASTER, surface=True, plan=True, skin=None):
+    """A view of the box with skin, built and on the screen."""
+    plan_of = layout()
+    window = QMainWindow()
+    KEPT.append(window)
+    view = View3D(window, canvas)
+    window.setCentralWidget(view)
+    window.resize(640, 480)
+    qtbot.addWidget(window, before_close_func=lambda _: view.close_view())
+    with qtbot.waitExposed(window):
+        window.show()
+    with qtbot.waitSignal(view.ready, timeout=60_000):
+        view.begin(scene(plan_of if plan else None), box() if surface else None, laid(plan_of) if plan else skin, range(24))
+    settle()
+    return view
+
+
+def settle():
+    """Let everything be painted that was asked for."""
+    for _ in range(4):
+        QApplication.processEvents()
+
+
+def pixels(view):
+    """What the screen shows of the view, (height, width, 3) uint8."""
+    settle()
+    image = view.window().grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.bytesPerLine())
+    return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
+
+
+def around(picture, place, reach=6):
+    x, y = (round(v) for v in place)
+    return picture[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].astype(int)
+
+
+def turn(view: View3D, right_deg: float, up_deg: float) -> None:
+    """Turn the part under the camera, as a drag of the mouse does."""
+    camera.orbit(view._stage.renderer.GetActiveCamera(), right_deg, up_deg)
+    view._stage.touch(time.monotonic())
+    view._canvas.update()
+
+
+def screen_place(view: View3D, channel: int) -> tuple[float, float] | None:
+    """Where a taxel's estimate appears, in the widget's coordinates; None where it does not."""
+    shown = view._stage.estimates
+    if channel not in shown.shown:
+        return None
+    x, y = camera.project(view._stage.renderer, shown.places)[list(shown.shown).index(channel), :2] / view.devicePixelRatioF()
+    return float(x), float(view.height() - y)
+
+
+class Drawn:
+    """Counts the pictures that VTK draws."""
+
+    def __init__(self, view):
+        self.count = 0
+        view._stage.renderer.AddObserver("EndEvent", self._note)
+
+    def _note(self, *_):
+        self.count += 1
+
+
+def drag(canvas, button):
+    for kind, x, held in (
+        (QEvent.Type.MouseButtonPress, 200, button),
+        (QEvent.Type.MouseMove, 230, button),
+        (QEvent.Type.MouseMove, 260, button),
+        (QEvent.Type.MouseButtonRelease, 260, Qt.MouseButton.NoButton),
+    ):
+        pressed = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else button
+        event = QMouseEvent(kind, QPointF(x, 200), QPointF(x, 200), pressed, held, Qt.KeyboardModifier.NoModifier)
+        QApplication.sendEvent(canvas, event)
+
+
+def wheel(canvas, turn):
+    at = QPointF(200, 200)
+    none, plain, phase = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase
+    QApplication.sendEvent(canvas, QWheelEvent(at, at, QPoint(), QPoint(0, turn), none, plain, phase, False))
