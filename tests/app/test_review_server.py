@@ -20,7 +20,7 @@ from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, 
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer
 from skincal.session.session import Session
-from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.rig import Rig, RigErrors
 from skincal.surface.mesh import Surface, load_surface
 

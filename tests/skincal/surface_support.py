@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skincal.studies.closed_form import closest_in_triangles
+from skincal.studies.alternatives import closest_in_triangles
 from skincal.surface.mesh import Surface, make_surface
 from skincal.surface.nearest import NearestMany
 

@@ -13,8 +13,7 @@ from skincal.guide.places import believed, plan_from
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
 from skincal.surface.lay import lay
 from skincal.taxels.result import Method

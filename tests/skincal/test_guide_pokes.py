@@ -16,12 +16,13 @@ from skincal.guide.poke_history import PokeAxis, axis_of
 from skincal.guide.progress import GuideSettings, Why
 from skincal.session.actions import Exclude, Restore
 from skincal.session.session import Session
-from skincal.studies.poking import Conditions, Part, Wish, poked
+from skincal.simulate.benches import Bench
+from skincal.simulate.ways import Conditions, MeantPokes, poked, rig_beside
 from skincal.surface.nearest import nearest_points
 from skincal.taxels.result import Estimate, Method, State
 
 STEADY = Conditions(aim=0.0, hand=0.0)
-PART = Part()
+PART = Bench()
 SETTINGS = GuideSettings()
 SOLVED = (Method.FREE, Method.SURFACE)
 
@@ -32,7 +33,7 @@ class Bench:
     def __init__(self, method=Method.SURFACE, seed=1, conditions=STEADY):
         self.session, self.conditions = Session(PART.scene, PART.surface, SOLVED), conditions
         self.guide = Guide(PART.plan, PART.scene.noise, method, PART.spacing)
-        self.rig, self.rng = PART.rig(conditions, seed), np.random.default_rng(seed)
+        self.rig, self.rng = rig_beside(PART, conditions, seed), np.random.default_rng(seed)
         self.contacts, self.rejections, self.count = {}, {}, 0
         self.look()
 
@@ -43,7 +44,7 @@ class Bench:
 
     def wish(self, place, push):
         self.count += 1
-        return poked(PART, self.rig, Wish(place[None], push[None]), self.conditions, self.rng, self.count)[0]
+        return poked(PART, self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
 
     def poke(self, place, push):
         for contact in self.wish(place, push):
@@ -318,7 +319,7 @@ def bare(method):
 @pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
 def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     session, guide = bare(method)
-    rig, rng = PART.rig(Conditions(), 1), np.random.default_rng(5)
+    rig, rng = rig_beside(PART, Conditions(), 1), np.random.default_rng(5)
     contacts, rejections, seen, phases = {}, {}, set(), []
     for poke in range(1, 181):
         told = {m: {one.channel: one for one in every} for m, every in session.snapshot().estimates.items()}
@@ -328,7 +329,7 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
         guidance = guide.update(contacts, estimates, session.evidence, rejections)
         phases.append(guidance.phase)
         target = guidance.target
-        made, pokes = poked(PART, rig, Wish(target.place[None], target.push[None]), Conditions(), rng, poke)
+        made, pokes = poked(PART, rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
         for contact in made:
             session.add(contact)
             contacts[poke] = contact

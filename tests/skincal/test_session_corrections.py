@@ -25,8 +25,7 @@ from skincal.session.replay import load, replay
 from skincal.session.road import Road
 from skincal.session.session import Session
 from skincal.session.taken import Taken
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
 from skincal.taxels.result import Method
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene

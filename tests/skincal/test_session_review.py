@@ -23,8 +23,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer
 from skincal.session.review_process import LENGTH, Part, Unpacker, load_part, packed, serve
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.landmarks import poke_landmarks
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.rig import RigErrors
 from tests.skincal.poke_script import small_scene
 from tests.skincal.sim_support import make_rig, scene_and_surface

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from surface_support import tube
 
-from skincal.studies.closed_form import closest_in_triangles
+from skincal.studies.alternatives import closest_in_triangles
 from skincal.surface.mesh import Surface, make_surface
 from skincal.surface.nearest import Nearest, nearest_in_metric, nearest_points, nearest_to_rows
 

@@ -1,8 +1,8 @@
-"""What the solvers are measured on: simulated rigs of the scenes that ship, and meshes of their parts of any size.
+"""Scenes that ship as they are poked: their mesh, plan and modules, a good rig, and meshes of their parts of any size.
 
-The rig is a good one, with the noise of its sensors and no other error (`RigErrors.noise`), poked by somebody careful,
-unguided: what is left of the error is the solver's and the noise's. Taxels lie on the mesh of the scene; the same
-contacts are solved on finer and coarser meshes of the same shape as well, whose error includes what a coarse mesh costs.
+The rig has the noise of its sensors and no other error (`RigErrors.noise`), and is poked by somebody careful, unguided: what is
+left of the error is the solver's and the noise's. Taxels lie on the mesh of the scene; the same contacts are solved on finer
+and coarser meshes of the same shape as well, whose error includes what a coarse mesh costs.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.places import PlannedPlaces, plan_from
 from skincal.model.scene import Scene, load_scene, resource
+from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.resources import forearm_point, torso_point, tube
 from skincal.simulate.rig import NEIGHBOURS, Rig
+from skincal.surface.lay import lay
 from skincal.surface.mesh import Surface, load_surface, make_surface
 from skincal.surface.nearest import nearest_points
 
@@ -31,7 +34,7 @@ _MM = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class TubeShape:
     """A part as a smooth tube, and how its mesh is cut."""
 
     point: Callable[[FloatArray, FloatArray], FloatArray]
@@ -53,8 +56,8 @@ class Shape:
 
 
 SHAPES = {
-    "icub-forearm": Shape(forearm_point, -2.0, 115.0, 60, 72, right_handed=False),
-    "whole-body": Shape(torso_point, 0.0, 560.0, 200, 250, right_handed=True),
+    "icub-forearm": TubeShape(forearm_point, -2.0, 115.0, 60, 72, right_handed=False),
+    "whole-body": TubeShape(torso_point, 0.0, 560.0, 200, 250, right_handed=True),
 }
 
 
@@ -79,9 +82,9 @@ class _Rig(Rig):
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A scene that is poked."""
+    """A scene that ships and is poked."""
 
-    name: str
+    name: str = "icub-forearm"
 
     @cached_property
     def scene(self) -> Scene:
@@ -104,6 +107,33 @@ class Bench:
         rig = _Rig(self.scene, self.mesh(LAID_ON), RigErrors.noise(), np.random.default_rng(1))
         rig.put_on(self.surface)
         return rig
+
+    @cached_property
+    def plan(self) -> PlannedPlaces:
+        """Where the layout, laid on the surface, puts the taxels."""
+        layout = self.scene.skin.layout
+        laid = None if layout is None else lay(layout, self.scene.skin.anchor, self.surface)
+        plan = None if layout is None or laid is None else plan_from(layout, laid)
+        if plan is None:
+            raise ValueError(f"{self.name} has no layout that can be laid")
+        return plan
+
+    @property
+    def spacing(self) -> float:
+        """m, usual distance of neighbours."""
+        return 0.0 if self.scene.skin.layout is None else self.scene.skin.layout.spacing
+
+    @cached_property
+    def boards(self) -> ModuleModel:
+        """Its modules on its mesh."""
+        return self.boards_on(self.surface)
+
+    def boards_on(self, surface: Surface) -> ModuleModel:
+        """Return its modules on another mesh."""
+        skin = self.scene.skin
+        if skin.layout is None:
+            raise ValueError(f"{self.name} has no layout")
+        return ModuleModel(skin.layout, skin.anchor, surface)
 
     @property
     def channels(self) -> list[int]:
