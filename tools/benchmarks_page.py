@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from skincal.studies.runtime_results import main_rows, time_words
+from skincal.studies.measuring import time_words
+from skincal.studies.runtime import main_rows
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- measured -->", "<!-- end -->"

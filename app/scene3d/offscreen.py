@@ -19,7 +19,6 @@ from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from vtkmodules.vtkIOImage import vtkPNGWriter
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 
-from app.scene3d.offscreen import choose_offscreen
 from app.scene3d.stage import Stage
 from app.scene3d.static_scene import LIGHT, StaticScene, View3DState
 from skincal.mesh.lay import LaidSkin

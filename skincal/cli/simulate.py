@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from skincal.model.scene import Scene
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.faults import RigErrors
-    from skincal.simulate.follow import Guided
-    from skincal.simulate.operator import Habits, Told
+    from skincal.simulate.operator import Guided, Habits, Told
     from skincal.simulate.serve import Server
 
 
@@ -175,9 +174,8 @@ def _show_progress(pokes: int) -> None:
 def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> None:
     import numpy as np
 
-    from skincal.simulate.device import Timeline
-    from skincal.simulate.follow import Guided
-    from skincal.simulate.operator import Auto, Told
+    from skincal.simulate.device import DeviceTimeline
+    from skincal.simulate.operator import Auto, Guided, Told
     from skincal.simulate.rig import Rig
     from skincal.simulate.serve import Server
     from skincal.simulate.session import truth
@@ -189,7 +187,7 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
     else:
         kind = Guided if operator is OperatorKind.GUIDED else Auto
         someone = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
-    line = Timeline(rig, someone, device_rng, play.settings)
+    line = DeviceTimeline(rig, someone, device_rng, play.settings)
     with Server(line, tcp=tcp) as server:
         _print_links(server, truth(rig) if with_truth else {})
         _run(server, someone if isinstance(someone, Told | Guided) else None)

@@ -18,7 +18,7 @@ from skincal.studies import STUDIES
 
 if TYPE_CHECKING:
     from skincal.studies import Study
-    from skincal.studies.figure import Figure
+    from skincal.studies.figures import Figure
 
 DEFAULT_FOLDER = Path("studies")
 Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that ends within 45 s.")]
@@ -87,7 +87,7 @@ def _check_folder(folder: Path, name: str) -> None:
 
 
 def _write(study: Study, name: str, result: dict[str, Any], folder: Path) -> list[Path]:
-    from skincal.studies.figure import write_figure
+    from skincal.studies.figures import write_figure
 
     path = folder / f"{name}.json"
     try:

@@ -99,7 +99,7 @@ class NoiseSettings:
     the tip lands farther off, a neighbour answers more."""
     reach: float = 0.0025
     """m, how far beside the tip the skin answers: a taxel that the tip misses by this much, each direction, more than the one
-    that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.foam`)."""
+    that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.rig`)."""
     radius: float = 0.03
     """m, of the part across its axis under the skin: pokes beside a taxel lean with the skin, so the axes meet below it. A
     forearm's; 1 where the part is flat."""

@@ -1,4 +1,4 @@
-"""Pokes straight to contacts, without bytes: what an accepted poke's mean wrench and answers would be.
+"""Pokes straight to contacts and landmark pokes, without bytes: what an accepted poke's mean wrench and answers would be.
 
 Gates are not run: unless the operator has the habit of touching a second place too, every poke here is one still touch of
 one place, so none would be rejected but for too little force or too many taxels. For slides, clocks and losses use `device`.
@@ -12,9 +12,12 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.simulate.noise import drift_step, slow_mean_sd
-from skincal.simulate.operator import Habits, aim, place, touches_beside
-from skincal.simulate.poke import Pokes, tangents
+from skincal.model.scene import Landmark
+from skincal.rig.correction_fit import LandmarkPoke
+from skincal.session.known_points import landmark_normals
+from skincal.simulate.faults import drift_step, slow_mean_sd
+from skincal.simulate.operator import Habits, LandmarkHabits, aim, place, touches_beside
+from skincal.simulate.poke import PressedPlaces, cone_tilts, push_directions, tangents
 from skincal.simulate.rig import Rig, Stance
 
 CYCLE_S = 2.5
@@ -33,7 +36,7 @@ RECIPE_HAND = float(np.radians(6.0))
 """rad, sd of the push about the one asked for, in each direction: a hand without a guide. Assumed."""
 
 
-class Tare(Enum):
+class TareTiming(Enum):
     """When the sensor's offset is taken."""
 
     POKE = "around every poke"
@@ -42,11 +45,11 @@ class Tare(Enum):
 
 def simulate_contacts(
     rig: Rig,
-    pokes: Pokes,
+    pokes: PressedPlaces,
     rng: np.random.Generator,
     pose: str | None = None,
     first_poke: int = 1,
-    tare: Tare = Tare.POKE,
+    tare: TareTiming = TareTiming.POKE,
     habits: Habits | None = None,
 ) -> list[Contact]:
     """Return the contacts that pokes end as, in their order; those that no taxel answers are left out.
@@ -97,18 +100,20 @@ def simulate_contacts(
     return contacts
 
 
-def pressed(rig: Rig, pokes: Pokes, rng: np.random.Generator, pose: str | None = None, tare: Tare = Tare.POKE) -> FloatArray:
+def pressed(
+    rig: Rig, pokes: PressedPlaces, rng: np.random.Generator, pose: str | None = None, tare: TareTiming = TareTiming.POKE
+) -> FloatArray:
     """Return (n, 6) what the sensor makes of pokes anywhere on the part, tared, N and N m, whatever taxels answer."""
     return _mean_wrenches(rig, pokes, rig.stance(pose), rng) + _tared_noise(rig, len(pokes), rng, tare)[0]
 
 
-def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> Pokes:
+def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> PressedPlaces:
     """Return unguided pokes, `per_taxel` at each taxel, each round in a new random order."""
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
     return aim(rig, targets, habits or Habits.careful(), rng)
 
 
-def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> Pokes:
+def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> PressedPlaces:
     """Return pokes by a printed recipe, `per_taxel` at each taxel: round by round, tilted, the tilt turned with each round."""
     habits = habits or Habits.careful()
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
@@ -120,7 +125,7 @@ def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | 
     return place(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
 
 
-def _answers(rig: Rig, pokes: Pokes, rng: np.random.Generator) -> list[tuple[IntArray, FloatArray]]:
+def _answers(rig: Rig, pokes: PressedPlaces, rng: np.random.Generator) -> list[tuple[IntArray, FloatArray]]:
     """Return for each poke some taxels, rows of the rig's, and their answers with noise."""
     rows, answers = rig.answers(pokes, pokes.forces)
     settings = rig.scene.contacts
@@ -139,7 +144,7 @@ def _both(rig: Rig, one: tuple[IntArray, FloatArray], other: tuple[IntArray, Flo
     return rows, answers[rows]
 
 
-def _mean_wrenches(rig: Rig, pokes: Pokes, stance: Stance, rng: np.random.Generator) -> FloatArray:
+def _mean_wrenches(rig: Rig, pokes: PressedPlaces, stance: Stance, rng: np.random.Generator) -> FloatArray:
     """Return (n, 6) what the sensor makes of the forces, before noise."""
     e1, e2 = tangents(pokes.normals)
     beside = rig.errors.scatter * rng.standard_normal((len(pokes), 2))
@@ -154,14 +159,62 @@ def _window_noise(rig: Rig, count: int, seconds: float, rng: np.random.Generator
     return np.hypot(white, slow_mean_sd(errors, seconds)) * rng.standard_normal((count, 6))
 
 
-def _tared_noise(rig: Rig, count: int, rng: np.random.Generator, tare: Tare) -> tuple[FloatArray, FloatArray]:
+def _tared_noise(rig: Rig, count: int, rng: np.random.Generator, tare: TareTiming) -> tuple[FloatArray, FloatArray]:
     """Return (n, 6) noise and drift that a tare leaves, and (n,) by how many newtons the tares differ."""
     settings, step = rig.scene.contacts, drift_step(rig.errors)
     still = _window_noise(rig, count, settings.still_s, rng)
-    if tare is Tare.SESSION:
+    if tare is TareTiming.SESSION:
         walk = np.cumsum(step * np.sqrt(CYCLE_S) * rng.standard_normal((count, 6)), axis=0)
         return still + walk - _window_noise(rig, 1, settings.quiet_s, rng), np.full(count, np.nan)
     walk = step * np.sqrt(TARE_TO_STILL_S)
     before = _window_noise(rig, count, settings.quiet_s, rng) - walk * rng.standard_normal((count, 6))
     after = _window_noise(rig, count, settings.quiet_s, rng) + walk * rng.standard_normal((count, 6))
     return still - (before + after) / 2, np.linalg.norm((after - before)[:, :3], axis=1)
+
+
+def poke_landmarks(
+    rig: Rig,
+    landmarks: tuple[Landmark, ...],
+    per_pose: int,
+    rng: np.random.Generator,
+    first_poke: int = 1,
+    beside: FloatArray | None = None,
+    habits: LandmarkHabits | None = None,
+) -> list[LandmarkPoke]:
+    """Return pokes at the landmarks in turn, so many in each arm pose of the rig.
+
+    Parameters
+    ----------
+    landmarks : of the scene; one at least
+    first_poke : number of the first
+    beside : (n,) float, metres, how far each poke lies off its landmark by mistake; none for None
+    """
+    found: list[LandmarkPoke] = []
+    for pose in rig.stances:
+        wanted = [landmarks[(len(found) + i) % len(landmarks)] for i in range(per_pose)]
+        number = first_poke + len(found)
+        off = np.zeros(per_pose) if beside is None else beside[len(found) : len(found) + per_pose]
+        pokes = _aimed(rig, wanted, off, rng, habits or LandmarkHabits())
+        wrenches, stance = pressed(rig, pokes, rng, pose), rig.stance(pose)
+        found += [
+            LandmarkPoke(number + i, one.name, one.place, wrench[:3], wrench[3:], stance.told, stance.name)
+            for i, (one, wrench) in enumerate(zip(wanted, wrenches, strict=True))
+        ]
+    return found
+
+
+def _aimed(
+    rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Generator, habits: LandmarkHabits
+) -> PressedPlaces:
+    """Return one poke at each of `wanted`, `off` metres (n,) beside it and by the hand's aim."""
+    count = len(wanted)
+    places = np.array([one.place for one in wanted])
+    up = np.array([0.0, 0.0, 1.0])
+    normals = np.array([up if one is None else one for one in landmark_normals(wanted, rig.surface)])
+    e1, e2 = tangents(normals)
+    beside = habits.aim * rng.standard_normal((count, 2)) + np.column_stack([off, np.zeros(count)])
+    tilts, azimuths = cone_tilts(count, habits.cone, rng), rng.uniform(-np.pi, np.pi, count)
+    return PressedPlaces(
+        np.full(count, -1, dtype=np.int64), places + beside[:, :1] * e1 + beside[:, 1:] * e2, normals,
+        push_directions(normals, tilts, azimuths), rng.uniform(*habits.force, count), np.zeros(count),
+    )  # fmt: skip

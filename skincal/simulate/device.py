@@ -1,24 +1,28 @@
 """The rig's devices as bytes on a time line.
 
-`Timeline` is the shared core: block after block it asks the operator, computes what each device reads, encodes it, and
-lets each link delay, hold back, lose and damage the bytes. It knows no clock but its own, so it runs in real time
-(`serve`) and as fast as it goes (`session`) with the same bytes.
+`DeviceTimeline` is the shared core: block after block it asks the operator, computes what each device reads, encodes it,
+and lets each link delay, hold back, lose and damage the bytes. It knows no clock but its own, so it runs in real time
+(`serve`) and as fast as it goes (`session`) with the same bytes. Readings become bytes as makers' boards send them: SKB/1,
+SKT/1 and, for skins too wide for either, delimited text. The formats are those of `skincal.streams.formats`; nothing is
+shared with the decoders, so each checks the other.
 """
 
 from __future__ import annotations
 
+import binascii
 import heapq
-from collections.abc import Iterator
+import struct
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.model.errors import InputError
 from skincal.model.readings import Stream
-from skincal.simulate.encode import About, Encoder, make_encoder
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.noise import WrenchNoise
-from skincal.simulate.operator import Action, Move, Operator, Press
+from skincal.simulate.faults import RigErrors, WrenchNoise
+from skincal.simulate.operator import HandPress, Move, Operator, OperatorAction
 from skincal.simulate.rig import Rig, Stance
 
 MICROSECONDS = 1_000_000
@@ -64,7 +68,7 @@ class Clock:
         return total % 2**32
 
 
-class Line:
+class LossyLink:
     """The way from a device to the host: delays, holds back, loses and damages bytes.
 
     Parameters
@@ -103,7 +107,7 @@ class Line:
 
 
 @dataclass(slots=True)
-class Board:
+class SimulatedDevice:
     """One device: its link, clock, encoder, way to the host and pace."""
 
     link: str
@@ -111,7 +115,7 @@ class Board:
     hz: float
     clock: Clock
     encoder: Encoder
-    line: Line
+    line: LossyLink
     header: str
     width: int
     made: int = 0
@@ -126,7 +130,7 @@ class Board:
         return times
 
 
-class Timeline:
+class DeviceTimeline:
     """Runs rig, operator and devices along one time line.
 
     Parameters
@@ -145,7 +149,7 @@ class Timeline:
         self.stance = rig.stance()
         self._noise = WrenchNoise(rig.errors, noise)
         self._boards = _boards(rig, self.settings, boards)
-        self._actions: list[Action] = []
+        self._actions: list[OperatorAction] = []
         self._free = self.settings.start_quiet_s
         self._from = self.stance
         self._arrivals: list[tuple[int, int, str, bytes]] = []
@@ -201,7 +205,7 @@ class Timeline:
                 self._from = self.stance = action.stance
         self._actions = [action for action in self._actions if action.free > self.now]
 
-    def _bytes(self, board: Board, begin: float, end: float) -> bytes:
+    def _bytes(self, board: SimulatedDevice, begin: float, end: float) -> bytes:
         data = b""
         if begin >= board.next_header:
             data = _header(board, begin)
@@ -224,11 +228,11 @@ class Timeline:
         rig = self.rig
         total = self._weight(times)
         for action in self._actions:
-            if isinstance(action, Press) and action.begin < end and action.end > begin:
+            if isinstance(action, HandPress) and action.begin < end and action.end > begin:
                 total += self._press_wrench(action, times)
         return rig.scene.wrench_sign * (rig.read_wrenches(total) + rig.offset + self._noise.block(times, begin, end))
 
-    def _press_wrench(self, press: Press, times: FloatArray) -> FloatArray:
+    def _press_wrench(self, press: HandPress, times: FloatArray) -> FloatArray:
         load, travel = press.load(times)[:, None], press.travel(times)
         total = np.zeros((len(times), 6))
         for point, direction, force in zip(press.pokes.points, press.pokes.directions, press.pokes.forces, strict=True):
@@ -240,7 +244,7 @@ class Timeline:
         felt = times - self.rig.foam.lag
         answers = np.zeros((len(times), len(self.rig.channels)))
         for action in self._actions:
-            if not isinstance(action, Press) or action.begin > times[-1]:
+            if not isinstance(action, HandPress) or action.begin > times[-1]:
                 continue
             loads, travel = action.load(felt), action.travel(felt)
             for i in np.flatnonzero(loads > 0):
@@ -274,23 +278,23 @@ class Timeline:
         return angles
 
 
-def _header(board: Board, now: float) -> bytes:
+def _header(board: SimulatedDevice, now: float) -> bytes:
     return board.encoder.header(About(int(board.clock.us(np.array([now]))[0]), board.header, board.width))
 
 
-def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[Board]:
+def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[SimulatedDevice]:
     errors, top, width = rig.errors, rig.range[1], rig.scene.skin.channels
     ft, skin, joints = rng.spawn(3)
     polarity = "up" if rig.polarity > 0 else "down"
     bits = int(np.ceil(np.log2(top + 1)))
     boards = [
-        Board(
+        SimulatedDevice(
             "wrench", Stream.WRENCH, settings.wrench_hz, Clock(errors, ft), make_encoder(settings.format, top, 0),
-            Line(errors.wrench_latency, errors, ft), f"board=ft,rate={settings.wrench_hz:g},unit=N,kind=ft,fw=1", 6,
+            LossyLink(errors.wrench_latency, errors, ft), f"board=ft,rate={settings.wrench_hz:g},unit=N,kind=ft,fw=1", 6,
         ),
-        Board(
+        SimulatedDevice(
             "skin", Stream.SKIN, settings.skin_hz, Clock(errors, skin), make_encoder(settings.format, top, width),
-            Line(errors.skin_latency, errors, skin),
+            LossyLink(errors.skin_latency, errors, skin),
             f"board={rig.scene.name},n={width},rate={settings.skin_hz:g},unit=raw,bits={bits},kind=taxel,polarity={polarity},fw=1",
             width,
         ),
@@ -298,10 +302,10 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
     if rig.scene.arm is not None:
         columns = max(rig.scene.arm.arm.joints) + 1
         boards.append(
-            Board(
+            SimulatedDevice(
                 "joints", Stream.JOINTS, settings.joints_hz, Clock(errors, joints), make_encoder(settings.format, top, 0),
-                Line(errors.skin_latency, errors, joints), f"board=arm,rate={settings.joints_hz:g},unit=deg,kind=joints,fw=1",
-                columns,
+                LossyLink(errors.skin_latency, errors, joints),
+                f"board=arm,rate={settings.joints_hz:g},unit=deg,kind=joints,fw=1", columns,
             )
         )  # fmt: skip
     return boards
@@ -311,6 +315,219 @@ def timeline(
     rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None
 ) -> Iterator[tuple[int, str, bytes]]:
     """Yield (virtual nanoseconds, link, bytes) in order of arrival, until the operator is done and `TAIL_S` has passed."""
-    line = Timeline(rig, operator, rng, settings)
+    line = DeviceTimeline(rig, operator, rng, settings)
     while not line.finished:
         yield from line.step()
+
+
+CRC_START = 0xFFFF
+COBS_RUN = 254
+"""Most bytes other than 0 in one block of COBS."""
+SKB_BODY_MAX = 1024
+SKB_HEAD = struct.Struct("<BBHI")
+WRENCH_TYPE, JOINTS_TYPE, HEADER_TYPE = 2, 5, 16
+SKIN_TYPES = {"u16": (1, "<u2"), "u8": (3, "u1"), "f32": (4, "<f4")}
+SKT_LINE_MAX = 4096
+
+
+def cobs(data: bytes) -> bytes:
+    """Return `data` without zero bytes (consistent overhead byte stuffing), without the closing 0."""
+    out = bytearray()
+    pieces = data.split(b"\x00")
+    for index, piece in enumerate(pieces):
+        rest = piece
+        while len(rest) >= COBS_RUN:
+            out.append(0xFF)
+            out += rest[:COBS_RUN]
+            rest = rest[COBS_RUN:]
+            if not rest and index == len(pieces) - 1:
+                return bytes(out)
+        out.append(len(rest) + 1)
+        out += rest
+    return bytes(out)
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a board says of itself in a header."""
+
+    t_us: int
+    """Its clock now, microseconds."""
+    fields: str
+    """`key=value,...`."""
+    width: int
+    """Values of one reading."""
+
+
+class Encoder(Protocol):
+    """Makes one board's bytes; counts its records."""
+
+    def header(self, about: About) -> bytes:
+        """Return the header record."""
+        ...
+
+    def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
+        """Return (n, 6) wrenches, N and N m, stamped (n,) microseconds."""
+        ...
+
+    def skin(self, t_us: int, values: FloatArray) -> bytes:
+        """Return one frame of (width,) raw values."""
+        ...
+
+    def joints(self, t_us: int, degrees: FloatArray) -> bytes:
+        """Return (joints,) angles, degrees."""
+        ...
+
+
+class SkbEncoder:
+    """SKB/1.
+
+    Parameters
+    ----------
+    values : "u8", "u16" or "f32": how skin values are sent
+    """
+
+    name: ClassVar[str] = "skb"
+
+    def __init__(self, values: str = "u8") -> None:
+        self._skin_type, self._dtype = SKIN_TYPES[values]
+        self._count = {WRENCH_TYPE: 0, JOINTS_TYPE: 0, HEADER_TYPE: 0, self._skin_type: 0}
+
+    def header(self, about: About) -> bytes:
+        """Return the header record."""
+        return self._frame(HEADER_TYPE, about.t_us, about.fields.encode())
+
+    def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
+        """Return (n, 6) wrenches, status 0."""
+        payloads = np.zeros((len(wrenches), 7), dtype="<f4")
+        payloads[:, :6] = wrenches
+        raw = payloads.tobytes()
+        return b"".join(self._frame(WRENCH_TYPE, t, raw[28 * i : 28 * i + 28]) for i, t in enumerate(t_us.tolist()))
+
+    def skin(self, t_us: int, values: FloatArray) -> bytes:
+        """Return one skin frame."""
+        return self._frame(self._skin_type, t_us, values.astype(self._dtype).tobytes())
+
+    def joints(self, t_us: int, degrees: FloatArray) -> bytes:
+        """Return one set of joint angles."""
+        return self._frame(JOINTS_TYPE, t_us, degrees.astype("<f4").tobytes())
+
+    def _frame(self, kind: int, t_us: int, payload: bytes) -> bytes:
+        seq = self._count[kind]
+        self._count[kind] = seq + 1 & 0xFFFF
+        body = SKB_HEAD.pack(kind, 0, seq, t_us & 0xFFFFFFFF) + payload
+        return cobs(body + binascii.crc_hqx(body, CRC_START).to_bytes(2, "little")) + b"\x00"
+
+
+class SktEncoder:
+    """SKT/1."""
+
+    name: ClassVar[str] = "skt"
+
+    def __init__(self, values: str = "u8") -> None:
+        self._whole = values != "f32"
+        self._count = {"T": 0, "F": 0, "J": 0}
+
+    def header(self, about: About) -> bytes:
+        """Return the header record; it has no time."""
+        return _checked(f"H,skt1,{about.fields}")
+
+    def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
+        """Return (n, 6) wrenches, status 0, to 0.1 mN and 1 uN m."""
+        lines = (f"{fx:.4f},{fy:.4f},{fz:.4f},{tx:.6f},{ty:.6f},{tz:.6f},0" for fx, fy, fz, tx, ty, tz in wrenches.tolist())
+        return b"".join(self._line("F", t, line) for t, line in zip(t_us.tolist(), lines, strict=True))
+
+    def skin(self, t_us: int, values: FloatArray) -> bytes:
+        """Return one skin frame."""
+        return self._line("T", t_us, _joined(values, self._whole))
+
+    def joints(self, t_us: int, degrees: FloatArray) -> bytes:
+        """Return one set of joint angles, to 0.0001 degrees."""
+        return self._line("J", t_us, ",".join(f"{v:.4f}" for v in degrees.tolist()))
+
+    def _line(self, letter: str, t_us: int, values: str) -> bytes:
+        seq = self._count[letter]
+        self._count[letter] = seq + 1 & 0xFFFF
+        return _checked(f"{letter},{seq},{t_us & 0xFFFFFFFF},{values}")
+
+
+class TextEncoder:
+    """Comma-separated lines without a checksum, each with its number and clock; the header names these columns."""
+
+    name: ClassVar[str] = "text"
+
+    def __init__(self, values: str = "u8") -> None:
+        self._whole = values != "f32"
+        self._seq = 0
+
+    def header(self, about: About) -> bytes:
+        """Return the line that names the columns."""
+        return ("seq,t_us," + ",".join(f"c{i}" for i in range(about.width)) + "\n").encode()
+
+    def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
+        """Return (n, 6) wrenches, to 0.1 mN and 1 uN m."""
+        return b"".join(
+            self._line(t, ",".join(f"{v:.6f}" for v in row)) for t, row in zip(t_us.tolist(), wrenches.tolist(), strict=True)
+        )
+
+    def skin(self, t_us: int, values: FloatArray) -> bytes:
+        """Return one skin frame."""
+        return self._line(t_us, _joined(values, self._whole))
+
+    def joints(self, t_us: int, degrees: FloatArray) -> bytes:
+        """Return one set of joint angles, to 0.0001 degrees."""
+        return self._line(t_us, ",".join(f"{v:.4f}" for v in degrees.tolist()))
+
+    def _line(self, t_us: int, values: str) -> bytes:
+        seq = self._seq
+        self._seq += 1
+        return f"{seq},{t_us & 0xFFFFFFFF},{values}\n".encode()
+
+
+def _joined(values: FloatArray, whole: bool) -> str:
+    if not whole:
+        return ",".join(f"{v:.6g}" for v in values.tolist())
+    return ",".join(map(str, values.astype(np.int64).tolist()))
+
+
+def _checked(text: str) -> bytes:
+    raw = text.encode("ascii")
+    return raw + b"*%04X\n" % binascii.crc_hqx(raw, CRC_START)
+
+
+ENCODERS: dict[str, Callable[[str], Encoder]] = {"skb": SkbEncoder, "skt": SktEncoder, "text": TextEncoder}
+
+
+def skin_values(top: float) -> str:
+    """Return how raw values up to `top` are sent: the narrowest whole number that holds them."""
+    return "u8" if top <= 255 else "u16" if top <= 65535 else "f32"
+
+
+def fits(name: str, values: str, width: int) -> bool:
+    """Say whether a skin frame of this width fits a record of the format."""
+    if name == "skb":
+        return SKB_HEAD.size + width * np.dtype(SKIN_TYPES[values][1]).itemsize <= SKB_BODY_MAX
+    if name == "skt":
+        digits = {"u8": 4, "u16": 6, "f32": 13}[values]
+        return 24 + width * digits + 5 <= SKT_LINE_MAX
+    return True
+
+
+def make_encoder(name: str, top: float, width: int) -> Encoder:
+    """Return a new board's encoder; a skin too wide for its format speaks delimited text instead.
+
+    Parameters
+    ----------
+    name : "skb", "skt" or "text"
+    top : highest raw value of the skin
+    width : channels of a skin frame; 0 for a board without skin
+
+    Raises
+    ------
+    InputError
+        There is no such format.
+    """
+    if name not in ENCODERS:
+        raise InputError(f"format {name!r} is not known; expected one of {', '.join(ENCODERS)}.")
+    values = skin_values(top)
+    return ENCODERS[name if fits(name, values, width) else "text"](values)

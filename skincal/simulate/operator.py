@@ -1,7 +1,7 @@
 """A person who pokes: where, which way, how hard and for how long.
 
-Two operators: `Auto` goes round the taxels by itself, unguided; `Told` does what a queue says. A third one follows a target:
-`skincal/simulate/follow.py`.
+Three operators: `Auto` goes round the taxels by itself, unguided; `Told` does what a queue says; `Guided` is shown a
+target, goes there as well as a hand can, and sometimes pokes something else.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
-from skincal.simulate.orders import Order, PokeOrder, PoseOrder
-from skincal.simulate.poke import Pokes, cone_tilts, join, push_directions, tangents
+from skincal.simulate.orders import NoTarget, Order, PokeOrder, PoseOrder, TargetOrder, Wish
+from skincal.simulate.poke import PressedPlaces, by_hand, cone_tilts, held, join, push_directions, tangents
 from skincal.simulate.rig import Rig, Stance
 
 
@@ -75,8 +75,20 @@ class Habits:
         return replace(self, approach_s=approach, rest_s=rest, reaction_s=self.reaction_s / pace)
 
 
+@dataclass(frozen=True, slots=True)
+class LandmarkHabits:
+    """How somebody pokes landmarks; SI units."""
+
+    force: tuple[float, float] = (8.0, 13.0)
+    """N, uniform: metal, so one presses harder than on foam."""
+    cone: float = float(np.radians(28.0))
+    """rad. Pushes lie within it about the inward normal, uniform in solid angle."""
+    aim: float = 0.0007
+    """m, sd of the place in each tangent direction: a tip in the slot of a screw. Assumed."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Press:
+class HandPress:
     """One press over time: nothing, ramp, hold, release, nothing."""
 
     begin: float
@@ -86,7 +98,7 @@ class Press:
     release: float
     free: float
     """s, when the operator is ready for the next."""
-    pokes: Pokes
+    pokes: PressedPlaces
     """One place; two where something else touches too."""
     slide: FloatArray
     """(3,) float, metres, link frame: travel during the hold."""
@@ -107,7 +119,7 @@ class Press:
         shake = 1.0 + self.tremor * np.sin(2 * np.pi * self.tremor_hz * since + self.tremor_phase)
         return rise * (1.0 - fall) * shake
 
-    def moved(self, travel: FloatArray) -> Pokes:
+    def moved(self, travel: FloatArray) -> PressedPlaces:
         """Return the places, slid by (3,) `travel`."""
         return replace(self.pokes, points=self.pokes.points + travel)
 
@@ -125,7 +137,7 @@ class Move:
     stance: Stance
 
 
-Action: TypeAlias = Press | Move
+OperatorAction: TypeAlias = HandPress | Move
 
 
 class Operator(Protocol):
@@ -136,7 +148,7 @@ class Operator(Protocol):
         """Nothing more will come."""
         ...
 
-    def next(self, now: float) -> Action | None:
+    def next(self, now: float) -> OperatorAction | None:
         """Return what begins at or after `now` seconds; None where there is nothing to do yet."""
         ...
 
@@ -145,7 +157,7 @@ def _smooth_step(share: FloatArray) -> FloatArray:
     return 0.5 - 0.5 * np.cos(np.pi * np.clip(share, 0.0, 1.0))
 
 
-def aim(rig: Rig, targets: IntArray, habits: Habits, rng: np.random.Generator) -> Pokes:
+def aim(rig: Rig, targets: IntArray, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
     """Return unguided pokes at taxels: beside them by the aim error, from a random side within the cone.
 
     Parameters
@@ -167,7 +179,7 @@ def place(
     azimuths: FloatArray,
     forces: FloatArray,
     rng: np.random.Generator,
-) -> Pokes:
+) -> PressedPlaces:
     """Return pokes at given places.
 
     Parameters
@@ -181,7 +193,7 @@ def place(
     e1, e2 = tangents(rig.normals[rows])
     points, normals = _on_skin(rig, rows, rig.places[rows] + beside[:, :1] * e1 + beside[:, 1:] * e2)
     directions = push_directions(normals, tilts, azimuths)
-    return Pokes(targets, points, normals, directions, forces, rng.uniform(0.0, np.pi / 2, len(rows)))
+    return PressedPlaces(targets, points, normals, directions, forces, rng.uniform(0.0, np.pi / 2, len(rows)))
 
 
 def _on_skin(rig: Rig, rows: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -192,7 +204,7 @@ def _on_skin(rig: Rig, rows: IntArray, points: FloatArray) -> tuple[FloatArray, 
     return on_surface, rig.surface.normals[triangles]
 
 
-def press(rig: Rig, pokes: Pokes, now: float, habits: Habits, rng: np.random.Generator) -> Press:
+def press(rig: Rig, pokes: PressedPlaces, now: float, habits: Habits, rng: np.random.Generator) -> HandPress:
     """Return one press of the first place in `pokes`, with the habits' accidents.
 
     Parameters
@@ -208,24 +220,24 @@ def press(rig: Rig, pokes: Pokes, now: float, habits: Habits, rng: np.random.Gen
     both = join([first, _second(rig, first, habits, rng)]) if doubles else first
     slide = _slide(first, habits, rng) if slides else np.zeros(3)
     hz, phase = rng.uniform(*habits.tremor_hz), rng.uniform(0.0, 2 * np.pi)
-    return Press(begin, ramp, hold, release, free, both, slide, habits.tremor, hz, phase)
+    return HandPress(begin, ramp, hold, release, free, both, slide, habits.tremor, hz, phase)
 
 
-def _slide(poke: Pokes, habits: Habits, rng: np.random.Generator) -> FloatArray:
+def _slide(poke: PressedPlaces, habits: Habits, rng: np.random.Generator) -> FloatArray:
     e1, e2 = tangents(poke.normals)
     angle = rng.uniform(0.0, 2 * np.pi)
     return rng.uniform(*habits.slide) * (np.cos(angle) * e1[0] + np.sin(angle) * e2[0])
 
 
-def _second(rig: Rig, first: Pokes, habits: Habits, rng: np.random.Generator) -> Pokes:
+def _second(rig: Rig, first: PressedPlaces, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
     """Return the second place of a double touch: another taxel's, pushed at another angle."""
     target = rng.choice(rig.channels, 1)
     second = aim(rig, target, habits, rng)
     forces = first.forces * rng.uniform(*habits.double_share)
-    return Pokes(target, second.points, second.normals, second.directions, forces, second.turns)
+    return PressedPlaces(target, second.points, second.normals, second.directions, forces, second.turns)
 
 
-def touches_beside(rig: Rig, pokes: Pokes, habits: Habits, rng: np.random.Generator) -> tuple[IntArray, Pokes]:
+def touches_beside(rig: Rig, pokes: PressedPlaces, habits: Habits, rng: np.random.Generator) -> tuple[IntArray, PressedPlaces]:
     """Return which of the pokes touch a second place, and these places: on the skin, or on the part beside it.
 
     Parameters
@@ -248,7 +260,7 @@ def touches_beside(rig: Rig, pokes: Pokes, habits: Habits, rng: np.random.Genera
         normals = rig.surface.normals[triangles]
     directions = push_directions(normals, cone_tilts(count, habits.cone, rng), rng.uniform(-np.pi, np.pi, count))
     forces = first.forces * rng.uniform(*habits.double_share, count)
-    return rows, Pokes(first.targets, beside, normals, directions, forces, rng.uniform(0.0, np.pi / 2, count))
+    return rows, PressedPlaces(first.targets, beside, normals, directions, forces, rng.uniform(0.0, np.pi / 2, count))
 
 
 class Auto:
@@ -277,7 +289,7 @@ class Auto:
         self._stances = [rig.stance(name) for name in poses] or [rig.stance()]
         self._channels = rig.channels if channels is None else np.array(channels, dtype=np.int64)
         self._each = self.ROUND if pokes is None else max(1, -(-pokes // len(self._stances)))
-        self._round: list[Pokes] = []
+        self._round: list[PressedPlaces] = []
         self.begun = 0
         """Pokes begun so far."""
         self._stance = rig.stance()
@@ -287,7 +299,7 @@ class Auto:
         """All pokes are done."""
         return self._pokes is not None and self.begun >= self._pokes
 
-    def next(self, now: float) -> Action | None:
+    def next(self, now: float) -> OperatorAction | None:
         """Return the next poke, or the way to the next arm pose."""
         if self.done:
             return None
@@ -297,7 +309,7 @@ class Auto:
             return Move(now, now + self._habits.move_s, wanted)
         return self._poke(now)
 
-    def _poke(self, now: float) -> Press | None:
+    def _poke(self, now: float) -> HandPress | None:
         """Return the next poke; None where there is none yet."""
         if not self._round:
             order = self._rng.permutation(self._channels)
@@ -334,7 +346,7 @@ class Told:
             raise InputError("target, any and wait are for --operator guided; expected poke or pose.")
         self._orders.put(order)
 
-    def next(self, now: float) -> Action | None:
+    def next(self, now: float) -> OperatorAction | None:
         """Return the next order as an action; None while there is none."""
         if self.done:
             return None
@@ -349,7 +361,7 @@ class Told:
             return Move(now, now + self._habits.move_s, self._rig.stance(order.name))
         return press(self._rig, self._aimed(order), now, self._habits, self._rng)
 
-    def _aimed(self, order: PokeOrder) -> Pokes:
+    def _aimed(self, order: PokeOrder) -> PressedPlaces:
         habits, rng = self._habits, self._rng
         tilt = cone_tilts(1, habits.cone, rng)[0] if order.tilt is None else order.tilt
         azimuth = rng.uniform(-np.pi, np.pi) if order.azimuth is None else order.azimuth
@@ -357,3 +369,119 @@ class Told:
         beside = habits.aim * rng.standard_normal((1, 2))
         target = np.array([order.channel], dtype=np.int64)
         return place(self._rig, target, beside, np.array([tilt]), np.array([azimuth]), np.array([force]), rng)
+
+
+class Guided(Auto):
+    """Pokes the target that is shown; by itself, as `Auto`, as long as nobody guides.
+
+    The guide's ring is drawn where it believes the taxel to be, on the part; that is where the hand goes, beside the true
+    taxel if need be. The person looks at the screen until the hand goes down: a target that comes earlier than a reaction
+    before the touch still counts, a later one is for the next poke. A known point of the part, such as a screw head, is
+    seen and felt: the hand goes to it more exactly, and neither slides off nor pokes something else instead.
+
+    The same seed and the same targets at the same times give the same pokes.
+
+    Parameters
+    ----------
+    pokes, poses, channels : as for `Auto`, guided or not; `channels` are for pokes of its own choice
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        habits: Habits,
+        rng: np.random.Generator,
+        pokes: int | None = None,
+        poses: Sequence[str] = (),
+        channels: Sequence[int] | None = None,
+    ) -> None:
+        super().__init__(rig, habits, rng, pokes, poses, channels)
+        self._firm = LandmarkHabits()
+        self._told: Wish = NoTarget.ANY
+        """The newest, from any thread."""
+        self._wish: Wish = NoTarget.ANY
+        """What is seen on the screen now."""
+        self._touch: float | None = None
+        """s, when the hand that is on its way will touch."""
+
+    def accept(self, order: Order | None) -> None:
+        """Take what the guide shows now, from any thread; None changes nothing.
+
+        Raises
+        ------
+        InputError
+            There is no such taxel, or the order is not a guide's.
+        """
+        if order is None:
+            return
+        if not isinstance(order, TargetOrder | NoTarget):
+            raise InputError("poke and pose are for --operator told; expected target, any or wait.")
+        if isinstance(order, TargetOrder) and order.channel is not None:
+            self._rig.row_of(order.channel)
+        self._told = order
+
+    def next(self, now: float) -> OperatorAction | None:
+        """Return the next poke, or the way to the next arm pose; None while the hand is on its way, or has to wait."""
+        self._wish = self._told
+        if self._wish is NoTarget.WAIT:
+            self._touch = None
+            return None
+        return super().next(now)
+
+    def _poke(self, now: float) -> HandPress | None:
+        if not isinstance(self._wish, TargetOrder):
+            self._touch = None
+            return super()._poke(now)
+        if self._touch is None:
+            self._touch = now + self._rng.uniform(*self._habits.approach_s)
+        if now < self._touch - self._habits.reaction_s:
+            return None
+        touch, self._touch = max(self._touch, now), None
+        self.begun += 1
+        at_once = replace(self._habits, approach_s=(0.0, 0.0))
+        if self._wish.known:
+            firm = replace(at_once, slide_rate=0.0)
+            return press(self._rig, self._at_point(self._wish), touch, firm, self._rng)
+        return press(self._rig, self._aimed(self._wish), touch, at_once, self._rng)
+
+    def _aimed(self, target: TargetOrder) -> PressedPlaces:
+        """Return where the hand goes that is shown a target, or that goes where it likes."""
+        habits, rng = self._habits, self._rng
+        if rng.uniform() < habits.ignores:
+            return aim(self._rig, rng.choice(self._channels, 1), habits, rng)
+        row = self._row(target)
+        place, normal = self._on_part(row, target.place)
+        e1, e2 = tangents(normal[None])
+        beside = habits.aim * rng.standard_normal(2)
+        place, normal = self._on_part(row, place + beside[0] * e1[0] + beside[1] * e2[0])
+        push = held(by_hand(target.push[None], habits.hand, rng), normal[None], habits.cone)
+        channel = self._rig.channels[row : row + 1]
+        return PressedPlaces(
+            channel, place[None], normal[None], push, rng.uniform(*habits.force, 1), rng.uniform(0.0, np.pi / 2, 1)
+        )  # fmt: skip
+
+    def _at_point(self, target: TargetOrder) -> PressedPlaces:
+        """Return how the hand pokes a known point: there, whether or not the surface and the skin pass through it."""
+        surface, rng = self._rig.surface, self._rng
+        normal = -target.push if surface is None else surface.normals[nearest_points(surface, target.place[None])[1][0]]
+        e1, e2 = tangents(normal[None])
+        beside = self._firm.aim * rng.standard_normal(2)
+        place = target.place + beside[0] * e1[0] + beside[1] * e2[0]
+        push = held(by_hand(target.push[None], self._habits.hand, rng), normal[None], self._firm.cone)
+        nobody = np.array([-1], dtype=np.int64)
+        return PressedPlaces(nobody, place[None], normal[None], push, rng.uniform(*self._firm.force, 1), np.zeros(1))
+
+    def _row(self, target: TargetOrder) -> int:
+        """Return the index of the taxel that is shown, or of the one that is nearest to the place that is."""
+        if target.channel is not None:
+            return self._rig.row_of(target.channel)
+        return int(np.sum((self._rig.places - target.place) ** 2, axis=1).argmin())
+
+    def _on_part(self, row: int, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the nearest place on the part, and its normal; where there is no surface, in the plane of a taxel."""
+        rig = self._rig
+        if rig.surface is None:
+            normal = rig.normals[row]
+            return place - ((place - rig.places[row]) @ normal) * normal, normal
+        places, triangles = nearest_points(rig.surface, place[None])
+        return places[0], rig.surface.normals[triangles[0]]

@@ -10,7 +10,7 @@ from skincal.geometry.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pokes:
+class PressedPlaces:
     """n places pressed, link frame."""
 
     targets: IntArray
@@ -30,9 +30,9 @@ class Pokes:
         """Return the number of places."""
         return len(self.targets)
 
-    def take(self, rows: slice | IntArray) -> Pokes:
+    def take(self, rows: slice | IntArray) -> PressedPlaces:
         """Return some of the places."""
-        return Pokes(
+        return PressedPlaces(
             targets=self.targets[rows],
             points=self.points[rows],
             normals=self.normals[rows],
@@ -42,9 +42,9 @@ class Pokes:
         )
 
 
-def join(parts: list[Pokes]) -> Pokes:
+def join(parts: list[PressedPlaces]) -> PressedPlaces:
     """Return all places of several as one."""
-    return Pokes(
+    return PressedPlaces(
         np.concatenate([p.targets for p in parts]),
         np.concatenate([p.points for p in parts]),
         np.concatenate([p.normals for p in parts]),
@@ -88,7 +88,7 @@ def cone_tilts(count: int, cone: float, rng: np.random.Generator) -> FloatArray:
     return np.arccos(rng.uniform(np.cos(cone), 1.0, count))
 
 
-def tip_axes(pokes: Pokes) -> tuple[FloatArray, FloatArray]:
+def tip_axes(pokes: PressedPlaces) -> tuple[FloatArray, FloatArray]:
     """Return the (n, 3) unit sides of the square tips, in the plane of the skin."""
     e1, e2 = tangents(pokes.normals)
     c, s = np.cos(pokes.turns)[:, None], np.sin(pokes.turns)[:, None]

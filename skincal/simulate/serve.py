@@ -1,13 +1,22 @@
-"""Plays a time line in real time: a device process that a program cannot tell from hardware."""
+"""Plays a time line in real time: a device process that a program cannot tell from hardware.
+
+Bytes come out at a TCP port or a pseudo-terminal. Like a board, an outlet goes on whether or not somebody listens: bytes
+without a listener are gone, and a listener may leave and come back at any time.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import select
+import socket
 import threading
 import time
 from types import TracebackType
+from typing import Protocol
 
-from skincal.simulate.device import Timeline
-from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
+from skincal.model.errors import InputError
+from skincal.simulate.device import DeviceTimeline
 from skincal.streams.links import LinkSpec
 
 LATE_MAX_S = 1.0
@@ -30,7 +39,7 @@ class Server:
         Pseudo-terminals are wanted and this platform has none.
     """
 
-    def __init__(self, line: Timeline, *, tcp: bool) -> None:
+    def __init__(self, line: DeviceTimeline, *, tcp: bool) -> None:
         self._line = line
         self._outlets: dict[str, Outlet] = {}
         try:
@@ -83,3 +92,135 @@ class Server:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         """Close every outlet."""
         self.close()
+
+
+PENDING_MAX = 1 << 20
+"""Bytes. A TCP client that is this far behind is let go: about 20 s of 1 kHz wrenches."""
+READ_SIZE = 4096
+
+
+class Outlet(Protocol):
+    """One link's end on the board's side."""
+
+    address: str
+    """What the host opens."""
+
+    def poll(self) -> tuple[bool, bytes]:
+        """Say whether somebody came since the last call, and what was sent to the board."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to whoever listens; never waits."""
+        ...
+
+    def close(self) -> None:
+        """Hang up."""
+        ...
+
+
+class TcpOutlet:
+    """A port on this machine; every client gets the same bytes."""
+
+    def __init__(self, port: int = 0) -> None:
+        self._server = socket.create_server(("127.0.0.1", port))
+        self._server.setblocking(False)
+        self._clients: dict[socket.socket, bytearray] = {}
+        self.address = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def poll(self) -> tuple[bool, bytes]:
+        """Take new clients and read what they say."""
+        came = False
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                client, _ = self._server.accept()
+                client.setblocking(False)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._clients[client] = bytearray()
+                came = True
+        return came, b"".join(self._read(client) for client in list(self._clients))
+
+    def _read(self, client: socket.socket) -> bytes:
+        try:
+            data = client.recv(READ_SIZE)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send to every client what its connection takes; keep the rest for the next time."""
+        for client, pending in list(self._clients.items()):
+            pending += data
+            try:
+                sent = client.send(pending) if pending else 0
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                self._drop(client)
+                continue
+            del pending[:sent]
+            if len(pending) > PENDING_MAX:
+                self._drop(client)
+
+    def _drop(self, client: socket.socket) -> None:
+        self._clients.pop(client, None)
+        client.close()
+
+    def close(self) -> None:
+        """Close the port and every client."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._server.close()
+
+
+class PtyOutlet:
+    """A pseudo-terminal: a serial port without a cable. Linux and macOS only.
+
+    Raises
+    ------
+    InputError
+        This platform has none.
+    """
+
+    def __init__(self) -> None:
+        if not hasattr(os, "openpty"):
+            raise InputError("this platform has no pseudo-terminals; serve over TCP instead (--tcp).")
+        import tty
+
+        self._master, slave = os.openpty()
+        self.address = os.ttyname(slave)
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        # Only the host keeps the slave open: so the kernel tells by a hang-up whether somebody listens.
+        os.close(slave)
+        self._poller = select.poll()
+        self._poller.register(self._master, select.POLLIN)
+        self._heard = False
+
+    def poll(self) -> tuple[bool, bytes]:
+        """Say whether the port was opened since the last call, and read what was written to it."""
+        events = self._poller.poll(0)
+        state = events[0][1] if events else 0
+        open_now = not state & select.POLLHUP
+        came = open_now and not self._heard
+        self._heard = open_now
+        data = b""
+        if open_now and state & select.POLLIN:
+            with contextlib.suppress(BlockingIOError, OSError):
+                data = os.read(self._master, READ_SIZE)
+        return came, data
+
+    def write(self, data: bytes) -> None:
+        """Write what the port takes; the rest is lost, as in a serial port's overrun."""
+        if self._heard:
+            with contextlib.suppress(BlockingIOError, OSError):
+                os.write(self._master, data)
+
+    def close(self) -> None:
+        """Pull the plug: whoever has the port open gets an error."""
+        if self._master >= 0:
+            os.close(self._master)
+            self._master = -1

@@ -15,7 +15,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.session.road import Road
-from skincal.simulate.device import DeviceSettings, Timeline
+from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.rig import Rig
@@ -66,7 +66,7 @@ def simulate_session(
     rig_rng, operator_rng, device_rng = rng.spawn(3)
     rig = Rig(scene, surface, errors, rig_rng)
     operator = Auto(rig, habits or Habits(), operator_rng, pokes, poses, channels)
-    line = Timeline(rig, operator, device_rng, settings)
+    line = DeviceTimeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
     road = Road(scene, links, surface, create_session(folder, scene, links))
     write_truth(folder / TRUTH_NAME, rig)
@@ -75,7 +75,7 @@ def simulate_session(
     return road
 
 
-def _play(line: Timeline, operator: Auto, road: Road, progress: Callable[[int], None] | None) -> None:
+def _play(line: DeviceTimeline, operator: Auto, road: Road, progress: Callable[[int], None] | None) -> None:
     for link in line.links:
         road.feed(LinkEvent(link, START_NS, LinkState.OPEN))
     begun = 0

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from skincal.studies.figure import Figure
+    from skincal.studies.figures import Figure
 
 STUDIES: Mapping[str, str] = {
     "stability": "Every solver against 80-digit arithmetic on stiff and extreme cases.",

@@ -1,77 +1,126 @@
-"""The paper's least squares in 80 digits, from the numbers as they were read: the answer the solvers are compared with.
+"""The right answers of the stability study in 80 digits, from the numbers as they were read.
 
-A contact's wrench (f, m) is carried into the link frame by eq. (6) and gives the three rows of (5), k S(u) p = -k m/|f|
-with u = f/|f|. Their normal equations need no root, since k/|f| enters squared:
+**A taxel.** A contact's wrench (f, m) is carried into the link frame by eq. (6) and gives the three rows of (5),
+k S(u) p = -k m/|f| with u = f/|f|. Their normal equations need no root, since k/|f| enters squared:
 
-    N = sum w S(f)'S(f),  h = -sum w S(f)'m,  w = k^2/|f|^2,  |rows p - right|^2 = p'N p - 2 h'p + c.
+    N = sum w S(f)'S(f),  h = -sum w S(f)'m = sum w f x m,  w = k^2/|f|^2,  |rows p - right|^2 = p'N p - 2 h'p + c.
 
 Squaring costs half of the digits; of 80 enough are left: angles of 1e-9 rad and weights of 1e-12 together take 42.
-Nothing here is taken from the solvers: not the two rows a contact, not the order, not the closed form for triangles.
 
-`decimal` of the standard library does the arithmetic, several times as fast as mpmath, which checks it in the tests.
+**A module.** A poke is a line along u through a = u x m/|f|; it passes the middle c of the pads that answered by E (a - c),
+with E any two orthonormal directions across u. By the definition in `board_fit.py` that has the covariance
+D = E N E' + s^2 (I - o o'), o = E n: since E (c - a) is v.rho for each e of E, v = u x e and rho = u x (c - a),
+
+    D_ij = v_i' ((sm/|f|)^2 I + (sf/|f|)^2 S(l) S(l)') v_j + s^2 (e_i.e_j - (e_i.n) (e_j.n)),   l = c - the sensor's origin.
+
+The pose is the one with g = sum (E dc/dp)' D^-1 E (a - c) = 0, D as it is there. It is found by Newton's method from where
+the pokes were made, its matrix from differences of g in 80 digits, so that no second derivative is worked out by hand. The
+draws take one such step from the exact pose, with the moved inputs: first order, 1e-16 of the change is left out.
+
+Nothing here is taken from the solvers: not the two rows a contact, not the order, not the closed form for triangles; only what
+`touches.py` counts a poke for. mpmath does the arithmetic, on numpy's arrays of its numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from decimal import Context, Decimal, localcontext
-from typing import TypeAlias
+from importlib import import_module
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.mesh.search import GRAZING
-from skincal.studies.cases import Case, Mesh, Readings, moved
+from skincal.model.scene import NoiseSettings
+from skincal.modules.pose import ModulePoses
+from skincal.modules.pose_fit import ACROSS, MIDDLE
+from skincal.studies.stability_cases import Case, ModuleCase, ModuleReadings, RawMesh, TaxelReadings, moved
+from skincal.taxels.result import MISS_MAX, SD_MAX
 
 DIGITS = 80
-CONTEXT = Context(prec=DIGITS, Emin=-999999, Emax=999999)
+_mpmath: Any = import_module("mpmath")
+MP: Any = _mpmath.mp.clone()
+"""Arithmetic with as many digits, whatever others of the process set theirs to."""
+MP.dps = DIGITS
 NO_NUMBER = 1e300
 """m. The error of a solver that gave no number: JSON has no infinity."""
-Vector: TypeAlias = tuple[Decimal, Decimal, Decimal]
-Triangle: TypeAlias = tuple[Vector, Vector, Vector]
+Exact: TypeAlias = Any
+"""An array of numbers of `MP`; numpy has no type for it."""
 
-_ZERO, _ONE = Decimal(0), Decimal(1)
-_NOWHERE: Vector = (_ZERO, _ZERO, _ZERO)
-_TURNS = 5
-"""Steps of inverse iteration towards a direction that is blind to 1e-13 at least: each leaves 1e-26 of the error."""
-_SURE = 1e-6
-"""A triangle whose push . normal is nearer to zero than this is looked at in 80 digits."""
-_AT_ONCE = 1 << 16
+_CROSSINGS_MAX = 1000
+"""Of edges by a way over a mesh."""
+_AT_ONCE = 1 << 14
+"""Contacts of which the exact numbers are held at once: some 100 MB."""
+_DRAWN_AT_ONCE = 1 << 16
 """Effects added at once in all draws: 50 MB."""
 _MARGIN = 64 * float(np.finfo(float).eps)
 """Share of the reach by which the root of a sum of squares moves at most when every input moves by a unit: about ten
 roundings a row. A triangle that is further from the best than twice that is the best in no draw."""
+_np: Any = np
+"""numpy on such arrays; its own types know numbers only."""
+_number = np.vectorize(MP.mpf, otypes=[object])
 
 
-@dataclass(frozen=True, slots=True)
-class System:
-    """The normal equations of one taxel."""
-
-    n: tuple[Decimal, Decimal, Decimal, Decimal, Decimal, Decimal]
-    """N, symmetric: xx, xy, xz, yy, yz, zz."""
-    h: Vector
-    c: Decimal
-
-    def times(self, p: Vector) -> Vector:
-        """Return N p."""
-        xx, xy, xz, yy, yz, zz = self.n
-        x, y, z = p
-        return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-
-    def value(self, p: Vector) -> Decimal:
-        """Return the sum of squares of (5) at `p`."""
-        return dot(p, self.times(p)) - 2 * dot(self.h, p) + self.c
+def exactly(values: Any) -> Exact:
+    """Return floats as they are, to the last digit, in an array of their shape."""
+    return _number(np.asarray(values, dtype=float))
 
 
-@dataclass(frozen=True, slots=True)
+def floats(numbers: Any) -> FloatArray:
+    """Return exact numbers rounded."""
+    return np.asarray(numbers).astype(float)
+
+
+def cross(p: Exact, q: Exact) -> Exact:
+    """Return p x q along the last axis."""
+    return p[..., [1, 2, 0]] * q[..., [2, 0, 1]] - p[..., [2, 0, 1]] * q[..., [1, 2, 0]]
+
+
+def dot(p: Exact, q: Exact) -> Any:
+    """Return p . q along the last axis."""
+    return (p * q).sum(axis=-1)
+
+
+def unit(v: Exact) -> Exact:
+    """Return `v` (..., 3) at length 1."""
+    return v / np.sqrt((v * v).sum(axis=-1, keepdims=True))
+
+
+def distance(p: Exact, q: Any = 0) -> float:
+    """Return |p - q|; without `q` the length of p."""
+    return float(MP.sqrt(dot(p - q, p - q)))
+
+
+def distance_to(found: FloatArray, answer: Exact) -> float:
+    """Return |found - answer|; `NO_NUMBER` where a solver gave none."""
+    return distance(exactly(found), answer) if np.isfinite(found).all() else NO_NUMBER
+
+
+def between(p: Exact, q: Exact) -> float:
+    """Return the sine of the angle between two unit directions that have no sign: the angle itself, rad, where small."""
+    return distance(cross(p, q))
+
+
+# ---- a taxel ----
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """N (3, 3), h (3,) and c of one taxel."""
+
+    n: Exact
+    h: Exact
+    c: Any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Truth:
     """The exact answer of a case and how far it moves when the inputs' last digits do."""
 
-    answer: Vector
+    answer: Exact
     change: float
     """m, the largest over the draws."""
-    blind: Vector | None = None
+    blind: Exact | None = None
     """The direction that the readings say nothing of."""
     turn: float = 0.0
     """rad, the largest change of the blind direction over the draws."""
@@ -79,228 +128,122 @@ class Truth:
 
 def find_truth(case: Case, draws: int, rng: np.random.Generator) -> Truth:
     """Return the exact answer of a case and its largest change over `draws` draws of the inputs' last digits."""
-    equations = system(case.readings)
+    equations = normal_equations(case.readings)
     if case.many:
         answer = solve(equations)
         return Truth(answer, _first_order(case.readings, equations, answer, draws, rng))
-    if case.blind:
-        answer, blind = solve_blind(equations)
-        others = [solve_blind(system(case.readings.moved(rng))) for _ in range(draws)]
-        change = max(distance(answer, other) for other, _ in others)
-        return Truth(answer, change, blind, max(between(blind, turned) for _, turned in others))
     if case.mesh is not None:
         return _on_mesh(case.readings, case.mesh, equations, draws, rng)
-    answer = solve(equations)
-    return Truth(answer, max(distance(answer, solve(system(case.readings.moved(rng)))) for _ in range(draws)))
+    others = (normal_equations(case.readings.moved(rng)) for _ in range(draws))
+    if not case.blind:
+        answer = solve(equations)
+        return Truth(answer, max(distance(answer, solve(other)) for other in others))
+    answer, blind = solve_blind(equations)
+    drawn = [solve_blind(other) for other in others]
+    return Truth(answer, max(distance(answer, p) for p, _ in drawn), blind, max(between(blind, turned) for _, turned in drawn))
 
 
-def _on_mesh(readings: Readings, mesh: Mesh, equations: System, draws: int, rng: np.random.Generator) -> Truth:
-    triangles = mesh.triangles[_facing(mesh, mean_push(readings))]
-    found = [nearest(equations, exactly(corners)) for corners in mesh.vertices[triangles]]
-    answer = min(found, key=lambda one: one[0])[1]
-    # Only these can be the best in a draw.
-    left = triangles[_near_best([value for value, _ in found], _margin(readings, mesh))]
-    changes: list[float] = []
-    for _ in range(draws):
-        corners = moved(mesh.vertices, rng)[left]
-        other = best(system(readings.moved(rng)), [exactly(one) for one in corners])
-        changes.append(distance(answer, other))
-    return Truth(answer, max(changes))
-
-
-def vector(values: Iterable[float]) -> Vector:
-    """Return three floats as they are, to the last digit."""
-    x, y, z = map(Decimal, values)
-    return x, y, z
-
-
-def exactly(corners: FloatArray) -> Triangle:
-    """Return a triangle's corners (3, 3) as they are."""
-    first, second, third = (vector(corner) for corner in corners)
-    return first, second, third
-
-
-def dot(p: Vector, q: Vector) -> Decimal:
-    """Return p . q."""
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-def cross(p: Vector, q: Vector) -> Vector:
-    """Return p x q."""
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
-
-
-def minus(p: Vector, q: Vector) -> Vector:
-    """Return p - q."""
-    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
-
-
-def along(p: Vector, share: Decimal, q: Vector) -> Vector:
-    """Return p + share q."""
-    return p[0] + share * q[0], p[1] + share * q[1], p[2] + share * q[2]
-
-
-def times(share: Decimal, p: Vector) -> Vector:
-    """Return share p."""
-    return share * p[0], share * p[1], share * p[2]
-
-
-def distance(p: Vector, q: Vector = _NOWHERE) -> float:
-    """Return |p - q|; without `q` the length of p."""
-    with localcontext(CONTEXT):
-        away = minus(p, q)
-        return float(dot(away, away).sqrt())
-
-
-def distance_to(found: FloatArray, answer: Vector) -> float:
-    """Return |found - answer|; `NO_NUMBER` where a solver gave none."""
-    return distance(vector(found), answer) if np.isfinite(found).all() else NO_NUMBER
-
-
-def between(p: Vector, q: Vector) -> float:
-    """Return the sine of the angle between two unit directions that have no sign: the angle itself, rad, where small."""
-    with localcontext(CONTEXT):
-        return distance(cross(p, q))
-
-
-def system(readings: Readings) -> System:
+def normal_equations(readings: TaxelReadings) -> NormalEquations:
     """Return the normal equations of (5), all three rows of every contact, each carried by eq. (6)."""
-    with localcontext(CONTEXT):
-        sums = [_ZERO] * 10
-        for f, m, k in _carried(readings):
-            sums = [total + part for total, part in zip(sums, _parts(f, m, k), strict=True)]
-        xx, xy, xz, yy, yz, zz, hx, hy, hz, c = sums
-        return System((xx, xy, xz, yy, yz, zz), (hx, hy, hz), c)
+    n, h, c = exactly(np.zeros((3, 3))), exactly(np.zeros(3)), MP.mpf(0)
+    for first in range(0, len(readings.forces), _AT_ONCE):
+        some = np.arange(first, min(first + _AT_ONCE, len(readings.forces)))
+        f, m = _carried(readings.ordered(some))
+        squares = dot(f, f)
+        k = _weights(readings.ordered(some))
+        w = k * k / squares
+        # S(f)'S(f) = |f|^2 I - f f'.
+        n = n + _np.diag([dot(w, squares)] * 3) - (w[:, None] * f).T @ f
+        h, c = h + w @ cross(f, m), c + dot(w, dot(m, m))
+    return NormalEquations(n, h, c)
 
 
-def _carried(readings: Readings) -> Iterable[tuple[Vector, Vector, Decimal]]:
-    """Yield f, m in the link frame and k: f_w = R f_s and m_w = R m_s + t x f_w with p_w = R p_s + t, eq. (6) turned."""
-    poses = [_pose(readings.poses[number]) for number in range(len(readings.poses))]
-    wrenches: list[list[float]] = np.concatenate([readings.forces, readings.moments], axis=1).tolist()
-    responses: list[list[float]] = np.stack([readings.responses, readings.strongest], axis=1).tolist()
-    pose_of: list[int] = readings.pose_of.tolist()
-    for wrench, (response, strongest), number in zip(wrenches, responses, pose_of, strict=True):
-        k = _ONE if response == strongest else Decimal(response) / Decimal(strongest)
-        f, m, pose = vector(wrench[:3]), vector(wrench[3:]), poses[number]
-        if pose is not None:
-            x, y, z, shift = pose
-            f, m = (dot(x, f), dot(y, f), dot(z, f)), (dot(x, m), dot(y, m), dot(z, m))
-            m = along(cross(shift, f), _ONE, m)
-        yield f, m, k
+def _carried(readings: TaxelReadings | ModuleReadings) -> tuple[Exact, Exact]:
+    """Return f and m (n, 3) in the link frame: f_w = R f_s and m_w = R m_s + t x f_w with p_w = R p_s + t, eq. (6) turned."""
+    f, m = exactly(readings.forces), exactly(readings.moments)
+    for number, pose in enumerate(readings.poses):
+        own = readings.pose_of == number
+        if not np.array_equal(pose, np.eye(4)):
+            turn, shift = exactly(pose[:3, :3]), exactly(pose[:3, 3])
+            f[own] = f[own] @ turn.T
+            m[own] = m[own] @ turn.T + cross(shift, f[own])
+    return f, m
 
 
-def _pose(pose: FloatArray) -> tuple[Vector, Vector, Vector, Vector] | None:
-    """Return the rows of R and t; None where the sensor is in the link frame."""
-    if np.array_equal(pose, np.eye(4)):
-        return None
-    return vector(pose[0, :3]), vector(pose[1, :3]), vector(pose[2, :3]), vector(pose[:3, 3])
+def _weights(readings: TaxelReadings) -> Exact:
+    return exactly(readings.responses) / exactly(readings.strongest)
 
 
-def _parts(f: Vector, m: Vector, k: Decimal) -> tuple[Decimal, ...]:
-    """Return what one contact adds to N (6), h (3) and c."""
-    x, y, z = f
-    xx, yy, zz = x * x, y * y, z * z
-    w = k * k / (xx + yy + zz)
-    wx, wy = w * x, w * y
-    # S(f)'S(f) of the three rows (0, -z, y), (z, 0, -x), (-y, x, 0); and -S(f)'m = f x m.
-    hx, hy, hz = cross(f, m)
-    return (
-        w * (yy + zz), -wx * y, -wx * z, w * (xx + zz), -wy * z, w * (xx + yy), w * hx, w * hy, w * hz, w * dot(m, m),
-    )  # fmt: skip
-
-
-def mean_push(readings: Readings) -> Vector:
+def mean_push(readings: TaxelReadings) -> Exact:
     """Return the sum of k u: the mean push but for its length."""
-    with localcontext(CONTEXT):
-        push = _NOWHERE
-        for f, _, k in _carried(readings):
-            push = along(push, k / dot(f, f).sqrt(), f)
-        return push
+    return _weights(readings) @ unit(_carried(readings)[0])
 
 
-def _adjugate(n: tuple[Decimal, ...]) -> tuple[Vector, Vector, Vector]:
-    xx, xy, xz, yy, yz, zz = n
-    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    return (a, b, c), (b, d, e), (c, e, f)
-
-
-def solve(equations: System) -> Vector:
+def solve(equations: NormalEquations) -> Exact:
     """Return the p with N p = h; the axes determine all three directions."""
-    with localcontext(CONTEXT):
-        rows = _adjugate(equations.n)
-        xx, xy, xz = equations.n[:3]
-        determinant = dot((xx, xy, xz), rows[0])
-        x, y, z = (dot(row, equations.h) / determinant for row in rows)
-        return x, y, z
+    return np.array(list(MP.lu_solve(MP.matrix(equations.n.tolist()), MP.matrix(equations.h.tolist()))), dtype=object)
 
 
-def solve_blind(equations: System) -> tuple[Vector, Vector]:
+def solve_blind(equations: NormalEquations) -> tuple[Exact, Exact]:
     """Return the p of smallest norm of axes that are parallel to the last digit, and their direction, unit.
 
     The direction is the eigenvector of N with the smallest eigenvalue; p minimises the sum of squares across it.
     """
-    with localcontext(CONTEXT):
-        rows = _adjugate(equations.n)
-        # Where N is singular, its adjugate is v v' times a number; else inverse iteration by the adjugate finds v.
-        v = max(rows, key=lambda row: dot(row, row))
-        for _ in range(_TURNS):
-            v = (dot(rows[0], v), dot(rows[1], v), dot(rows[2], v))
-            length = dot(v, v).sqrt()
-            v = (v[0] / length, v[1] / length, v[2] / length)
-        # N + s v v' is as good as N across v, and along v the right side is made nought.
-        s = equations.n[0] + equations.n[3] + equations.n[5]
-        x, y, z = v
-        squares = (x * x, x * y, x * z, y * y, y * z, z * z)
-        xx, xy, xz, yy, yz, zz = (own + s * more for own, more in zip(equations.n, squares, strict=True))
-        across = along(equations.h, -dot(v, equations.h), v)
-        return solve(replace(equations, n=(xx, xy, xz, yy, yz, zz), h=across)), v
+    values, columns = MP.eigsy(MP.matrix(equations.n.tolist()))
+    axes = np.array(columns.T.tolist(), dtype=object)
+    return sum(axis * (dot(axis, equations.h) / value) for axis, value in zip(axes[1:], values[1:], strict=True)), axes[0]
 
 
-def nearest(equations: System, triangle: Triangle) -> tuple[Decimal, Vector]:
-    """Minimise the sum of squares over a triangle: the stationary point of its plane, else the best of its edges.
+def nearest(equations: NormalEquations, corners: Exact) -> tuple[Exact, Exact]:
+    """Minimise the sum of squares over each of `corners` (t, 3, 3): the least values (t,), and where (t, 3).
 
-    The sum is convex, so a stationary point inside is the minimum; else it lies on the rim.
+    In shares (s, t) of two sides e and g the sum is convex: a stationary point inside is the minimum; else it lies on the rim.
     """
-    with localcontext(CONTEXT):
-        corner, second, third = triangle
-        e, g = minus(second, corner), minus(third, corner)
-        ne, ng = equations.times(e), equations.times(g)
-        slope = minus(equations.times(corner), equations.h)
-        ee, eg, gg, e0, g0 = dot(e, ne), dot(e, ng), dot(g, ng), dot(e, slope), dot(g, slope)
-        determinant = ee * gg - eg * eg
-        if determinant > 0:
-            s, t = (eg * g0 - gg * e0) / determinant, (eg * e0 - ee * g0) / determinant
-            if s >= 0 and t >= 0 and s + t <= 1:
-                point = along(along(corner, s, e), t, g)
-                return equations.value(point), point
-        points = (_on_edge(equations, one, two) for one, two in ((corner, second), (second, third), (third, corner)))
-        return min(((equations.value(point), point) for point in points), key=lambda found: found[0])
+    corner = corners[:, 0]
+    e, g = corners[:, 1] - corner, corners[:, 2] - corner
+    ne, there = e @ equations.n, corner @ equations.n - equations.h
+    ee, eg, gg, e0, g0 = dot(e, ne), dot(g, ne), dot(g, g @ equations.n), dot(e, there), dot(g, there)
+    determinant = ee * gg - eg * eg
+    flat = _np.where(determinant > 0, determinant, MP.one)
+    s, t = (eg * g0 - gg * e0) / flat, (eg * e0 - ee * g0) / flat
+    inside = (determinant > 0) & (s >= 0) & (t >= 0) & (s + t <= 1)
+    none, across = _np.full(len(corners), MP.zero), _share(ee - eg + e0 - g0, ee - 2 * eg + gg)
+    sides = [(_share(-e0, ee), none), (none, _share(-g0, gg)), (1 - across, across)]
+    tries = [*sides, (_np.where(inside, s, none), _np.where(inside, t, none))]
+    values = np.array([ee * a * a + gg * b * b + 2 * (eg * a * b + e0 * a + g0 * b) for a, b in tries], dtype=object)
+    winner, row = values.argmin(axis=0), np.arange(len(corners))
+    s, t = (np.array(shares, dtype=object)[winner, row] for shares in zip(*tries, strict=True))
+    least = values[winner, row] + dot(corner, there - equations.h) + equations.c
+    return least, corner + s[:, None] * e + t[:, None] * g
 
 
-def _on_edge(equations: System, one: Vector, two: Vector) -> Vector:
-    edge = minus(two, one)
-    stretched = equations.times(edge)
-    curvature = dot(edge, stretched)
-    slope = dot(stretched, one) - dot(edge, equations.h)
-    share = min(max(-slope / curvature, _ZERO), _ONE) if curvature > 0 else _ZERO
-    return along(one, share, edge)
+def _share(slope: Exact, curvature: Exact) -> Exact:
+    """Return where on a side a sum is least: 0 to 1."""
+    bent = curvature > 0
+    return _np.where(bent, _np.clip(slope / _np.where(bent, curvature, MP.one), MP.zero, MP.one), MP.zero)
 
 
-def best(equations: System, triangles: Sequence[Triangle]) -> Vector:
-    """Return the point with the smallest sum of squares on any of `triangles`."""
-    return min((nearest(equations, triangle) for triangle in triangles), key=lambda found: found[0])[1]
+def best(equations: NormalEquations, corners: Exact) -> Exact:
+    """Return the point with the smallest sum of squares on any of `corners` (t, 3, 3)."""
+    values, points = nearest(equations, corners)
+    return points[values.argmin()]
 
 
-def _near_best(values: Sequence[Decimal], margin: float) -> list[int]:
-    """Return the places of the `values` whose root is within twice `margin` of the smallest one's."""
-    with localcontext(CONTEXT):
-        roots = [max(value, _ZERO).sqrt() for value in values]
-        limit = min(roots) + 2 * Decimal(margin)
-        return [place for place, root in enumerate(roots) if root <= limit]
+def _on_mesh(readings: TaxelReadings, mesh: RawMesh, equations: NormalEquations, draws: int, rng: np.random.Generator) -> Truth:
+    triangles = mesh.triangles[_facing(mesh, mean_push(readings))]
+    values, points = nearest(equations, exactly(mesh.vertices[triangles]))
+    roots = np.sqrt(np.maximum(values, MP.zero))
+    answer = points[values.argmin()]
+    # Only these can be the best in a draw.
+    left = triangles[roots <= roots.min() + 2 * _margin(readings, mesh)]
+    changes = [0.0]
+    for _ in range(draws):
+        corners = exactly(moved(mesh.vertices, rng)[left])
+        changes.append(distance(answer, best(normal_equations(readings.moved(rng)), corners)))
+    return Truth(answer, max(changes))
 
 
-def _margin(readings: Readings, mesh: Mesh) -> float:
+def _margin(readings: TaxelReadings, mesh: RawMesh) -> float:
     """Return by how much the root of a sum of squares may move in a draw."""
     levers = np.linalg.norm(readings.moments, axis=1) / np.linalg.norm(readings.forces, axis=1)
     reach = float(np.abs(mesh.vertices).max() + np.abs(readings.poses[:, :3, 3]).max() + levers.max())
@@ -308,58 +251,401 @@ def _margin(readings: Readings, mesh: Mesh) -> float:
     return _MARGIN * reach * float(np.sqrt(weights @ weights))
 
 
-def _facing(mesh: Mesh, push: Vector) -> IntArray:
-    """Return the triangles that the push can act on, as the program defines it: push . normal < -`GRAZING`."""
-    rough = np.array([float(one) for one in push])
-    corners = mesh.corners
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(rough)
-    cosines = np.divide(normals @ rough, lengths, out=np.zeros(len(normals)), where=lengths > 0)
-    for triangle in np.flatnonzero(np.abs(cosines) < _SURE):
-        cosines[triangle] = _faces(push, exactly(corners[triangle]))
-    return np.flatnonzero(cosines < -GRAZING)
+def _facing(mesh: RawMesh, push: Exact) -> IntArray:
+    """Return the triangles that the push can act on, as the program defines it: push . normal < -`GRAZING`, both unit."""
+    corners = exactly(mesh.corners)
+    normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # One without area is not pushed.
+    lengths = np.sqrt(dot(normals, normals) * dot(push, push))
+    return np.flatnonzero(normals @ push < -GRAZING * lengths)
 
 
-def _faces(push: Vector, triangle: Triangle) -> float:
-    """Return push . normal of a triangle, both unit; zero for one without area."""
-    with localcontext(CONTEXT):
-        corner, second, third = triangle
-        normal = cross(minus(second, corner), minus(third, corner))
-        lengths = dot(normal, normal) * dot(push, push)
-        return float(dot(normal, push) / lengths.sqrt()) if lengths > 0 else 0.0
-
-
-def _first_order(readings: Readings, equations: System, answer: Vector, draws: int, rng: np.random.Generator) -> float:
+def _first_order(
+    readings: TaxelReadings, equations: NormalEquations, answer: Exact, draws: int, rng: np.random.Generator
+) -> float:
     """Return the largest change of the exact answer over the draws by its derivative.
 
     For a sensor in the link frame and weights of 1: the answer has sum w f x r = 0 with r = f x p + m and w = 1/|f|^2, so
     it changes by N^-1 times the change of that sum. What is left out is of the second order: 1e-16 of the change.
     """
-    p = np.array([float(one) for one in answer])
-    xx, xy, xz, yy, yz, zz = (float(one) for one in equations.n)
-    inverse = np.linalg.inv(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    p, inverse = floats(answer), np.linalg.inv(floats(equations.n))
     f, m = readings.forces, readings.moments
     w = 1.0 / np.sum(f * f, axis=1, keepdims=True)
     r = np.cross(f, p) + m
     effects: list[FloatArray] = []
-    for unit in np.eye(3):
-        df = np.spacing(np.abs(f @ unit))[:, None] * unit
-        dm = np.spacing(np.abs(m @ unit))[:, None] * unit
+    for axis in np.eye(3):
+        df = np.spacing(np.abs(f @ axis))[:, None] * axis
+        dm = np.spacing(np.abs(m @ axis))[:, None] * axis
         dw = -2.0 * w * w * np.sum(f * df, axis=1, keepdims=True)
         effects.append((dw * np.cross(f, r) + w * (np.cross(df, r) + np.cross(f, np.cross(df, p)))) @ inverse)
         effects.append(w * np.cross(f, dm) @ inverse)
-    return _drawn(np.concatenate(effects), draws, rng)
+    return _drawn_sum(np.concatenate(effects), draws, rng)
 
 
-def _drawn(effects: FloatArray, draws: int, rng: np.random.Generator) -> float:
+def _drawn_sum(effects: FloatArray, draws: int, rng: np.random.Generator) -> float:
     """Return the largest length over `draws` of the sum of `effects` (n, 3), each up or down."""
     scale = float(np.abs(effects).max())
     # Seven digits of a change are plenty, and twice as fast.
     scaled = (effects / scale).astype(np.float32)
     up = np.zeros((draws, 3))
-    for first in range(0, len(scaled), _AT_ONCE):
-        part = scaled[first : first + _AT_ONCE]
+    for first in range(0, len(scaled), _DRAWN_AT_ONCE):
+        part = scaled[first : first + _DRAWN_AT_ONCE]
         bits = np.unpackbits(np.frombuffer(rng.bytes(draws * -(-len(part) // 8)), dtype=np.uint8).reshape(draws, -1), axis=1)
         up += bits[:, : len(part)].astype(np.float32) @ part
     # Those up less those down are twice those up less all.
     return scale * float(np.linalg.norm(2.0 * up - np.sum(effects / scale, axis=0), axis=1).max())
+
+
+# ---- where a module's pads lie ----
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactPads:
+    """Where k pads lie."""
+
+    points: Exact
+    """(k, 3)."""
+    changes: Exact
+    """(k, 3, d): of each pad, with each unknown."""
+    normals: Exact
+    """(k, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InPlane:
+    """A flat module anywhere: a shift and a turn about its origin."""
+
+    origin: Exact
+    x: Exact
+    normal: Exact
+    flat: Exact
+    """(k, 2)."""
+
+    @classmethod
+    def begin(cls, at: ModulePoses, flat: FloatArray) -> InPlane:
+        """Return the module at one pose, its directions made orthonormal."""
+        normal = unit(exactly(at.normals[0]))
+        return cls(exactly(at.points[0]), unit(_beside(exactly(at.x[0]), normal)), normal, exactly(flat))
+
+    def pads(self) -> ExactPads:
+        """Return where its pads lie: dP = dt + w x arm."""
+        arms = self.flat @ np.stack([self.x, cross(self.normal, self.x)])
+        axes = exactly(np.eye(3))
+        turned = cross(axes, arms[:, None]).swapaxes(1, 2)
+        changes = np.concatenate([np.broadcast_to(axes, turned.shape), turned], axis=2)
+        return ExactPads(self.origin + arms, changes, np.broadcast_to(self.normal, arms.shape))
+
+    def moved(self, step: Exact) -> InPlane:
+        """Return the module, shifted and turned by the quaternion 1, w/2: any way to take a step is right, its end counts."""
+        q = step[3:] / 2
+        # v + 2 (q x v + q x (q x v))/(1 + q.q)
+        x, normal = (v + (cross(q, v) + cross(q, cross(q, v))) * 2 / (1 + dot(q, q)) for v in (self.x, self.normal))
+        return replace(self, origin=self.origin + step[:3], x=x, normal=normal)
+
+    def given(self, flat: FloatArray, vertices: FloatArray | None) -> InPlane:
+        """Return the same pose with other pads."""
+        assert vertices is None
+        return replace(self, flat=exactly(flat))
+
+
+def _beside(v: Exact, normal: Exact) -> Exact:
+    return v - normal * dot(v, normal)
+
+
+class ExactMesh:
+    """A mesh to walk on; triangles are worked out as they are reached, with one root each."""
+
+    def __init__(self, mesh: RawMesh) -> None:
+        self.mesh = mesh
+        # The triangle that has an edge in this sense.
+        around = enumerate(mesh.triangles.tolist())
+        self._over = {(corners[i], corners[(i + 1) % 3]): at for at, corners in around for i in range(3)}
+        self._known: dict[int, tuple[Exact, Exact, Exact]] = {}
+
+    def triangle(self, at: int) -> tuple[Exact, Exact, Exact]:
+        """Return a triangle's corners, its normal, and of each side a vector out of it in its plane, as long as the side."""
+        if at not in self._known:
+            corners = exactly(self.mesh.vertices[self.mesh.triangles[at]])
+            normal = unit(cross(corners[1] - corners[0], corners[2] - corners[0]))
+            self._known[at] = corners, normal, cross(corners[[1, 2, 0]] - corners, normal)
+        return self._known[at]
+
+    def behind(self, at: int, side: int) -> tuple[int, int] | None:
+        """Return the triangle behind a side, and which of its sides that is; None at the rim."""
+        corners: list[int] = self.mesh.triangles[at].tolist()
+        there = self._over.get((corners[(side + 1) % 3], corners[side]))
+        return None if there is None else (there, self.mesh.triangles[there].tolist().index(corners[(side + 1) % 3]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnMesh:
+    """A module on a mesh: a place on it, and a turn in its plane.
+
+    A way to a pad is straight in space: at an edge its direction keeps its share along the edge, and its share across the edge
+    is carried from the one triangle's plane into the other's. Past the rim it goes on in the last triangle's plane.
+    """
+
+    mesh: ExactMesh
+    at: int
+    origin: Exact
+    x: Exact
+    flat: Exact
+    """(k, 2)."""
+
+    @classmethod
+    def begin(cls, at: ModulePoses, flat: FloatArray, mesh: RawMesh) -> OnMesh:
+        """Return the module at one pose, brought into the plane of its triangle."""
+        exact, number = ExactMesh(mesh), int(at.triangles[0])
+        corners, normal, _ = exact.triangle(number)
+        origin = corners[0] + _beside(exactly(at.points[0]) - corners[0], normal)
+        return cls(exact, number, origin, unit(_beside(exactly(at.x[0]), normal)), exactly(flat))
+
+    def pads(self) -> ExactPads:
+        """Return the ends of the ways: dP = da x + db y + dtheta (bx y - by x), with x, y as carried there."""
+        ends = [(way, *self._walked(way)) for way in self.flat]
+        normals = np.array([self.mesh.triangle(at)[1] for _, at, _, _ in ends])
+        x = np.array([x for _, _, _, x in ends])
+        y = cross(normals, x)
+        changes = np.stack([x, y, self.flat[:, :1] * y - self.flat[:, 1:] * x], axis=2)
+        return ExactPads(np.array([point for _, _, point, _ in ends]), changes, normals)
+
+    def moved(self, step: Exact) -> OnMesh:
+        """Return the module after its way, turned by the angle whose tangent is the last unknown."""
+        at, point, x = self._walked(step[:2])
+        return replace(self, at=at, origin=point, x=unit(x + cross(self.mesh.triangle(at)[1], x) * step[2]))
+
+    def given(self, flat: FloatArray, vertices: FloatArray | None) -> OnMesh:
+        """Return the module at the same shares of its triangle's sides, which moved."""
+        assert vertices is not None
+        mesh = ExactMesh(replace(self.mesh.mesh, vertices=vertices))
+        old, new = (each.triangle(self.at)[0] for each in (self.mesh, mesh))
+        origin = new[0] + _carried_along(self.origin - old[0], old, new)
+        return OnMesh(mesh, self.at, origin, unit(_carried_along(self.x, old, new)), exactly(flat))
+
+    def _walked(self, way: Exact) -> tuple[int, Exact, Exact]:
+        """Return the triangle, the place and the carried x at the end of a way."""
+        at, place, x, came = self.at, self.origin, self.x, -1
+        left = MP.sqrt(dot(way, way))
+        if not left:
+            return at, place, x
+        ahead = (x * way[0] + cross(self.mesh.triangle(at)[1], x) * way[1]) / left
+        for _ in range(_CROSSINGS_MAX):
+            corners, _, out = self.mesh.triangle(at)
+            rates, room = out @ ahead, dot(out, corners - place)
+            far, side = min((room[i] / rates[i], i) for i in range(3) if i != came and rates[i] > 0)
+            over = self.mesh.behind(at, side)
+            if far >= left or over is None:
+                return at, place + ahead * left, x
+            place, left = place + ahead * far, left - far
+            edge = corners[(side + 1) % 3] - corners[side]
+            inward = -self.mesh.triangle(over[0])[2][over[1]]
+            both = np.stack([ahead, x])
+            ahead, x = ((both @ edge)[:, None] * edge + (both @ out[side])[:, None] * inward) / dot(edge, edge)
+            at, came = over
+        raise ArithmeticError("A way over the mesh goes round in circles.")
+
+
+def _carried_along(v: Exact, old: Exact, new: Exact) -> Exact:
+    """Return a vector in the plane of a triangle, carried along as its sides move."""
+    sides = old[1:] - old[0]
+    return solved(sides @ sides.T, sides @ v) @ (new[1:] - new[0])
+
+
+ExactPose: TypeAlias = InPlane | OnMesh
+"""A module's pose, and what it lies on."""
+
+# ---- a module ----
+
+_STEP = MP.mpf("1e-30")
+"""Of a difference: 50 digits of a derivative are left."""
+_NONE = MP.mpf("1e-26")
+"""Share of the largest curvature below which there is none: what is left of it by differences."""
+_TRACE = MP.mpf("1e-32")
+"""Share of the largest information that is added to all, so that what is not determined has a variance: an immense one."""
+_FOUND = MP.mpf("1e-34")
+"""m: a step below it leaves 1e-60."""
+_ROUGH = MP.mpf("1e-6")
+"""m: steps of differences that are told to that share."""
+_FAR = MP.mpf("0.02")
+"""m, or rad: of one step."""
+_STEPS_MAX = 60
+_KNOWN = 1e5
+"""m: a pad whose place is known worse than this is not known at all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactPokes:
+    """What n pokes say of their module, whatever its pose."""
+
+    answered: IntArray
+    """(n, m): pads that answered; where a poke has fewer, the first pad with a share of zero."""
+    shares: Exact
+    """(n, m): of the middle."""
+    u: Exact
+    """(n, 3)."""
+    a: Exact
+    """(n, 3)."""
+    pairs: Exact
+    """(n, 2, 3): two orthonormal directions across u."""
+    sensor: Exact
+    """(n, 3)."""
+    moment: Exact
+    """(n,) m^2: (sm/|f|)^2."""
+    force: Exact
+    """(n,): (sf/|f|)^2."""
+    offset: Exact
+    """(n,) m^2: s^2."""
+
+    def middles(self, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
+        """Return the middles of the pads that answered, their change with each unknown (n, 3, d), and the normals there."""
+        places = (self.shares[:, :, None] * pads.points[self.answered]).sum(axis=1)
+        normals = (self.shares[:, :, None] * pads.normals[self.answered]).sum(axis=1)
+        changes = (self.shares[:, :, None, None] * pads.changes[self.answered]).sum(axis=1)
+        return places, changes, unit(normals)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleTruth:
+    """The exact places of a module's k pads, and how far they move when the inputs' last digits do."""
+
+    pads: Exact
+    """(k, 3)."""
+    changes: tuple[float, ...]
+    """m, of each pad the largest over the draws."""
+    determined: tuple[bool, ...]
+    """Whether the pokes determine the pad's place at all, however badly."""
+    blind: tuple[bool, ...]
+    """Whether it must be called blind: known worse than `SD_MAX`, or missed by the axes by more than `MISS_MAX`."""
+
+
+def pokes_of(readings: ModuleReadings, noise: NoiseSettings) -> ExactPokes:
+    """Return the pokes in 80 digits."""
+    f, m = _carried(readings)
+    size = np.sqrt(dot(f, f))
+    u = f / size[:, None]
+    heard = readings.responses > 0
+    # Those that answered first, in their order.
+    answered = np.argsort(~heard, axis=1, kind="stable")[:, : heard.sum(axis=1).max()]
+    answers = exactly(np.take_along_axis(readings.responses, answered, axis=1))
+    missed = (exactly(MIDDLE) * exactly(noise.contact)) / exactly(heard.sum(axis=1))
+    beside = _np.where(readings.beside > 0, exactly(ACROSS), MP.zero)
+    return ExactPokes(
+        answered, answers / answers.sum(axis=1, keepdims=True), u, cross(u, m) / size[:, None], _across(u),
+        exactly(readings.poses[readings.pose_of, :3, 3]), (exactly(noise.moment) / size) ** 2,
+        (exactly(noise.force) / size) ** 2, missed**2 + beside**2,
+    )  # fmt: skip
+
+
+def _across(u: Exact) -> Exact:
+    """Return two orthonormal directions (n, 2, 3) across u (n, 3)."""
+    first = unit(cross(u, exactly(np.eye(3))[abs(u).argmin(axis=1)]))
+    return np.stack([first, cross(u, first)], axis=1)
+
+
+def _weighed(pokes: ExactPokes, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
+    """Return of each poke the misses E (a - c) (n, 2), their slopes E dc/dp (n, 2, d), and D^-1 (n, 2, 2)."""
+    places, changes, normals = pokes.middles(pads)
+    levers = places - pokes.sensor
+    swing, out = dot(cross(pokes.u[:, None], pokes.pairs), levers[:, None]), dot(pokes.pairs, normals[:, None])
+    even = pokes.moment + pokes.force * dot(levers, levers) + pokes.offset
+    tilt = pokes.force[:, None] * swing, pokes.offset[:, None] * out
+    xx, yy = (even - tilt[0][:, i] * swing[:, i] - tilt[1][:, i] * out[:, i] for i in range(2))
+    xy = -tilt[0][:, 0] * swing[:, 1] - tilt[1][:, 0] * out[:, 1]
+    inverse = np.array([[yy, -xy], [-xy, xx]]).transpose(2, 0, 1) / (xx * yy - xy * xy)[:, None, None]
+    return dot(pokes.pairs, (pokes.a - places)[:, None]), pokes.pairs @ changes, inverse
+
+
+def pull(pokes: ExactPokes, pads: ExactPads) -> Exact:
+    """Return g: how the pokes pull at each unknown."""
+    misses, slopes, inverse = _weighed(pokes, pads)
+    return (slopes * (inverse @ misses[:, :, None])).sum(axis=(0, 1))
+
+
+def information(pokes: ExactPokes, pads: ExactPads) -> Exact:
+    """Return sum (E dc/dp)' D^-1 E dc/dp, the inverse of the unknowns' covariance."""
+    _, slopes, inverse = _weighed(pokes, pads)
+    return (slopes.swapaxes(1, 2) @ (inverse @ slopes)).sum(axis=0)
+
+
+def solved(matrix: Exact, right: Exact, none: Any = _NONE) -> Exact:
+    """Return a solution of the linear equations, by elimination with full pivots; zero of what they do not determine.
+
+    Parameters
+    ----------
+    none : share of the largest number below which a pivot determines nothing
+    """
+    count = len(matrix)
+    rows = _np.column_stack([matrix, right])
+    found = _np.full((count, rows.shape[1] - count), MP.zero)
+    left, pivots, least = list(range(count)), list[int](), none * abs(matrix).max()
+    for k in range(count):
+        sizes = abs(rows[k:, left])
+        top, place = divmod(int(sizes.argmax()), len(left))
+        if sizes[top, place] <= least:
+            break
+        pivots.append(left.pop(place))
+        rows[[k, k + top]] = rows[[k + top, k]]
+        rows[k] = rows[k] / rows[k, pivots[k]]
+        others = np.arange(count) != k
+        rows[others] = rows[others] - rows[others, pivots[k]][:, None] * rows[k]
+    found[pivots] = rows[: len(pivots), count:]
+    return found.reshape(right.shape)
+
+
+def find(pokes: ExactPokes, pose: ExactPose) -> tuple[ExactPose, Exact]:
+    """Return the pose where the pokes' pulls cancel, nearest to `pose` as Newton goes, and -dg/dp there."""
+    pads, last = pose.pads(), MP.one
+    matrix, pulled = information(pokes, pads), pull(pokes, pads)
+    for _ in range(_STEPS_MAX):
+        step = solved(matrix, pulled)
+        size = abs(step).max()
+        pose = pose.moved(step * min(MP.one, _FAR / size) if size else step)
+        if size < _FOUND:
+            return pose, matrix
+        pulled = pull(pokes, pose.pads())
+        # Once its differences are told to a millionth, the matrix serves to the end: each step gains as many digits.
+        if last > _ROUGH:
+            near = [pull(pokes, pose.moved(way).pads()) for way in exactly(np.eye(len(step))) * _STEP]
+            matrix = np.stack([(pulled - there) / _STEP for there in near], axis=1)
+        last = size
+    raise ArithmeticError("Newton's method does not converge from where the pokes were made.")
+
+
+def find_module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> ModuleTruth:
+    """Return the exact answer of a case and how far its pads move over draws of the inputs' last digits."""
+    module, pokes = case.module, pokes_of(case.readings, case.noise)
+    pose = _begin(case)
+    if case.lost:
+        return _said(pokes, pose, np.zeros((1, len(module.flat))))
+    pose, matrix = find(pokes, pose)
+    here = pose.pads().points
+    changes = [_drawn(case, pose, here, matrix, rng) for _ in range(draws)]
+    return _said(pokes, pose, np.array([np.zeros(len(module.flat)), *changes]))
+
+
+def _begin(case: ModuleCase) -> ExactPose:
+    at, mesh, flat = case.module.at, case.module.mesh, case.module.flat
+    return InPlane.begin(at, flat) if mesh is None else OnMesh.begin(at, flat, mesh)
+
+
+def _drawn(case: ModuleCase, pose: ExactPose, here: Exact, matrix: Exact, rng: np.random.Generator) -> list[float]:
+    """Return how far each pad moves in one draw."""
+    mesh = case.module.mesh
+    there = pose.given(moved(case.module.flat, rng), None if mesh is None else moved(mesh.vertices, rng)).pads()
+    step = solved(matrix, pull(pokes_of(case.readings.moved(rng), case.noise), there))
+    return [distance(old, new) for old, new in zip(here, there.points + there.changes @ step, strict=True)]
+
+
+def _said(pokes: ExactPokes, pose: ExactPose, changes: FloatArray) -> ModuleTruth:
+    pads = pose.pads()
+    matrix, one = information(pokes, pads), exactly(np.eye(len(pads.changes[0, 0])))
+    inverse = solved(matrix + _TRACE * abs(_np.diag(matrix)).max() * one, one, MP.zero)
+    covariances = floats(pads.changes @ inverse @ pads.changes.swapaxes(1, 2))
+    sds = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1]).tolist()
+    away = pokes.a - pokes.middles(pads)[0]
+    off = away - dot(away, pokes.u)[:, None] * pokes.u
+    missed = bool(MP.sqrt(dot(off, off).mean()) > MISS_MAX)
+    return ModuleTruth(
+        pads.points, tuple(changes.max(axis=0).tolist()), tuple(sd < _KNOWN for sd in sds),
+        tuple(missed or sd > SD_MAX for sd in sds),
+    )  # fmt: skip

@@ -1,15 +1,12 @@
 """How many pokes each way to poke takes: people who are told nothing, a printed recipe, and the guide.
 
-Ways, hand, rig and what counts as knowing are in `poking` and `courses`. All of it is seeded. Courses run side by side, as
-many as the machine has cores; their numbers do not depend on it.
+Ways, hand, rig and what counts as knowing are in `skincal/simulate/ways.py` and `courses.py`. All of it is seeded. Courses run
+side by side, as many as the machine has cores; their numbers do not depend on it.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
@@ -17,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray
-from skincal.studies.courses import FOLLOWED, Course, run_course
-from skincal.studies.poking import WAYS, Conditions, Part
+from skincal.simulate.benches import Bench
+from skincal.simulate.courses import FOLLOWED, ErrorCourse, run_course
+from skincal.simulate.ways import WAYS, Conditions
+from skincal.studies.measuring import bar_lines, bars_of, processes
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.studies.figure import Figure
+    from skincal.studies.figures import Figure
 
 STANDARD = "standard"
 TO_5_MAX, TO_3_MAX = 90.0, 200.0
@@ -43,7 +42,7 @@ _TAXELS = 84
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class CourseTask:
     """One course."""
 
     way: str
@@ -55,7 +54,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Sizes:
+class GuidanceSizes:
     """What is run."""
 
     seeds: int = 20
@@ -85,15 +84,15 @@ def _cases() -> dict[str, Conditions]:
     return cases
 
 
-FULL = Sizes(cases=_cases())
-QUICK = Sizes(
+FULL = GuidanceSizes(cases=_cases())
+QUICK = GuidanceSizes(
     seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252,
     modules_limit=60, modules_seeds=2, long=1008,
     cases={"drift 0.25 N": replace(Conditions(), drift=0.25)},
 )  # fmt: skip
 
 
-def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None) -> dict[str, Any]:
+def run(quick: bool, progress: Callable[[str], None], sizes: GuidanceSizes | None = None) -> dict[str, Any]:
     """Measure; quick with fewer seeds, cases and pokes.
 
     Returns
@@ -104,16 +103,15 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
     sizes = sizes or (QUICK if quick else FULL)
     tasks = list(_tasks(sizes))
     rows: list[dict[str, Any]] = []
-    kept: dict[tuple[str, str, str], list[Course]] = {}
+    kept: dict[tuple[str, str, str], list[ErrorCourse]] = {}
     # Longest first would be quicker; in order a person sees what is done.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count() or 1, mp_context=context) as pool:
+    with processes() as pool:
         found = zip(tasks, pool.map(_run, tasks), strict=True)
         for (case, method, way), group in groupby(found, key=lambda pair: _key(pair[0])):
             own = list(group)
             courses = kept[case, method, way] = [course for _, course in own]
             rows.append(_row(own[0][0], courses))
-            progress(_told(rows[-1]))
+            progress(_in_words(rows[-1]))
     free = {row["way"]: row for row in rows if (row["case"], row["method"]) == (STANDARD, "free")}
     return {
         "study": "guidance",
@@ -126,34 +124,34 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
     }
 
 
-def _tasks(sizes: Sizes) -> Iterator[Task]:
+def _tasks(sizes: GuidanceSizes) -> Iterator[CourseTask]:
     standard = Conditions()
     for way in ("guided", *WAYS, "diversity", "optimal"):
         seeds = sizes.seeds if way == "guided" else sizes.other_seeds
         limit = sizes.guided_limit if way == "guided" else sizes.free_limit if way in FOLLOWED else sizes.long
-        yield from (Task(way, Method.FREE, STANDARD, standard, seed, limit) for seed in range(1, seeds + 1))
+        yield from (CourseTask(way, Method.FREE, STANDARD, standard, seed, limit) for seed in range(1, seeds + 1))
     for way in ("guided", "round_robin", "random", "clumped"):
         # Two are compared to a tenth: that takes more seeds than the others.
         seeds = range(1, (sizes.seeds if way in ("guided", "round_robin") else sizes.other_seeds) + 1)
-        yield from (Task(way, Method.SURFACE, STANDARD, standard, seed, sizes.surface_limit) for seed in seeds)
+        yield from (CourseTask(way, Method.SURFACE, STANDARD, standard, seed, sizes.surface_limit) for seed in seeds)
     for way in ("guided", "round_robin", "random", "clumped"):
         seeds = range(1, sizes.modules_seeds + 1)
-        yield from (Task(way, Method.MODULES, STANDARD, standard, seed, sizes.modules_limit) for seed in seeds)
+        yield from (CourseTask(way, Method.MODULES, STANDARD, standard, seed, sizes.modules_limit) for seed in seeds)
     for case, conditions in sizes.cases.items():
         for way, method in COMPARED:
             seeds = range(1, sizes.case_seeds + 1)
-            yield from (Task(way, method, case, conditions, seed, sizes.free_limit) for seed in seeds)
+            yield from (CourseTask(way, method, case, conditions, seed, sizes.free_limit) for seed in seeds)
 
 
-def _key(task: Task) -> tuple[str, str, str]:
+def _key(task: CourseTask) -> tuple[str, str, str]:
     return task.case, task.method.value, task.way
 
 
-def _run(task: Task) -> Course:
-    return run_course(Part(), task.way, task.method, task.conditions, task.seed, task.limit)
+def _run(task: CourseTask) -> ErrorCourse:
+    return run_course(Bench(), task.way, task.method, task.conditions, task.seed, task.limit)
 
 
-def _row(task: Task, courses: Sequence[Course]) -> dict[str, Any]:
+def _row(task: CourseTask, courses: Sequence[ErrorCourse]) -> dict[str, Any]:
     """Return the medians over seeds with their 95 % intervals, and the course of the mean error."""
     thresholds = {"pokes_to_5mm": (0.005, False), "pokes_to_3mm": (0.003, False), "pokes_to_p95_8mm": (0.008, True)}
     return {
@@ -163,7 +161,7 @@ def _row(task: Task, courses: Sequence[Course]) -> dict[str, Any]:
         "way": task.way,
         "seeds": len(courses),
         "limit": task.limit,
-        **{name: _interval([one.pokes_to(*told) for one in courses]) for name, told in thresholds.items()},
+        **{name: _interval([one.pokes_to(*wanted) for one in courses]) for name, wanted in thresholds.items()},
         "seconds_to_5mm": _interval([_seconds_to(one, 0.005) for one in courses]),
         "pokes": courses[0].pokes.tolist(),
         "mean_mm": (1e3 * _over(courses, "mean")).round(4).tolist(),
@@ -175,11 +173,11 @@ def _row(task: Task, courses: Sequence[Course]) -> dict[str, Any]:
     }
 
 
-def _over(courses: Sequence[Course], name: str) -> FloatArray:
+def _over(courses: Sequence[ErrorCourse], name: str) -> FloatArray:
     return np.mean([getattr(one, name) for one in courses], axis=0)
 
 
-def _seconds_to(course: Course, error: float) -> float:
+def _seconds_to(course: ErrorCourse, error: float) -> float:
     pokes = course.pokes_to(error)
     return float("inf") if np.isinf(pokes) else float(course.seconds[np.searchsorted(course.pokes, pokes)])
 
@@ -199,7 +197,7 @@ def _finite(number: float) -> float | None:
 
 
 def _bars(
-    free: Mapping[str, dict[str, Any]], rows: Sequence[dict[str, Any]], kept: Mapping[tuple[str, str, str], list[Course]]
+    free: Mapping[str, dict[str, Any]], rows: Sequence[dict[str, Any]], kept: Mapping[tuple[str, str, str], list[ErrorCourse]]
 ) -> dict[str, dict[str, Any]]:
     to = {way: row["pokes_to_5mm"]["median"] for way, row in free.items()}
     guided, to_3 = to["guided"] or np.inf, free["guided"]["pokes_to_3mm"]["median"] or np.inf
@@ -215,21 +213,16 @@ def _bars(
         "drift_over_none": (_drift_ratio(kept), "<=", DRIFT_MAX),
         "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", FALSE_MAX),
     }
-    return {name: _bar(*told) for name, told in numbers.items()}
+    return bars_of(numbers)
 
 
-def _bar(value: float, sign: str, limit: float) -> dict[str, Any]:
-    holds = value >= limit if sign == ">=" else value <= limit
-    return {"value": _finite(value), "sign": sign, "limit": limit, "holds": bool(holds)}
-
-
-def _surface_ratio(kept: Mapping[tuple[str, str, str], list[Course]]) -> float:
+def _surface_ratio(kept: Mapping[tuple[str, str, str], list[ErrorCourse]]) -> float:
     ours, theirs = (kept[STANDARD, "surface", way] for way in ("guided", "round_robin"))
     late = ours[0].pokes >= _TAXELS
     return float((_over(ours, "mean")[late] / _over(theirs, "mean")[late]).max())
 
 
-def _drift_ratio(kept: Mapping[tuple[str, str, str], list[Course]]) -> float:
+def _drift_ratio(kept: Mapping[tuple[str, str, str], list[ErrorCourse]]) -> float:
     """Return the ratio of the errors at the last poke with drift, over the seeds that both cases have."""
     drifting = kept["drift 0.25 N", "free", "guided"]
     still = kept[STANDARD, "free", "guided"][: len(drifting)]
@@ -238,10 +231,10 @@ def _drift_ratio(kept: Mapping[tuple[str, str, str], list[Course]]) -> float:
     return float(np.mean([one.mean[-1] for one in drifting]) / np.mean(without))
 
 
-def _told(row: Mapping[str, Any]) -> str:
+def _in_words(row: Mapping[str, Any]) -> str:
     def pokes(name: str) -> str:
-        told = row[name]
-        return f"over {row['limit']}" if told["median"] is None else f"{told['median']:.0f}"
+        count = row[name]["median"]
+        return f"over {row['limit']}" if count is None else f"{count:.0f}"
 
     enough = "" if row["pokes_to_enough"]["median"] is None else f"enough after {row['pokes_to_enough']['median']:.0f}, "
     return (
@@ -252,15 +245,11 @@ def _told(row: Mapping[str, Any]) -> str:
 
 def summary(result: dict[str, Any]) -> list[str]:
     """Return a line for each row, and the bars."""
-    bars: list[str] = []
-    for name, bar in result["bars"].items():
-        value = "not reached" if bar["value"] is None else f"{bar['value']:.3g}"
-        bars.append(f"{name}: {value}, bar {bar['sign']} {bar['limit']:g}: {'holds' if bar['holds'] else 'DOES NOT HOLD'}")
-    return [*map(_told, result["table"]), *bars]
+    return [*map(_in_words, result["table"]), *bar_lines(result["bars"])]
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw error against pokes of every way, all methods."""
-    from skincal.studies.guidance_figure import draw_guidance
+    from skincal.studies.figures import draw_guidance
 
     draw_guidance(result, figure)

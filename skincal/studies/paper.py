@@ -2,31 +2,56 @@
 
 Table I's seven arm poses are poked for their minutes on the simulated forearm with the rig errors of `RigErrors.paper()`, each
 seed another rig. Each pose alone (the paper's figure 4), the poses averaged one after another (figure 5), all pokes pooled, and
-pooled with 21 and 70 landmark pokes; and how the error falls with pokes and with the processor's time. Beside it a rig that is
-only noisy, and what a correction does where one of the landmark pokes is wrong. All of it but the times is seeded; trials run
-side by side, and their numbers do not depend on it.
+pooled with 21 and 70 landmark pokes; and how the error falls with pokes and with the processor's time that the methods take as
+they come. Beside it a rig that is only noisy, and what a correction does where one of the landmark pokes is wrong. All but the
+times is seeded; trials run side by side, and their numbers do not depend on it.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import partial
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skincal.studies.paper_course import NAMES as COURSES
-from skincal.studies.paper_course import Course, errors_of, run_course, times_of
-from skincal.studies.paper_trials import LANDMARKS, MINUTES, Good, Safety, Spread, Trial, run_good, run_safety, run_trial
+from skincal.contacts.outcome import Contact
+from skincal.geometry.arrays import FloatArray
+from skincal.methods import estimate_taxels
+from skincal.rig.correction_fit import TOLD, LandmarkPoke, RigRequest, correct_rig
+from skincal.session.session import Session
+from skincal.simulate.benches import Bench
+from skincal.simulate.contacts import poke_landmarks
+from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig import Rig
+from skincal.studies.measuring import at_rest, bar_lines, bars_of, clock, processes
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.studies.figure import Figure
+    from skincal.studies.figures import Figure
 
+METHODS = tuple(Method)
+LANDMARKS = (3, 10)
+"""Landmark pokes in each of the seven arm poses: 21 and 70."""
+OFF = 0.010
+"""m: a landmark poke that is of another point."""
+FIRST_LANDMARK = 100_001
+"""Number of the first landmark poke."""
+GOOD_POKES = 252
+"""Of a good rig: three a taxel."""
+CORRECTED = "modules_21"
+"""Name of the modules method on a rig that 21 landmark pokes correct."""
+NAMES = tuple(method.value for method in Method)
+COURSES = (*NAMES, CORRECTED)
+TOGETHER: Mapping[Method, tuple[Method, ...]] = {
+    Method.FREE: (Method.FREE,),
+    Method.SURFACE: (Method.SURFACE,),
+    Method.MODULES: (Method.SURFACE, Method.MODULES),
+}
+"""What a session solves for a method: the modules begin at the surface method's estimates."""
 PUBLISHED: dict[str, Any] = {
     "source": "Del Prete et al., IROS 2011, section IV; taxels 84",
     "per_pose_mean_mm": {"free": [8.1, 18.5], "surface": [5.2, 19.3]},
@@ -41,13 +66,11 @@ WITHIN = {"free": (8.0, 19.0), "surface": (5.0, 20.0)}
 MOST = 0.5
 """Share of the poses of all seeds that counts as most."""
 SHARE_SAFE = 0.95
-"""Share of the rigs to which a correction may do no harm."""
-HARM = 1.0
-"""A correction does harm where the error with it is more than this times that without."""
+"""Share of the rigs to which a correction may do no harm: the error with it is at most that without."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sizes:
+class PaperSizes:
     """What is run."""
 
     seeds: int = 20
@@ -65,11 +88,11 @@ class Sizes:
     """How many of them are timed, and for how many pokes."""
 
 
-FULL = Sizes()
-QUICK = Sizes(seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168), timed=(1, 168))
+FULL = PaperSizes()
+QUICK = PaperSizes(seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168), timed=(1, 168))
 
 
-def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None) -> dict[str, Any]:
+def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None = None) -> dict[str, Any]:
     """Measure; quick with fewer seeds.
 
     Returns
@@ -80,55 +103,302 @@ def run(quick: bool, progress: Callable[[str], None], sizes: Sizes | None = None
     `published`, `bars`
     """
     sizes = sizes or (QUICK if quick else FULL)
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count() or 1, mp_context=context) as pool:
+    with processes() as pool:
         trials: list[Trial] = []
         for trial in pool.map(partial(run_trial, share=sizes.share), range(1, sizes.seeds + 1)):
             trials.append(trial)
-            progress(_told(trial))
+            progress(_in_words(trial))
         goods = list(pool.map(partial(run_good, counts=sizes.counts), range(1, sizes.good + 1)))
         progress(f"good rig, {len(goods)} seeds")
         safeties = list(pool.map(run_safety, range(1, sizes.safety + 1)))
         progress(f"corrections tried on {len(safeties)} more rigs")
-        courses = [work.result() for work in _courses(pool, sizes)]
+        rigs, pokes = sizes.timed
+        timed = [pokes if seed <= rigs else 0 for seed in range(1, sizes.courses + 1)]
+        follow = partial(run_course, counts=sizes.steps, share=sizes.share)
+        courses = list(pool.map(follow, range(1, sizes.courses + 1), timed))
         progress(f"{len(courses)} rigs followed from poke to poke")
     result = {
         "study": "paper",
         "quick": quick,
         "seeds": len(trials),
         "pokes": trials[0].pokes,
-        "minutes": dict(MINUTES),
+        "minutes": dict(TABLE_I),
         "mean_mm": _means(trials),
-        "good_rig_mm": _good_means(goods),
-        "per_pose_mm": _per_pose(trials),
-        "averaged_mm": _averaged(trials),
-        "landmarks": [_landmarks(trials, index) for index in range(len(LANDMARKS))],
-        "course_mm": _course(goods),
-        "bad_course_mm": errors_of(courses),
-        "bad_course_ms": times_of(courses),
-        "runtime_ms": _runtimes(trials),
-        "safety": _safety(safeties),
-        "no_error": {
-            "before_mm": _mean([one.before for one in goods]),
-            "after_mm": _mean([one.after for one in goods]),
-            "ratio": _mean([one.after for one in goods]) / _mean([one.before for one in goods]),
+        "good_rig_mm": {name: _mean([one.course[GOOD_POKES][name].mean for one in goods]) for name in NAMES},
+        "per_pose_mm": {name: {pose: _over([one.alone[name][pose] for one in trials]) for pose in TABLE_I} for name in NAMES},
+        "averaged_mm": {
+            name: [_over([one.averaged[name][step] for one in trials]) for step in range(len(TABLE_I))] for name in NAMES
         },
+        "landmarks": [_landmarks([one.landmarks[index] for one in trials]) for index in range(len(LANDMARKS))],
+        "course_mm": _good_course(goods),
+        "bad_course_mm": {"rigs": len(courses), **_course_means(courses, [one.errors for one in courses], 1.0)},
+        "bad_course_ms": _course_times(courses),
+        "runtime_ms": {name: 1e3 * float(np.median([one.seconds[name] for one in trials])) for name in NAMES},
+        "safety": _safety(safeties),
+        "no_error": _no_error(goods),
         "trials": [asdict(trial) for trial in trials],
         "published": PUBLISHED,
     }
     return {**result, "bars": _bars(result, trials)}
 
 
-def _courses(pool: ProcessPoolExecutor, sizes: Sizes) -> list[Future[Course]]:
-    """Begin to follow rigs from poke to poke."""
-    rigs, pokes = sizes.timed
-    return [
-        pool.submit(run_course, seed, sizes.steps, sizes.share, pokes if seed <= rigs else 0)
-        for seed in range(1, sizes.courses + 1)
-    ]
+# ---- one rig ----
 
 
-def _told(trial: Trial) -> str:
+@dataclass(frozen=True, slots=True)
+class ErrorSpread:
+    """Errors of the taxels that have an estimate, millimetres."""
+
+    mean: float
+    sd: float
+    largest: float
+    missing: int
+
+    @classmethod
+    def of(cls, off: FloatArray) -> ErrorSpread:
+        """Return that of errors (n,), metres, NaN where there is no estimate."""
+        known = 1e3 * off[np.isfinite(off)]
+        missing = len(off) - len(known)
+        if not len(known):
+            return cls(float("nan"), float("nan"), float("nan"), missing)
+        return cls(float(known.mean()), float(known.std()), float(known.max()), missing)
+
+
+@lru_cache(maxsize=1)
+def bench() -> Bench:
+    """Return the forearm, whose rigs are this module's own."""
+    return Bench("icub-forearm")
+
+
+def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[str, FloatArray]:
+    """Return of each method the positions (n, 3) of the rig's taxels, metres, NaN where there is no estimate."""
+    part, nowhere = bench(), np.full(3, np.nan)
+    channels = rig.channels.tolist()
+    found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, boards=part.boards)
+    return {
+        method.value: np.array([nowhere if one.position is None else one.position for one in estimates.values()])
+        for method, estimates in found.items()
+    }
+
+
+def spread(positions: FloatArray, rig: Rig) -> ErrorSpread:
+    """Return the errors of positions (n, 3)."""
+    return ErrorSpread.of(np.linalg.norm(positions - rig.places, axis=1))
+
+
+def _spreads(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[str, ErrorSpread]:
+    return {name: spread(found, rig) for name, found in solved(contacts, rig, methods).items()}
+
+
+def _by_modules(contacts: Sequence[Contact], rig: Rig) -> float:
+    """Return the mean error of the modules method, mm."""
+    return _spreads(contacts, rig, [Method.MODULES])[Method.MODULES.value].mean
+
+
+def _begin(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random.Generator]:
+    """Return a rig, and what its pokes are drawn from."""
+    part = bench()
+    rig = Rig(part.scene, part.surface, errors, np.random.default_rng([seed, stream]))
+    return rig, np.random.default_rng([seed, 2000 + stream])
+
+
+def _poke_landmarks(
+    rig: Rig, rng: np.random.Generator, each: int = LANDMARKS[0], off: FloatArray | None = None
+) -> list[LandmarkPoke]:
+    return poke_landmarks(rig, bench().scene.landmarks, each, rng, FIRST_LANDMARK, off)
+
+
+@dataclass(frozen=True, slots=True)
+class Corrected:
+    """What landmark pokes did."""
+
+    landmarks: int
+    used: bool
+    held_before: float
+    """mm: at what distance the axes pass the landmarks as the rig reports."""
+    held_after: float
+    """mm: the same of held-out pokes, corrected."""
+    doubted: tuple[int, ...]
+    """Landmark pokes that are named as off."""
+    errors: Mapping[str, ErrorSpread]
+    """By method, pooled; those without a correction where it is not used."""
+    seconds: float
+    """s of processor time, of the correction alone."""
+
+
+def corrected(
+    rig: Rig, contacts: Sequence[Contact], known: Sequence[LandmarkPoke], methods: Sequence[Method] = METHODS
+) -> Corrected:
+    """Correct a rig by landmark pokes, and solve what was poked on its skin."""
+    begin = time.process_time()
+    answer = correct_rig(RigRequest(bench().scene, bench().surface, contacts, known))
+    seconds = time.process_time() - begin
+    right = contacts
+    if answer.used and answer.correction is not None:
+        right = [answer.correction.corrected(contact) for contact in contacts]
+    doubted = tuple(poke for poke, trust in answer.trust.items() if trust < TOLD)
+    before, after = 1e3 * answer.before, 1e3 * answer.after
+    return Corrected(len(known), answer.used, before, after, doubted, _spreads(right, rig, methods), seconds)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What came of one rig with the paper's errors; errors by method."""
+
+    seed: int
+    pokes: int
+    alone: Mapping[str, Mapping[str, ErrorSpread]]
+    """For each method, of each arm pose."""
+    averaged: Mapping[str, tuple[ErrorSpread, ...]]
+    """For each method after each arm pose (IV-B)."""
+    pooled: Mapping[str, ErrorSpread]
+    landmarks: tuple[Corrected, ...]
+    seconds: Mapping[str, float]
+    """s of processor time, of a solve of all contacts, by method."""
+
+
+def run_trial(seed: int, share: float = 1.0) -> Trial:
+    """Poke a rig with the paper's errors for `share` of the paper's minutes."""
+    rig, rng = _begin(seed, 11, RigErrors.paper())
+    of_pose = poke_table(rig, share, rng)
+    places = {pose: solved(contacts, rig) for pose, contacts in of_pose.items()}
+    every = [contact for contacts in of_pose.values() for contact in contacts]
+    pooled, seconds = dict[str, ErrorSpread](), dict[str, float]()
+    for method in METHODS:
+        begin = time.process_time()
+        found = solved(every, rig, [method])[method.value]
+        seconds[method.value] = time.process_time() - begin
+        pooled[method.value] = spread(found, rig)
+    known = [_poke_landmarks(rig, rng, each) for each in LANDMARKS]
+    return Trial(
+        seed=seed,
+        pokes=len(every),
+        alone={name: {pose: spread(found[name], rig) for pose, found in places.items()} for name in NAMES},
+        averaged={name: _averaged([found[name] for found in places.values()], rig) for name in NAMES},
+        pooled=pooled,
+        landmarks=tuple(corrected(rig, every, some) for some in known),
+        seconds=seconds,
+    )
+
+
+def _averaged(places: Sequence[FloatArray], rig: Rig) -> tuple[ErrorSpread, ...]:
+    """Return the errors after each arm pose, the positions of all so far averaged; a taxel's poses without one left out."""
+    sums, counts = np.zeros_like(rig.places), np.zeros((len(rig.places), 1))
+    course: list[ErrorSpread] = []
+    for found in places:
+        known = np.isfinite(found).all(axis=1, keepdims=True)
+        sums, counts = sums + np.where(known, found, 0.0), counts + known
+        with np.errstate(invalid="ignore"):
+            course.append(spread(sums / np.where(counts > 0, counts, np.nan), rig))
+    return tuple(course)
+
+
+@dataclass(frozen=True, slots=True)
+class RigCourse:
+    """One rig after more and more pokes; numbers by method, and `CORRECTED`."""
+
+    counts: tuple[int, ...]
+    errors: Mapping[str, tuple[float, ...]]
+    """mm: mean of the taxels that have an estimate, after so many pokes; NaN where none has."""
+    seconds: Mapping[str, tuple[float, ...]]
+    """s of processor time until then, each poke solved as it came; NaN beyond the pokes that are timed. A correction of the rig
+    is made once, then."""
+
+
+def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> RigCourse:
+    """Solve the rig of `run_trial` after each of `counts` pokes, and after all of them, in an order that mixes the arm poses.
+
+    Parameters
+    ----------
+    timed : pokes that are solved one by one as well, with the time that takes; 0 for none
+    share : of the paper's minutes
+    """
+    rig, rng = _begin(seed, 11, RigErrors.paper())
+    every = [contact for some in poke_table(rig, share, rng).values() for contact in some]
+    known = _poke_landmarks(rig, rng)
+    order: list[int] = np.random.default_rng([seed, 2014]).permutation(len(every)).tolist()
+    mixed = [every[i] for i in order]
+    steps = (*(count for count in counts if count < len(mixed)), len(mixed))
+    plain = [_spreads(mixed[:count], rig) for count in steps]
+    right = [corrected(rig, mixed[:count], known, [Method.MODULES]) for count in steps]
+    errors = {name: tuple(one[name].mean for one in plain) for name in NAMES}
+    errors[CORRECTED] = tuple(one.errors[Method.MODULES.value].mean for one in right)
+    seconds = {method.value: _seconds(mixed[:timed], together, steps) for method, together in TOGETHER.items()}
+    with_them = zip(seconds[Method.MODULES.value], right, strict=True)
+    seconds[CORRECTED] = tuple(until + one.seconds for until, one in with_them)
+    return RigCourse(steps, errors, seconds)
+
+
+def _seconds(contacts: Sequence[Contact], methods: Sequence[Method], steps: Sequence[int]) -> tuple[float, ...]:
+    """Return the processor time, s, until each step of a session that solves each contact as it comes."""
+    session, total, at = Session(bench().scene, bench().surface, methods), 0.0, dict[int, float]()
+    with at_rest():
+        for count, contact in enumerate(contacts, start=1):
+            start = clock()
+            session.add(replace(contact, poke=count))
+            session.snapshot()
+            total += clock() - start
+            at[count] = total
+    return tuple(at.get(step, float("nan")) for step in steps)
+
+
+@dataclass(frozen=True, slots=True)
+class Safety:
+    """Whether a correction did harm, by the modules' mean error, mm."""
+
+    before: float
+    after: float
+    """With 21 landmark pokes."""
+    after_wrong: float
+    """One of which lies `OFF` beside its landmark."""
+    wrong_named: bool
+    """That poke is named as off."""
+    others_named: int
+    """Right ones that are named, of both."""
+
+
+def run_safety(seed: int, pokes: int = 84) -> Safety:
+    """Correct a rig with the paper's errors by 21 landmark pokes, all right and one wrong."""
+    rig, rng = _begin(seed, 12, RigErrors.paper())
+    contacts = [one for k, pose in enumerate(TABLE_I) for one in poke_rounds(rig, pose, pokes, rng, 1 + k * pokes)]
+    wrong = np.zeros(len(TABLE_I) * LANDMARKS[0])
+    bad = int(rng.integers(len(wrong)))
+    wrong[bad] = OFF
+    before = _by_modules(contacts, rig)
+    clean, mixed = (corrected(rig, contacts, _poke_landmarks(rig, rng, off=off), [Method.MODULES]) for off in (None, wrong))
+    others = len(clean.doubted) + len(set(mixed.doubted) - {FIRST_LANDMARK + bad})
+    after, after_wrong = (one.errors["modules"].mean for one in (clean, mixed))
+    return Safety(before, after, after_wrong, FIRST_LANDMARK + bad in mixed.doubted, others)
+
+
+@dataclass(frozen=True, slots=True)
+class GoodRig:
+    """A rig that is only noisy; errors by method."""
+
+    course: Mapping[int, Mapping[str, ErrorSpread]]
+    """After so many pokes."""
+    before: float
+    """mm: the modules' mean error over seven arm poses, as the rig reports."""
+    after: float
+    """mm: with 21 landmark pokes."""
+
+
+def run_good(seed: int, counts: Sequence[int]) -> GoodRig:
+    """Poke a rig with sensor noise alone in one arm pose; then in all of them with landmarks, though nothing is wrong."""
+    rig, rng = _begin(seed, 13, RigErrors.noise())
+    contacts = poke_rounds(rig, "2", max(*counts, GOOD_POKES), rng, 1)
+    course = {count: _spreads(contacts[:count], rig) for count in counts}
+    each = GOOD_POKES // len(TABLE_I)
+    every = [one for k, pose in enumerate(TABLE_I) for one in poke_rounds(rig, pose, each, rng, 1 + k * each)]
+    before = _by_modules(every, rig)
+    after = corrected(rig, every, _poke_landmarks(rig, rng), [Method.MODULES]).errors["modules"].mean
+    return GoodRig(course, before, after)
+
+
+# ---- what is said of them ----
+
+
+def _in_words(trial: Trial) -> str:
     pooled = ", ".join(f"{method} {one.mean:.1f}" for method, one in trial.pooled.items())
     with_them = ", ".join(f"{one.landmarks} landmark pokes {one.errors['modules'].mean:.2f}" for one in trial.landmarks)
     return f"rig {trial.seed}, {trial.pokes} pokes: {pooled} mm; modules with {with_them} mm"
@@ -139,25 +409,13 @@ def _mean(numbers: Sequence[float]) -> float:
 
 
 def _means(trials: Sequence[Trial]) -> dict[str, float]:
-    means = {method.value: _mean([one.pooled[method.value].mean for one in trials]) for method in Method}
-    for index, per_pose in enumerate(LANDMARKS):
-        means[f"modules_{7 * per_pose}"] = _mean([one.landmarks[index].errors["modules"].mean for one in trials])
+    means = {name: _mean([one.pooled[name].mean for one in trials]) for name in NAMES}
+    for index, each in enumerate(LANDMARKS):
+        means[f"modules_{7 * each}"] = _mean([one.landmarks[index].errors["modules"].mean for one in trials])
     return means
 
 
-def _good_means(goods: Sequence[Good]) -> dict[str, float]:
-    return {method.value: _mean([one.course[252][method.value].mean for one in goods]) for method in Method}
-
-
-def _per_pose(trials: Sequence[Trial]) -> dict[str, Any]:
-    """Return mean and sd of the errors of each pose alone, averaged over seeds, and all means."""
-    return {
-        method.value: {pose: {**_over([one.alone[method.value][pose] for one in trials])} for pose in MINUTES}
-        for method in Method
-    }
-
-
-def _over(spreads: Sequence[Spread]) -> dict[str, Any]:
+def _over(spreads: Sequence[ErrorSpread]) -> dict[str, Any]:
     means = [one.mean for one in spreads]
     return {
         "mean": _mean(means),
@@ -169,47 +427,41 @@ def _over(spreads: Sequence[Spread]) -> dict[str, Any]:
     }
 
 
-def _averaged(trials: Sequence[Trial]) -> dict[str, Any]:
-    return {
-        method.value: [_over([one.averaged[method.value][step] for one in trials]) for step in range(len(MINUTES))]
-        for method in Method
-    }
-
-
-def _landmarks(trials: Sequence[Trial], index: int) -> dict[str, Any]:
-    some = [one.landmarks[index] for one in trials]
+def _landmarks(some: Sequence[Corrected]) -> dict[str, Any]:
+    errors = {name: [one.errors[name].mean for one in some] for name in NAMES}
     return {
         "landmark_pokes": some[0].landmarks,
         "used_share": _mean([float(one.used) for one in some]),
         "held_out_before_mm": _mean([one.held_before for one in some]),
         "held_out_after_mm": _mean([one.held_after for one in some]),
         "correction_ms": 1e3 * float(np.median([one.seconds for one in some])),
-        "mean_mm": {method.value: _mean([one.errors[method.value].mean for one in some]) for method in Method},
-        "worst_mm": {method.value: max(one.errors[method.value].mean for one in some) for method in Method},
+        "mean_mm": {name: _mean(own) for name, own in errors.items()},
+        "worst_mm": {name: max(own) for name, own in errors.items()},
     }
 
 
-def _course(goods: Sequence[Good]) -> dict[str, Any]:
-    counts = list(goods[0].course)
-    return {
-        "pokes": counts,
-        **{
-            method.value: [_finite([one.course[count][method.value].mean for one in goods]) for count in counts]
-            for method in Method
-        },
-        **{
-            f"{method.value}_missing": [_mean([one.course[count][method.value].missing for one in goods]) for count in counts]
-            for method in Method
-        },
-    }
+def _good_course(goods: Sequence[GoodRig]) -> dict[str, Any]:
+    course: dict[str, Any] = {"pokes": list(goods[0].course)}
+    for name in NAMES:
+        of = [[one.course[count][name] for one in goods] for count in course["pokes"]]
+        means = [_mean([one.mean for one in some]) for some in of]
+        course[name] = [mean if np.isfinite(mean) else None for mean in means]
+        course[f"{name}_missing"] = [_mean([one.missing for one in some]) for some in of]
+    return course
 
 
-def _finite(numbers: Sequence[float]) -> float | None:
-    return _mean(numbers) if np.isfinite(numbers).all() else None
+def _course_times(courses: Sequence[RigCourse]) -> dict[str, Any]:
+    """Return the mean processor times, ms, of the rigs that are timed; None beyond the pokes that are."""
+    timed = [one for one in courses if np.isfinite(one.seconds["free"]).any()]
+    return {"rigs": len(timed), **_course_means(courses, [one.seconds for one in timed], 1e3)}
 
 
-def _runtimes(trials: Sequence[Trial]) -> dict[str, float]:
-    return {method.value: 1e3 * float(np.median([one.seconds[method.value] for one in trials])) for method in Method}
+def _course_means(
+    courses: Sequence[RigCourse], numbers: Sequence[Mapping[str, tuple[float, ...]]], unit: float
+) -> dict[str, Any]:
+    means = {name: np.mean([one[name] for one in numbers], axis=0).tolist() for name in COURSES} if numbers else {}
+    finite = {name: [unit * value if np.isfinite(value) else None for value in some] for name, some in means.items()}
+    return {"pokes": list(courses[0].counts), **finite}
 
 
 def _safety(safeties: Sequence[Safety]) -> dict[str, Any]:
@@ -218,16 +470,21 @@ def _safety(safeties: Sequence[Safety]) -> dict[str, Any]:
         "before_mm": _mean([one.before for one in safeties]),
         "after_mm": _mean([one.after for one in safeties]),
         "after_wrong_mm": _mean([one.after_wrong for one in safeties]),
-        "no_worse_share": _mean([float(one.after <= HARM * one.before) for one in safeties]),
-        "no_worse_wrong_share": _mean([float(one.after_wrong <= HARM * one.before) for one in safeties]),
-        "wrong_told_share": _mean([float(one.wrong_told) for one in safeties]),
-        "right_told_mean": _mean([one.others_told / 2 for one in safeties]),
+        "no_worse_share": _mean([float(one.after <= one.before) for one in safeties]),
+        "no_worse_wrong_share": _mean([float(one.after_wrong <= one.before) for one in safeties]),
+        "wrong_told_share": _mean([float(one.wrong_named) for one in safeties]),
+        "right_told_mean": _mean([one.others_named / 2 for one in safeties]),
     }
+
+
+def _no_error(goods: Sequence[GoodRig]) -> dict[str, float]:
+    before, after = _mean([one.before for one in goods]), _mean([one.after for one in goods])
+    return {"before_mm": before, "after_mm": after, "ratio": after / before}
 
 
 def _bars(result: dict[str, Any], trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
     mean, good, safety = result["mean_mm"], result["good_rig_mm"], result["safety"]
-    numbers = {
+    return bars_of({
         "free_within_published_share": (_within(trials, "free"), ">=", MOST),
         "surface_within_published_share": (_within(trials, "surface"), ">=", MOST),
         "modules_over_surface": (mean["modules"] / mean["surface"], "<=", 1.0),
@@ -237,11 +494,7 @@ def _bars(result: dict[str, Any], trials: Sequence[Trial]) -> dict[str, dict[str
         "no_worse_share": (safety["no_worse_share"], ">=", SHARE_SAFE),
         "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", SHARE_SAFE),
         "no_error_ratio": (result["no_error"]["ratio"], "<=", 1.1),
-    }
-    return {
-        name: {"value": value, "sign": sign, "limit": limit, "holds": bool(value <= limit if sign == "<=" else value >= limit)}
-        for name, (value, sign, limit) in numbers.items()
-    }
+    })  # fmt: skip
 
 
 def _within(trials: Sequence[Trial], method: str) -> float:
@@ -253,31 +506,25 @@ def _within(trials: Sequence[Trial], method: str) -> float:
 
 def summary(result: dict[str, Any]) -> list[str]:
     """Return lines for a person."""
-    mean, good = result["mean_mm"], result["good_rig_mm"]
-    lines = [
-        f"paper's rig, {result['pokes']} pokes in seven poses, {result['seeds']} rigs, pooled: "
-        + ", ".join(f"{name} {value:.2f} mm" for name, value in mean.items()),
-        "averaged as in the paper: "
-        + ", ".join(f"{name} {course[-1]['mean']:.2f} mm" for name, course in result["averaged_mm"].items())
-        + "; published 7.2 free, 6.6 surface",
-        "good rig, 252 pokes in one pose: " + ", ".join(f"{name} {value:.2f} mm" for name, value in good.items()),
-    ]
-    for one in result["landmarks"]:
-        lines.append(
+
+    def mm(values: Mapping[str, float]) -> str:
+        return ", ".join(f"{name} {value:.2f} mm" for name, value in values.items())
+
+    safety, last = result["safety"], {name: course[-1]["mean"] for name, course in result["averaged_mm"].items()}
+    return [
+        f"paper's rig, {result['pokes']} pokes in seven poses, {result['seeds']} rigs, pooled: {mm(result['mean_mm'])}",
+        f"averaged as in the paper: {mm(last)}; published 7.2 free, 6.6 surface",
+        f"good rig, 252 pokes in one pose: {mm(result['good_rig_mm'])}",
+        *(
             f"{one['landmark_pokes']} landmark pokes: held-out miss {one['held_out_before_mm']:.1f} -> "
-            f"{one['held_out_after_mm']:.1f} mm, {one['correction_ms']:.0f} ms; "
-            + ", ".join(f"{name} {value:.2f} mm" for name, value in one["mean_mm"].items())
-        )
-    lines.append(_course_line(result))
-    safety = result["safety"]
-    lines.append(
+            f"{one['held_out_after_mm']:.1f} mm, {one['correction_ms']:.0f} ms; {mm(one['mean_mm'])}"
+            for one in result["landmarks"]
+        ),
+        _course_line(result),
         f"{safety['seeds']} more rigs, 21 landmark pokes: {safety['before_mm']:.1f} -> {safety['after_mm']:.2f} mm, "
-        f"with one poke 10 mm off {safety['after_wrong_mm']:.2f} mm; that poke is named in {safety['wrong_told_share']:.0%}"
-    )
-    for name, bar in result["bars"].items():
-        holds = "holds" if bar["holds"] else "DOES NOT HOLD"
-        lines.append(f"{name}: {bar['value']:.3g}, bar {bar['sign']} {bar['limit']:g}: {holds}")
-    return lines
+        f"with one poke 10 mm off {safety['after_wrong_mm']:.2f} mm; that poke is named in {safety['wrong_told_share']:.0%}",
+        *bar_lines(result["bars"]),
+    ]
 
 
 def _course_line(result: dict[str, Any]) -> str:
@@ -290,6 +537,6 @@ def _course_line(result: dict[str, Any]) -> str:
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw the paper's figures 4 and 5, and what came since."""
-    from skincal.studies.paper_figure import draw_paper
+    from skincal.studies.figures import draw_paper
 
     draw_paper(result, figure)

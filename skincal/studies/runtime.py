@@ -2,35 +2,94 @@
 
 The table has a row for each method on each size of the problem: a forearm of 84 taxels and a torso of 4,200, on meshes of
 300 to 100,000 triangles, with 1 to 100 pokes a taxel. Ratios are between times of the same run. The bars are those that
-`docs/benchmarks.md` states.
+`docs/benchmarks.md` states. What is too slow to run whole is run on a part of its triangles, taxels or modules, drawn at
+random, and its time is that of a piece times the number of pieces; its row says of what part.
+
+The modules method is compared with scipy's Levenberg-Marquardt (`least_squares`, MINPACK) with a differenced Jacobian, each
+module by itself, from the same start. It gets the method's own rows, whitened anew at each pose, and computes neither trust nor
+uncertainty: both favour it.
 """
 
 from __future__ import annotations
 
+import copy
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+import tracemalloc
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.mesh.search import build_tree
 from skincal.mesh.surface import Surface, make_surface
-from skincal.studies import alternatives, board_measures, live, measures
-from skincal.studies.benches import Bench
-from skincal.studies.clock import CLOCK, timed
-from skincal.studies.measures import Cell, Row, Searches
-from skincal.studies.runtime_results import bars_of, growth_of, ratios_of, summary, told
-from skincal.taxels.result import PER_TAXEL, Method
+from skincal.methods import average_over_poses, estimate_from, estimate_taxels
+from skincal.modules.pose import ModuleModel, ModulePoses, Pads
+from skincal.modules.pose_fit import Touches, find_touches, start_of, whitened
+from skincal.session.session import Session
+from skincal.simulate.benches import Bench
+from skincal.studies import alternatives
+from skincal.studies.alternatives import Problems, Systems, problems
+from skincal.studies.measuring import CLOCK, Quartiles, at_rest, bar_lines, bars_of, clock, sampled, time_words, timed
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
 if TYPE_CHECKING:
-    from skincal.studies.figure import Figure
+    from skincal.studies.figures import Figure
 
-__all__ = ["draw", "run", "summary"]
-
-Progress = Callable[[str], None]
+LABELS = {
+    "surface": "surface, as shipped",
+    "free": "free, as shipped",
+    "brute": "surface: every triangle, closed form",
+    "facing": "surface: every triangle that is pushed, closed form",
+    "compiled": "surface: every triangle that is pushed, compiled",
+    "bounded": "surface: every triangle's bound, then closed form",
+    "quadprog": "surface: each triangle by quadprog",
+    "slsqp": "surface: each triangle by SLSQP",
+    "modules": "modules, as shipped",
+    "modules-general": "modules: scipy's Levenberg-Marquardt",
+    "modules-per-pose": "modules: each pose alone, averaged",
+    "surface-per-pose": "surface: each pose alone, averaged",
+    "free-per-pose": "free: each pose alone, averaged",
+    "lstsq": "free: numpy's lstsq for each taxel",
+    "normal": "free: normal equations",
+}
+"""Name of each method in JSON, and in words."""
+SEARCHES: Mapping[str, Callable[..., FloatArray]] = {
+    "brute": alternatives.every_triangle,
+    "facing": alternatives.facing_triangles,
+    "compiled": alternatives.compiled_triangles,
+    "bounded": alternatives.bounded_triangles,
+}
+"""Ways that go through a taxel's triangles by themselves."""
+CHUNK = 25
+"""Triangles of one timed piece of the paper's way: 0.5 ms by quadprog, far above what a clock's reading costs."""
+WARM = 50
+"""Contacts, and taxels, that are solved before the clock runs."""
+WHOLE = 100_000
+"""Pairs of taxel and triangle. Where there are no more, all may be solved; else a sample of them."""
+SPREAD_OVER = 24
+"""Taxels over which a sample of triangles is spread, and whose answers are compared."""
+GENERAL: dict[str, Any] = {"method": "lm", "xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
+"""Unknowns are metres: it stops where a step is a hundredth of a micrometre of a pose some centimetres away."""
+TOUCHED = 7
+"""Taxels that a timed poke touches: what a tip of 4 mm between pads 5 mm apart reaches at most."""
+SLOW_TO_POKE = 30
+"""Pokes a taxel from which on one seed does: the simulation takes longer than all that is measured on it."""
+AS_SHIPPED = (
+    "As shipped: with uncertainty, trust and rivals, which the other ways do not give. Trust finds pokes that touched two "
+    "places, and adds 1 to 2 % to the error where there are none."
+)
+Say: TypeAlias = Callable[[str], None]
+Positions: TypeAlias = dict[int, FloatArray]
+Row: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +102,7 @@ class PartSizes:
     meshes: tuple[int, ...]
     """Triangles, beside the mesh that ships."""
     pokes: tuple[int, ...]
-    """Pokes a taxel, beside `Sizes.per_taxel`."""
+    """Pokes a taxel, beside `RuntimeSizes.per_taxel`."""
     taxels: tuple[int, ...] = ()
     """Taxels, beside all."""
     budget_s: float = 5.0
@@ -51,7 +110,7 @@ class PartSizes:
 
 
 @dataclass(frozen=True, slots=True)
-class Sizes:
+class RuntimeSizes:
     """What is measured."""
 
     small: PartSizes = PartSizes("icub-forearm", 5, 5, (300, 1_000, 3_000, 30_000, 100_000), (1, 3, 30, 100))
@@ -69,21 +128,15 @@ class Sizes:
     memory_pokes: int = 4_000
 
 
-SLOW_TO_POKE = 30
-"""Pokes a taxel from which on one seed does: the simulation takes longer than all that is measured on it."""
-FULL = Sizes()
-QUICK = Sizes(
+FULL = RuntimeSizes()
+QUICK = RuntimeSizes(
     small=PartSizes("icub-forearm", 2, 2, (1_000, 100_000), (1, 30), budget_s=0.3),
     large=PartSizes("whole-body", 1, 2, (1_000,), (), (84, 420), budget_s=0.8),
-    everywhere=False,
-    growth_until_s=20.0,
-    live_pokes=60,
-    live_per_taxel=(12,),
-    memory_pokes=1_000,
-)
+    everywhere=False, growth_until_s=20.0, live_pokes=60, live_per_taxel=(12,), memory_pokes=1_000,
+)  # fmt: skip
 
 
-def run(quick: bool, progress: Progress, sizes: Sizes | None = None) -> dict[str, Any]:
+def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[str, Any]:
     """Measure everything; see `docs/benchmarks.md` for what the JSON holds."""
     began = time.perf_counter()
     sizes = sizes or (QUICK if quick else FULL)
@@ -102,8 +155,13 @@ def run(quick: bool, progress: Progress, sizes: Sizes | None = None) -> dict[str
         rows.append(row)
         if row["off_ours_m"] is not None:
             off[row["method"]] = max(off.get(row["method"], 0.0), row["off_ours_m"])
-        progress(told(row))
-    lively = _live(small, sizes, progress)
+        progress(_in_words(row))
+    progress("pokes one by one, a whole session at once, memory")
+    lively = {
+        "poke": [poke_time(small, per_taxel, sizes.live_pokes) for per_taxel in sizes.live_per_taxel],
+        "resolve": resolve_time(small, sizes.resolved, sizes.small.repeats // 2),
+        "memory": memory(small, sizes.memory_pokes),
+    }
     ratios = ratios_of(rows, large.name, sizes.per_taxel)
     return {
         "study": "runtime",
@@ -115,106 +173,9 @@ def run(quick: bool, progress: Progress, sizes: Sizes | None = None) -> dict[str
         **lively,
         "tree_build_ms": {bench.name: _tree_build_ms(bench.surface) for bench in (small, large)},
         "ratios": ratios,
-        "bars": bars_of(ratios, off, lively),
+        "bars": runtime_bars(ratios, off, lively),
         "left_out": left_out,
         "seconds": time.perf_counter() - began,
-    }
-
-
-def _table(benches: Sequence[tuple[Bench, PartSizes]], sizes: Sizes, progress: Progress, leave_out: Progress) -> Iterator[Row]:
-    """Measure what the ratios need, then how cost grows, as far as there is time."""
-    began = time.perf_counter()
-    mains: list[Cell] = []
-    for bench, part in benches:
-        progress(f"poking {part.scene}: {len(bench.channels)} taxels, {sizes.per_taxel} pokes each")
-        runs = [bench.contacts(sizes.per_taxel, seed) for seed in range(1, part.seeds + 1)]
-        mains.append(Cell(bench, bench.surface, sizes.per_taxel, runs, bench.channels, part.repeats, part.budget_s))
-        yield from _free(mains[-1])
-        yield from _surface(mains[-1], True)
-        yield from board_measures.modules(replace(mains[-1], repeats=max(1, part.repeats // 2)))
-    pairs = list(zip(mains, (part for _, part in benches), strict=True))
-    growth = (on_size for main, part in reversed(pairs) for on_size in _growth(main, part, sizes))
-    for number, on_size in enumerate(growth):
-        if number > 0 and time.perf_counter() - began > sizes.growth_until_s:
-            leave_out("the machine is slow: some sizes of the problem are left out")
-            return
-        yield from on_size
-
-
-def _growth(main: Cell, part: PartSizes, sizes: Sizes) -> Iterator[Iterator[Row]]:
-    """Give the cells on which one size differs; the first of the large part is needed for the ratios."""
-    short = replace(main, runs=main.runs[:1], repeats=max(1, part.repeats // 2), budget_s=part.budget_s / 5)
-    for triangles in part.meshes:
-        yield _on_mesh(replace(short, surface=main.bench.mesh(triangles)), sizes.everywhere)
-    for taxels in part.taxels:
-        channels = main.channels[:taxels]
-        yield _shipped(replace(short, channels=channels, runs=[_answered(main.runs[0], channels)]))
-    for per_taxel in part.pokes:
-        seeds = part.seeds if per_taxel < SLOW_TO_POKE else 1
-        yield _poked(short, per_taxel, seeds, sizes.everywhere)
-
-
-def _poked(cell: Cell, per_taxel: int, seeds: int, everything: bool) -> Iterator[Row]:
-    runs = [cell.bench.contacts(per_taxel, seed) for seed in range(1, seeds + 1)]
-    cell = replace(cell, runs=runs, per_taxel=per_taxel)
-    if not everything:
-        yield from _shipped(cell)
-        return
-    yield measures.shipped(cell, Method.SURFACE)
-    yield measures.shipped(cell, Method.MODULES)
-    yield from _free(cell)
-
-
-def _on_mesh(cell: Cell, everything: bool) -> Iterator[Row]:
-    yield from _surface(cell, everything)
-    if everything:
-        yield measures.shipped(cell, Method.MODULES)
-
-
-def _shipped(cell: Cell) -> Iterator[Row]:
-    for method in Method:
-        yield measures.shipped(cell, method)
-
-
-def _answered(contacts: Sequence[Contact], channels: Sequence[int]) -> list[Contact]:
-    """Return the contacts in which one of `channels` answered."""
-    wanted = set(channels)
-    return [contact for contact in contacts if not wanted.isdisjoint(contact.channels.tolist())]
-
-
-def _free(cell: Cell) -> Iterator[Row]:
-    """Measure the free method beside its alternatives, and both methods with each pose alone."""
-    yield measures.shipped(cell, Method.FREE)
-    yield from measures.free_alternatives(cell)
-    if len(cell.bench.rig.stances) > 1:
-        for method in PER_TAXEL:
-            yield measures.per_pose(cell, method)
-
-
-def _surface(cell: Cell, all_ways: bool) -> Iterator[Row]:
-    """Measure the surface method beside the other ways to search the surface."""
-    ours = measures.Shipped(cell, Method.SURFACE)
-    searches = Searches.of(cell, ours.run())
-    found = [searches.over_triangles("brute", alternatives.every_triangle)]
-    ours.run()
-    row = ours.row()
-    yield row
-    found.append(searches.over_triangles("facing", alternatives.facing_triangles))
-    found.append(searches.over_triangles("compiled", alternatives.compiled_triangles))
-    found.append(searches.over_triangles("bounded", alternatives.bounded_triangles))
-    if all_ways:
-        found.append(searches.each_triangle("slsqp", alternatives.by_slsqp))
-    if all_ways and alternatives.has_quadprog():
-        found.append(searches.each_triangle("quadprog", alternatives.by_quadprog))
-    yield from (measures.beside(other, row) for other in found)
-
-
-def _live(bench: Bench, sizes: Sizes, progress: Progress) -> dict[str, Any]:
-    progress("pokes one by one, a whole session at once, memory")
-    return {
-        "poke": [live.poke_time(bench, per_taxel, sizes.live_pokes) for per_taxel in sizes.live_per_taxel],
-        "resolve": live.resolve_time(bench, sizes.resolved, sizes.small.repeats // 2),
-        "memory": live.memory(bench, sizes.memory_pokes),
     }
 
 
@@ -235,8 +196,583 @@ def _machine() -> dict[str, Any]:
     }
 
 
+# ---- which sizes are measured ----
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One size of the problem: a part, its mesh and contacts."""
+
+    bench: Bench
+    surface: Surface
+    per_taxel: int
+    runs: Sequence[Sequence[Contact]]
+    """Contacts, simulated anew for each seed."""
+    channels: Sequence[int]
+    repeats: int
+    """How often what is fast is run on each seed's contacts."""
+    budget_s: float
+    """s. How long each slow alternative may run."""
+
+    def row(
+        self, method: str, seconds: Quartiles, found: Sequence[Positions], part: Mapping[str, Any] | None = None, **more: Any
+    ) -> Row:
+        """Return a row of the table.
+
+        Parameters
+        ----------
+        seconds : of a whole solve, from contacts to positions
+        found : positions by channel, one a seed
+        part : what the seconds were extrapolated from; None where nothing was left out
+        """
+        means = [1e3 * float(np.mean(errors)) for errors in map(self.bench.errors, found) if len(errors)]
+        return {
+            "part": self.bench.name, "taxels": len(self.channels), "triangles": len(self.surface.triangles),
+            "pokes_per_taxel": self.per_taxel, "contacts": len(self.runs[0]), "method": method, "label": LABELS[method],
+            "time_ms": seconds.times(1e3).json(), "error_mm": Quartiles.of(means).json() if means else None,
+            "error_of_taxels": len(found[0]) if found else 0, "from_session_ms": None, "off_ours_m": None,
+            "error_beside_ours_mm": None, "extrapolated_from": part, **more,
+        }  # fmt: skip
+
+    def each_run(self, solve: Callable[[Sequence[Contact]], Any], repeats: int) -> tuple[list[float], list[Any]]:
+        """Return the seconds of all runs of `solve` on each seed's contacts, and what the last one of each gave."""
+        both = [timed(partial(solve, contacts), repeats) for contacts in self.runs]
+        return [second for seconds, _ in both for second in seconds], [result for _, result in both]
+
+    def slow(
+        self, name: str, solve: Callable[[int], object], order: Sequence[int], what: str, front: float
+    ) -> Mapping[str, Any]:
+        """Run `solve` on each of `order` as far as the budget goes; return what `row` takes of it.
+
+        Parameters
+        ----------
+        what : they are, in words
+        front : s, from contacts to what each of them begins from
+        """
+        seconds = sampled((partial(solve, one) for one in order), self.budget_s)
+        part = None
+        if len(seconds) < len(order):
+            part = {what: len(seconds), f"of_{what}": len(order), "seconds": float(np.sum(seconds))}
+        return {"method": name, "seconds": Quartiles.of(seconds).times(len(order)).plus(front), "part": part}
+
+
+def _table(benches: Sequence[tuple[Bench, PartSizes]], sizes: RuntimeSizes, progress: Say, leave_out: Say) -> Iterator[Row]:
+    """Measure what the ratios need, then how cost grows, as far as there is time."""
+    began = time.perf_counter()
+    mains: list[Cell] = []
+    for bench, part in benches:
+        progress(f"poking {part.scene}: {len(bench.channels)} taxels, {sizes.per_taxel} pokes each")
+        runs = [bench.contacts(sizes.per_taxel, seed) for seed in range(1, part.seeds + 1)]
+        mains.append(Cell(bench, bench.surface, sizes.per_taxel, runs, bench.channels, part.repeats, part.budget_s))
+        yield from _free(mains[-1])
+        yield from _surface(mains[-1], True)
+        yield from _modules(replace(mains[-1], repeats=max(1, part.repeats // 2)))
+    pairs = list(zip(mains, (part for _, part in benches), strict=True))
+    growth = (on_size for main, part in reversed(pairs) for on_size in _growth(main, part, sizes))
+    for number, on_size in enumerate(growth):
+        if number > 0 and time.perf_counter() - began > sizes.growth_until_s:
+            leave_out("the machine is slow: some sizes of the problem are left out")
+            return
+        yield from on_size
+
+
+def _growth(main: Cell, part: PartSizes, sizes: RuntimeSizes) -> Iterator[Iterator[Row]]:
+    """Give the cells on which one size differs; the first of the large part is needed for the ratios."""
+    short = replace(main, runs=main.runs[:1], repeats=max(1, part.repeats // 2), budget_s=part.budget_s / 5)
+    for triangles in part.meshes:
+        yield _on_mesh(replace(short, surface=main.bench.mesh(triangles)), sizes.everywhere)
+    for taxels in part.taxels:
+        channels = main.channels[:taxels]
+        answered = [contact for contact in main.runs[0] if not set(channels).isdisjoint(contact.channels.tolist())]
+        yield _as_shipped(replace(short, channels=channels, runs=[answered]))
+    for per_taxel in part.pokes:
+        seeds = part.seeds if per_taxel < SLOW_TO_POKE else 1
+        yield _poked(short, per_taxel, seeds, sizes.everywhere)
+
+
+def _poked(cell: Cell, per_taxel: int, seeds: int, everything: bool) -> Iterator[Row]:
+    runs = [cell.bench.contacts(per_taxel, seed) for seed in range(1, seeds + 1)]
+    cell = replace(cell, runs=runs, per_taxel=per_taxel)
+    if not everything:
+        yield from _as_shipped(cell)
+        return
+    yield shipped(cell, Method.SURFACE)
+    yield shipped(cell, Method.MODULES)
+    yield from _free(cell)
+
+
+def _on_mesh(cell: Cell, everything: bool) -> Iterator[Row]:
+    yield from _surface(cell, everything)
+    if everything:
+        yield shipped(cell, Method.MODULES)
+
+
+def _as_shipped(cell: Cell) -> Iterator[Row]:
+    for method in Method:
+        yield shipped(cell, method)
+
+
+# ---- the methods as shipped, and each pose alone ----
+
+
+def positions_of(estimates: Mapping[int, Estimate]) -> Positions:
+    """Return the positions of those that have one."""
+    return {channel: one.position for channel, one in estimates.items() if one.position is not None}
+
+
+class Shipped:
+    """A method of the program on a cell, from contacts to estimates with their uncertainty.
+
+    It may be run again after what it is compared with, so that a machine that slows down meanwhile slows both.
+    """
+
+    def __init__(self, cell: Cell, method: Method) -> None:
+        self.cell, self.method = cell, method
+        self._seconds: list[float] = []
+        self._results: list[dict[int, Estimate]] = []
+        self._boards = cell.bench.boards_on(cell.surface) if method is Method.MODULES else None
+        # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
+        self._solve(cell.runs[0][:WARM], cell.channels[:WARM])
+
+    def _solve(self, contacts: Sequence[Contact], channels: Sequence[int]) -> dict[int, Estimate]:
+        noise = self.cell.bench.scene.noise
+        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, boards=self._boards)[self.method]
+
+    def run(self) -> dict[int, Estimate]:
+        """Measure, and return the first seed's estimates."""
+        cell = self.cell
+        seconds, self._results = cell.each_run(lambda contacts: self._solve(contacts, cell.channels), cell.repeats)
+        self._seconds += seconds
+        return self._results[0]
+
+    def row(self) -> Row:
+        """Return the row of all that was measured; of the surface method also from what a session keeps of its contacts."""
+        cell, more = self.cell, dict[str, Any]()
+        if self.method is Method.SURFACE:
+            ledger, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
+            again, _ = timed(lambda: estimate_from(ledger, cell.channels, [self.method], noise, cell.surface), cell.repeats)
+            more["from_session_ms"] = Quartiles.of(again).times(1e3).json()
+        found = [positions_of(one) for one in self._results]
+        return cell.row(self.method.value, Quartiles.of(self._seconds), found, **more)
+
+
+def shipped(cell: Cell, method: Method) -> Row:
+    """Measure a method of the program."""
+    measured = Shipped(cell, method)
+    measured.run()
+    return measured.row()
+
+
+def per_pose(cell: Cell, method: Method) -> Row:
+    """Measure the paper's averaging over arm poses (IV-B)."""
+    boards, noise = cell.bench.boards_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
+
+    def solve(contacts: Sequence[Contact]) -> Positions:
+        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, boards=boards))
+
+    seconds, found = cell.each_run(solve, cell.repeats)
+    return cell.row(f"{method.value}-per-pose", Quartiles.of(seconds), found)
+
+
+def _beside(row: Row, ours: Row) -> Row:
+    """Return the row of an alternative that solved some taxels: its error is ours plus what differs on these."""
+    more, error = row["error_beside_ours_mm"], ours["error_mm"]
+    if more is None or error is None:
+        return row
+    return {**row, "error_mm": {**error, **{key: error[key] + more for key in ("median", "q1", "q3")}}}
+
+
+# ---- the free method beside its alternatives ----
+
+
+def _free(cell: Cell) -> Iterator[Row]:
+    """Measure the free method beside its alternatives, and both methods with each pose alone."""
+    yield shipped(cell, Method.FREE)
+    for name, way in {"lstsq": alternatives.by_lstsq, "normal": alternatives.by_normal_equations}.items():
+
+        def solve(contacts: Sequence[Contact], way: Callable[..., FloatArray] = way) -> Positions:
+            system = alternatives.stacked(contacts, cell.channels)
+            # Two contacts or more: one axis is a line and no position.
+            pairs = zip(system.channels, way(system), np.diff(system.starts) > 3, strict=True)
+            return {channel: p for channel, p, enough in pairs if enough and np.isfinite(p).all()}
+
+        seconds, found = cell.each_run(solve, max(1, cell.repeats // 2))
+        yield cell.row(name, Quartiles.of(seconds), found)
+    if len(cell.bench.rig.stances) > 1:
+        for method in PER_TAXEL:
+            yield per_pose(cell, method)
+
+
+# ---- the surface method beside other searches ----
+
+
+def _surface(cell: Cell, all_ways: bool) -> Iterator[Row]:
+    """Measure the surface method beside the other ways to search the surface."""
+    ours = Shipped(cell, Method.SURFACE)
+    searches = Searches.of(cell, ours.run())
+    found = [searches.over_triangles("brute", SEARCHES["brute"])]
+    ours.run()
+    row = ours.row()
+    yield row
+    found += [searches.over_triangles(name, SEARCHES[name]) for name in ("facing", "compiled", "bounded")]
+    if all_ways:
+        found.append(searches.each_triangle("slsqp", alternatives.by_slsqp))
+    if all_ways and alternatives.has_quadprog():
+        found.append(searches.each_triangle("quadprog", alternatives.by_quadprog))
+    yield from (_beside(other, row) for other in found)
+
+
+@dataclass(frozen=True, eq=False)
+class Searches:
+    """The other ways to search the surface on one cell, with what they begin from."""
+
+    cell: Cell
+    systems: Systems
+    front: float
+    """s. From contacts to the taxels' factors, which every alternative needs too."""
+    ours: Mapping[int, Estimate]
+    """The shipped method's answers."""
+    order: list[int]
+    """Taxels in random order."""
+
+    @classmethod
+    def of(cls, cell: Cell, ours: Mapping[int, Estimate]) -> Searches:
+        """Prepare the first seed's contacts."""
+        contacts, noise = cell.runs[0], cell.bench.scene.noise
+        seconds, begun = timed(lambda: alternatives.systems(contacts, cell.channels, noise), cell.repeats)
+        order = np.random.default_rng(1).permutation(len(begun.channels))
+        return cls(cell, begun, Quartiles.of(seconds).median, ours, order.tolist())
+
+    def over_triangles(self, name: str, way: Callable[..., FloatArray]) -> Row:
+        """Measure a way that goes through a taxel's triangles by itself."""
+        found: Positions = {}
+
+        def solve(taxel: int) -> None:
+            found[self.systems.channels[taxel]] = way(self.cell.surface, *self._system(taxel))
+
+        solve(self.order[0])
+        return self._row(found, **self.cell.slow(name, solve, self.order, "taxels", self.front))
+
+    def each_triangle(self, name: str, solver: Callable[[Problems], FloatArray]) -> Row:
+        """Measure the paper's way: each triangle a constrained least squares."""
+        few = self.order[:SPREAD_OVER]
+        total = round(float(np.mean([len(self._facing(taxel)) for taxel in few])) * len(self.order))
+        sizes: list[int] = []
+
+        def solve(taxel: int, triangles: IntArray) -> None:
+            solver(self._problems(taxel, triangles))
+            sizes.append(len(triangles))
+
+        solve(few[0], self._facing(few[0])[:CHUNK])
+        sizes.clear()
+        pieces = self._pieces(self.order if total <= WHOLE else few)
+        seconds = sampled((partial(solve, *piece) for piece in pieces), self.cell.budget_s)
+        rates = Quartiles.of([spent / size for spent, size in zip(seconds, sizes, strict=True)])
+        found: Positions = {self.systems.channels[taxel]: self._winner(taxel, solver) for taxel in few}
+        part = None
+        if sum(sizes) < total:
+            part = {"triangles": sum(sizes), "of_triangles": total, "seconds": float(np.sum(seconds))}
+        return self._row(found, method=name, seconds=rates.times(total).plus(self.front), part=part)
+
+    def _row(self, found: Positions, **measured: Any) -> Row:
+        ours = {channel: point for channel, point in positions_of(self.ours).items() if channel in found}
+        off = [float(np.linalg.norm(found[channel] - point)) for channel, point in ours.items()]
+        more = None
+        if ours:
+            errors = self.cell.bench.errors
+            more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in ours})) - np.mean(errors(ours)))
+        return self.cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
+
+    def _system(self, taxel: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.systems.roots[taxel], self.systems.offsets[taxel], self.systems.pushes[taxel]
+
+    def _facing(self, taxel: int) -> IntArray:
+        return alternatives.facing(self.cell.surface, self.systems.pushes[taxel])
+
+    def _pieces(self, taxels: Sequence[int]) -> Iterator[tuple[int, IntArray]]:
+        """Give taxels with `CHUNK` triangles that their pokes push on, each pair once: one of each taxel in turn, at random."""
+        rng = np.random.default_rng(2)
+        facing = {taxel: rng.permutation(self._facing(taxel)) for taxel in taxels}
+        for first in range(0, max(map(len, facing.values())), CHUNK):
+            for taxel, triangles in facing.items():
+                if first < len(triangles):
+                    yield taxel, triangles[first : first + CHUNK]
+
+    def _problems(self, taxel: int, triangles: IntArray) -> Problems:
+        root, offset, _ = self._system(taxel)
+        count = len(triangles)
+        roots, offsets = np.broadcast_to(root, (count, 3, 3)), np.broadcast_to(offset, (count, 3))
+        return problems(self.cell.surface.corners[triangles], roots, offsets)
+
+    def _winner(self, taxel: int, solver: Callable[[Problems], FloatArray]) -> FloatArray:
+        """Return the best point over the triangle of our answer and those that touch it, by another solver."""
+        triangle = self.ours[self.systems.channels[taxel]].triangle
+        surface, facing = self.cell.surface, self._facing(taxel)
+        if triangle is not None:
+            facing = facing[np.isin(surface.triangles[facing], surface.triangles[triangle]).any(axis=1)]
+        some = self._problems(taxel, facing)
+        points = some.points(solver(some))
+        root, offset, _ = self._system(taxel)
+        return points[np.linalg.norm(points @ root.T - offset, axis=1).argmin()]
+
+
+# ---- the modules method beside a general solver ----
+
+
+def _modules(cell: Cell) -> Iterator[Row]:
+    """Measure the modules method from contacts, with the surface method that it begins from; then what it is compared with."""
+    row = shipped(cell, Method.MODULES)
+    yield row
+    if len(cell.bench.rig.stances) > 1:
+        yield per_pose(cell, Method.MODULES)
+    yield _beside(_general(cell), row)
+
+
+def _general(cell: Cell) -> Row:
+    boards, found = cell.bench.boards_on(cell.surface), Positions()
+    front, start = timed(lambda: _begin(cell, boards), 1)
+
+    def solve(module: int) -> None:
+        found.update(_solved(*start[module], boards, module, cell))
+
+    measured = cell.slow(
+        "modules-general", solve, np.random.default_rng(3).permutation(list(start)).tolist(), "modules", front[0]
+    )
+    plain, doubting = (
+        positions_of(
+            estimate_taxels(
+                cell.runs[0], sorted(found), [Method.MODULES], cell.bench.scene.noise, cell.surface, {}, doubts, boards
+            )[Method.MODULES]
+        )
+        for doubts in (False, True)
+    )
+    # How far the answers lie from ours, every poke counting fully, and what they err more than ours as shipped.
+    off = [float(np.linalg.norm(found[channel] - point)) for channel, point in plain.items()]
+    errors = cell.bench.errors
+    more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in doubting})) - np.mean(errors(doubting)))
+    return cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
+
+
+def _begin(cell: Cell, boards: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
+    """Solve by the surface method, and return the pokes and the start of each module that can be solved."""
+    ledger, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
+    others = [estimate_from(ledger, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
+    found: dict[int, tuple[Touches, ModulePoses]] = {}
+    for module in boards.modules_of(cell.channels):
+        evidence, pose = ledger.evidence(boards.channels_of([module])), start_of(boards, module, others)
+        touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, noise, [module])
+        if pose is not None and len(touches.of) > 1:
+            found[module] = touches, pose
+    return found
+
+
+def _solved(touches: Touches, start: ModulePoses, boards: ModuleModel, module: int, cell: Cell) -> Positions:
+    """Return where a general solver puts a module's pads."""
+    flat, of = boards.pads[module], np.zeros(len(boards.pads[module]), dtype=np.int64)
+
+    def laid(move: FloatArray) -> Pads:
+        return boards.ground.laid(boards.ground.moved(start, move[None]).take(of), flat)
+
+    def misses(move: FloatArray) -> FloatArray:
+        return whitened(touches, laid(move), cell.bench.scene.noise).misses.ravel()
+
+    optimize: Any = import_module("scipy.optimize")
+    move: FloatArray = optimize.least_squares(misses, np.zeros(boards.ground.unknowns), **GENERAL).x
+    return dict(zip(boards.channels_of([module]), laid(move).points, strict=True))
+
+
+# ---- what the window waits for ----
+
+
+def solved_session(bench: Bench, contacts: Sequence[Contact], methods: Collection[Method] | None = None) -> Session:
+    """Return a session with these contacts, solved by these methods, for None by every method of its scene."""
+    session = Session(bench.scene, bench.surface, methods)
+    for contact in contacts:
+        session.add(contact)
+    session.snapshot()
+    return session
+
+
+def poke_time(bench: Bench, per_taxel: int, pokes: int) -> dict[str, Any]:
+    """Time a poke that touches seven taxels, in a session in which every taxel has been poked: taken in, solved, shown.
+
+    Parameters
+    ----------
+    per_taxel : pokes that each taxel has had
+    pokes : how many are timed; as many before them are not
+
+    Returns
+    -------
+    JSON: `time_ms` by the two methods of the paper, `with_modules_ms` by all that the scene has
+    """
+    ways = {"time_ms": PER_TAXEL, "with_modules_ms": None}
+    spent = {key: Quartiles.of(_poke_seconds(bench, per_taxel, pokes, methods)) for key, methods in ways.items()}
+    times = {key: seconds.times(1e3).json() for key, seconds in spent.items()}
+    return {"pokes_per_taxel": per_taxel, "taxels_touched": TOUCHED, **times}
+
+
+def _poke_seconds(bench: Bench, per_taxel: int, pokes: int, methods: Collection[Method] | None) -> list[float]:
+    session = solved_session(bench, bench.contacts(per_taxel, seed=1), methods)
+    others = bench.contacts(-(-2 * pokes // len(bench.channels)), seed=2)[: 2 * pokes]
+    fresh = [replace(touching(bench, contact), poke=session.last_poke + 1 + i) for i, contact in enumerate(others)]
+    seconds: list[float] = []
+    with at_rest():
+        for contact in fresh:
+            start = clock()
+            session.add(contact)
+            session.snapshot()
+            seconds.append(clock() - start)
+    return seconds[pokes:]
+
+
+def touching(bench: Bench, contact: Contact) -> Contact:
+    """Return the contact as if the seven taxels nearest to the strongest one's place had answered."""
+    places = bench.rig.places
+    strongest = bench.rig.row_of(int(contact.channels[contact.responses.argmax()]))
+    rows = np.argsort(np.linalg.norm(places - places[strongest], axis=1))[:TOUCHED]
+    order = np.argsort(bench.rig.channels[rows])
+    responses = np.linspace(1.0, 0.2, TOUCHED) * float(contact.responses.max())
+    return replace(contact, channels=bench.rig.channels[rows][order], responses=responses[order])
+
+
+def resolve_time(bench: Bench, pokes: int, repeats: int) -> dict[str, Any]:
+    """Time a solve of every taxel by the two methods of the paper, and a session filled anew, from so many contacts."""
+    contacts = bench.contacts(-(-pokes // len(bench.channels)), seed=3)[:pokes]
+    methods = [method for method in Session(bench.scene, bench.surface).methods if method in PER_TAXEL]
+
+    def solve() -> object:
+        return estimate_taxels(contacts, bench.channels, methods, bench.scene.noise, bench.surface)
+
+    solve()
+    works = {"time_ms": solve, "session_ms": lambda: solved_session(bench, contacts)}
+    times = {name: Quartiles.of(timed(work, repeats)[0]).times(1e3).json() for name, work in works.items()}
+    return {"contacts": len(contacts), **times}
+
+
+def memory(bench: Bench, pokes: int) -> dict[str, Any]:
+    """Measure the memory that pokes take: contacts with arrays of their own, estimates and a snapshot."""
+    contacts = bench.contacts(-(-pokes // len(bench.channels)), seed=4)[:pokes]
+    # What is loaded once is no poke's.
+    solved_session(bench, contacts[:10])
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        session = solved_session(bench, [copy.deepcopy(contact) for contact in contacts])
+        megabytes = (tracemalloc.get_traced_memory()[0] - before) / 1e6
+    finally:
+        tracemalloc.stop()
+    counted = len(session.contacts)
+    return {"pokes": counted, "megabytes": megabytes, "megabytes_per_1000": megabytes / counted * 1000}
+
+
+# ---- what the table says ----
+
+
+def _find(rows: Sequence[Row], part: str, method: str, per_taxel: int, triangles: int | None = None) -> Row | None:
+    """Return the row of a method on the whole part; on its own mesh, or on the one nearest to so many triangles."""
+    of_part = [row for row in rows if (row["part"], row["pokes_per_taxel"]) == (part, per_taxel)]
+    taxels = max(row["taxels"] for row in of_part)
+    found = [row for row in of_part if row["taxels"] == taxels and row["method"] == method]
+    if triangles is None:
+        return found[0] if found else None
+    return min(found, key=lambda row: abs(row["triangles"] - triangles))
+
+
+def ratios_of(rows: Sequence[Row], part: str, per_taxel: int) -> dict[str, float]:
+    """Return the ratios of median times on the large part's own mesh, and the growth with its triangles."""
+
+    def ms(method: str, triangles: int | None = None, key: str = "time_ms") -> float | None:
+        row = _find(rows, part, method, per_taxel, triangles)
+        return None if row is None else row[key]["median"]
+
+    ours, free, coarse = ms("surface"), ms("free"), ms("surface", 1_000)
+    # A re-solve begins from what a session keeps of its contacts.
+    again = ms("surface", key="from_session_ms")
+    pairs = {f"{name}_over_surface": (ms(name), again) for name in (*SEARCHES, "slsqp", "quadprog")}
+    pairs |= {f"{name}_over_free": (ms(name), free) for name in ("lstsq", "normal")}
+    pairs["brute_over_surface_from_contacts"] = (ms("brute"), ours)
+    pairs["per_taxel_100k_over_1k"] = (ours, coarse)
+    return {name: top / bottom for name, (top, bottom) in pairs.items() if top is not None and bottom is not None}
+
+
+def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return each bar: its value, on which side of its limit it must be, and whether it is."""
+    return bars_of({
+        # How many times faster than brute force, and than the paper's way, a whole re-solve is on the large part.
+        "brute_over_surface": (ratios["brute_over_surface"], ">=", 300.0),
+        "slsqp_over_surface": (ratios["slsqp_over_surface"], ">=", 10_000.0),
+        # m. Every triangle tried one by one gives the same point.
+        "brute_equal_m": (off["brute"], "<=", 1e-12),
+        # How much a taxel may cost more on 100,000 triangles than on 1,000.
+        "per_taxel_100k_over_1k": (ratios["per_taxel_100k_over_1k"], "<=", 2.0),
+        "poke_ms": (lively["poke"][0]["time_ms"]["median"], "<=", 2.0),
+        "resolve_s": (lively["resolve"]["time_ms"]["median"] / 1e3, "<=", 2.0),
+        "memory_mb_per_1000": (lively["memory"]["megabytes_per_1000"], "<=", 2.0),
+    })  # fmt: skip
+
+
+def growth_of(rows: Sequence[Row], per_taxel: int) -> dict[str, list[dict[str, Any]]]:
+    """Return what a taxel costs against triangles, taxels and pokes, the other two held."""
+    whole: dict[str, int] = {}
+    own: dict[str, int] = {}
+    for row in rows:
+        whole[row["part"]] = max(row["taxels"], whole.get(row["part"], 0))
+        own.setdefault(row["part"], row["triangles"])
+    growth: dict[str, list[dict[str, Any]]] = {"triangles": [], "taxels": [], "pokes_per_taxel": []}
+    for row in rows:
+        held = {
+            "triangles": row["triangles"] == own[row["part"]],
+            "taxels": row["taxels"] == whole[row["part"]],
+            "pokes_per_taxel": row["pokes_per_taxel"] == per_taxel,
+        }
+        cost = {key: row["time_ms"][key] * 1e3 / row["taxels"] for key in ("median", "q1", "q3")}
+        for name, points in growth.items():
+            if all(is_held for other, is_held in held.items() if other != name):
+                points.append({"part": row["part"], "method": row["method"], name: row[name], "us_per_taxel": cost})
+    return {name: sorted(points, key=lambda point: point[name]) for name, points in growth.items()}
+
+
+def _in_words(row: Row) -> str:
+    error = row["error_mm"]
+    return (
+        f"{row['part']}, {row['taxels']} taxels, {row['triangles']} triangles, {row['pokes_per_taxel']} pokes: "
+        f"{LABELS[row['method']]}: {time_words(row['time_ms']['median'])}"
+        + (" (extrapolated)" if row["extrapolated_from"] else "")
+        + ("" if error is None else f", {error['median']:.2f} mm")
+        + ("" if row["off_ours_m"] is None else f", at most {row['off_ours_m']:.1e} m from ours")
+    )
+
+
+def summary(result: dict[str, Any]) -> list[str]:
+    """Return the two cells on which everything is measured, the bars, and what was left out."""
+    lines: list[str] = []
+    last: tuple[Any, ...] | None = None
+    for row in main_rows(result):
+        size = (row["part"], *_size(row))
+        if size != last:
+            lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))
+            last = size
+        error = "" if row["error_mm"] is None else f"{row['error_mm']['median']:6.2f} mm"
+        part = "  extrapolated" if row["extrapolated_from"] else ""
+        lines.append(f"  {row['label']:52s}{time_words(row['time_ms']['median']):>10s} {error}{part}")
+    return [*lines, *bar_lines(result["bars"], digits=4), AS_SHIPPED, *result["left_out"]]
+
+
+def main_rows(result: dict[str, Any]) -> list[Row]:
+    """Return the rows of the cells on which everything is measured: those of the lstsq rows' size, one a part."""
+    sizes: dict[str, tuple[Any, ...]] = {}
+    for row in result["table"]:
+        if row["method"] == "lstsq":
+            sizes.setdefault(row["part"], _size(row))
+    return [row for row in result["table"] if _size(row) == sizes.get(row["part"])]
+
+
+def _size(row: Row) -> tuple[Any, ...]:
+    return row["taxels"], row["triangles"], row["pokes_per_taxel"]
+
+
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw error against run time on both parts, and what a taxel costs as the problem grows."""
-    from skincal.studies.runtime_figure import draw_runtime
+    from skincal.studies.figures import draw_runtime
 
-    draw_runtime(result, figure)
+    draw_runtime(result, main_rows(result), figure)

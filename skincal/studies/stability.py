@@ -2,21 +2,25 @@
 
 The bar of a case is ten times the largest change of the exact answer over many draws, in which every input number moves
 by one unit in its last place, up or down, plus 1e-15 of the answer's norm. The error is the largest over the orders in
-which the contacts come; the shipped solvers must give the same bits in all of them.
+which the contacts come; the shipped solvers must give the same bits in all of them. A module's error is that of its worst pad,
+each against its own bar; pads that must be called blind are to be called so, and no others. Pads whose place the pokes do not
+determine at all have none that could be compared.
 
-The modules method, which places boards and not points, is judged by the same bar in `board_stability`.
-
-Exact is 80 digits (`exact`, `board_exact`). With a million readings, and for boards, the draws take the exact answer's
-derivative instead of 200 exact answers: the error of that is of the second order, 1e-16 of the change.
+Exact is 80 digits (`exact`). With a million readings, and for modules, the draws take the exact answer's derivative instead of
+200 exact answers: the error of that is of the second order, 1e-16 of the change.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from itertools import chain, count
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
@@ -24,33 +28,143 @@ from skincal.geometry.wrench import cross_matrix, move_wrench
 from skincal.mesh.search import nearest_to_rows
 from skincal.mesh.surface import Surface, heights, make_surface
 from skincal.model.scene import NoiseSettings
+from skincal.model.skin import Anchor, Layout, Module
+from skincal.modules.estimate import estimate_modules
+from skincal.modules.pose import ModuleModel, ModulePoses, Pads
+from skincal.modules.pose_fit import Touches, bends_of, find_touches, fit_modules, whitened
 from skincal.studies import exact
-from skincal.studies.bar import FACTOR, OF_SIZE, bar, over_bar
-from skincal.studies.board_cases import all_board_cases
-from skincal.studies.board_exact import find_board_truth
-from skincal.studies.board_stability import BOARD_ALTERNATIVES, compare_board, judge_board, shipped_board
-from skincal.studies.cases import FULL, QUICK, Case, Mesh, Readings, all_cases
-from skincal.studies.exact import NO_NUMBER, Truth, Vector
-from skincal.taxels.contact_table import across, gather
+from skincal.studies.exact import NO_NUMBER, ModuleTruth, Truth, distance, distance_to
+from skincal.studies.measuring import processes
+from skincal.studies.stability_cases import (
+    FULL,
+    KIND,
+    PADS,
+    QUICK,
+    Case,
+    CaseSizes,
+    ModuleCase,
+    ModuleReadings,
+    RawMesh,
+    SensorReadings,
+    TaxelReadings,
+    all_cases,
+    all_module_cases,
+)
+from skincal.taxels.contact_table import ContactTable, across, gather
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
 
 if TYPE_CHECKING:
-    from skincal.studies.figure import Axes, Figure
+    from skincal.studies.figures import Figure
 
-DRAWS = 200
-DRAWS_QUICK = 40
-"""Of a taxel; a quarter of them of a module, which has as many answers as pads."""
+FACTOR = 10.0
+"""The error may be that many times what the inputs' last digit does."""
+OF_SIZE = 1e-15
+"""And that share of the answer's norm: nine roundings of it. Nothing is added where the answer is zero."""
 SOLVERS = ("free", "surface", "modules")
+STEPS = 15
+"""Of an alternative for modules: more than the worst case needs."""
 _SEED = 20261121
-_FLOOR = 1e-4
-"""Shares of the bar below this are drawn at this."""
+Record: TypeAlias = dict[str, Any]
+
+
+def run(quick: bool, progress: Callable[[str], None], sizes: CaseSizes | None = None) -> dict[str, Any]:
+    """Measure every case, as many side by side as the machine has cores; quick with fewer readings and draws, smaller meshes.
+
+    Returns
+    -------
+    JSON: `cases` of the shipped solvers, `alternatives` of other ways to solve the same rows
+    """
+    sizes = sizes or (QUICK if quick else FULL)
+    cases: list[Record] = []
+    alternatives: list[Record] = []
+    progress(f"the bar: {FACTOR:g} times what the inputs' last digit does to the exact answer, plus {OF_SIZE:g} of its size")
+    with processes() as pool:
+        taxels = pool.map(partial(_measured, draws=sizes.draws), count(), all_cases(sizes))
+        modules = pool.map(partial(_measured_module, draws=sizes.draws // 4), count(), all_module_cases(sizes))
+        for own, others in chain(taxels, modules):
+            cases += own
+            alternatives += others
+            progress(f"{cases[-1]['name']}: {cases[-1]['error_over_bound']:.2g} of the bar")
+    return {
+        "study": "stability", "quick": quick, "digits": exact.DIGITS, "draws": sizes.draws, "factor": FACTOR,
+        "of_size": OF_SIZE, "held": sum(one["holds"] for one in cases), "cases": cases, "alternatives": alternatives,
+    }  # fmt: skip
+
+
+def _measured(number: int, case: Case, draws: int) -> tuple[list[Record], list[Record]]:
+    truth = exact.find_truth(case, draws, np.random.default_rng([_SEED, number]))
+    return judge(case, truth, shipped), compare(case, truth)
+
+
+def _measured_module(number: int, case: ModuleCase, draws: int) -> tuple[list[Record], list[Record]]:
+    truth = exact.find_module_truth(case, draws, np.random.default_rng([_SEED, 1, number]))
+    return [judge_module(case, truth, shipped_module)], compare_module(case, truth)
+
+
+def bar(change: float, size: float) -> float:
+    """Return the largest error that holds, for an answer of norm `size` that the inputs' last digit moves by `change`."""
+    return FACTOR * change + OF_SIZE * size
+
+
+def over_bar(error: float, bound: float) -> float:
+    """Return an error's share of its bar; `NO_NUMBER` where there is none."""
+    return NO_NUMBER if error >= NO_NUMBER else error / bound
+
+
+def _record(name: str, case: Case | ModuleCase, error: float, bound: float, size: float, same: bool, **more: Any) -> Record:
+    return {
+        "name": name, "solver": _solver(case), "error": error, "bound": bound, "error_over_bound": over_bar(error, bound),
+        "holds": bool(error <= bound and same), "same_bits": same, "size": size,
+        "readings": len(case.readings.forces) * case.copies, **more,
+    }  # fmt: skip
+
+
+def _solver(case: Case | ModuleCase) -> str:
+    if isinstance(case, ModuleCase):
+        return "modules"
+    return "free" if case.mesh is None else "surface"
+
+
+def _surface(mesh: RawMesh | None) -> Surface | None:
+    """Return the surface; triangles without area are left out, as in loading, but none that has any."""
+    return None if mesh is None else make_surface(mesh.vertices, mesh.triangles[heights(mesh.corners)[0] > 0])
+
+
+def _orders(readings: SensorReadings, copies: int, heavy: FloatArray | None = None) -> Iterator[IntArray]:
+    """Yield the orders in which the contacts come: as they are, reversed, shuffled; heavy first and light first, if said."""
+    contacts = len(readings.forces)
+    own = np.tile(np.arange(contacts), copies)
+    yield own
+    yield own[::-1]
+    if contacts > 1:
+        yield np.random.default_rng(contacts).permutation(own)
+    if contacts > 1 and heavy is not None:
+        by_weight = np.argsort(heavy, kind="stable")
+        yield np.tile(by_weight[::-1], copies)
+        yield np.tile(by_weight, copies)
+
+
+def _contacts(readings: SensorReadings, answers: FloatArray) -> list[Contact]:
+    """Return the contacts; `answers` (n, channels), zero where a channel did not answer."""
+    # The same array for all contacts of a pose: a million of them need no copies.
+    poses, pose_of = list(readings.poses), readings.pose_of.tolist()
+    return [
+        Contact(
+            number + 1, 0.0, 1.0, readings.forces[number], readings.moments[number], np.flatnonzero(row), row[row > 0],
+            poses[pose], f"pose {pose}", 0.0, True,
+        )
+        for number, (row, pose) in enumerate(zip(answers, pose_of, strict=True))
+    ]  # fmt: skip
+
+
+# ---- taxels ----
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What a solver says."""
+class FoundTaxel:
+    """What a solver says of a taxel."""
 
     point: FloatArray
     """(3,) float, metres."""
@@ -59,160 +173,88 @@ class Found:
     """(3,) float, unit, where the rank is 2."""
 
 
-Solver: TypeAlias = Callable[[Sequence[Contact], Surface | None], Found]
+Solver: TypeAlias = Callable[[Sequence[Contact], Surface | None], FoundTaxel]
 
 
-def shipped(contacts: Sequence[Contact], surface: Surface | None) -> Found:
+def shipped(contacts: Sequence[Contact], surface: Surface | None) -> FoundTaxel:
     """Solve taxel 0 as the program does: free without a surface, else on it."""
     # Each reading counts as it is: what is doubted is not a question of digits.
     method = Method.FREE if surface is None else Method.SURFACE
     found = solve(gather(contacts, [0]), [method], NoiseSettings(), surface, doubting=False)
     if found.surface is not None:
-        return Found(found.surface.points[0])
-    return Found(found.factors.solutions[0], int(found.factors.ranks[0]), found.factors.blind[0])
+        return FoundTaxel(found.surface.points[0])
+    return FoundTaxel(found.factors.solutions[0], int(found.factors.ranks[0]), found.factors.blind[0])
 
 
-def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Measure every case; quick with fewer readings, smaller meshes and fewer draws.
-
-    Returns
-    -------
-    JSON: `cases` of the shipped solvers, `alternatives` of other ways to solve the same rows
-    """
-    draws, sizes = (DRAWS_QUICK, QUICK) if quick else (DRAWS, FULL)
-    cases: list[dict[str, Any]] = []
-    alternatives: list[dict[str, Any]] = []
-    progress(f"the bar: {FACTOR:g} times what the inputs' last digit does to the exact answer, plus {OF_SIZE:g} of its size")
-    for number, case in enumerate(all_cases(sizes)):
-        truth = exact.find_truth(case, draws, np.random.default_rng([_SEED, number]))
-        cases += judge(case, truth, shipped)
-        alternatives += compare(case, truth)
-        progress(f"{case.name}: {cases[-1]['error_over_bound']:.2g} of the bar")
-    for number, board in enumerate(all_board_cases(sizes)):
-        placed = find_board_truth(board, draws // 4, np.random.default_rng([_SEED, 1, number]))
-        cases.append(judge_board(board, placed, shipped_board))
-        alternatives += compare_board(board, placed)
-        progress(f"{board.name}: {cases[-1]['error_over_bound']:.2g} of the bar")
-    held = sum(one["holds"] for one in cases)
-    return {
-        "study": "stability", "quick": quick, "digits": exact.DIGITS, "draws": draws, "factor": FACTOR, "of_size": OF_SIZE,
-        "held": held, "cases": cases, "alternatives": alternatives,
-    }  # fmt: skip
-
-
-def judge(case: Case, truth: Truth, solver: Solver) -> list[dict[str, Any]]:
+def judge(case: Case, truth: Truth, solver: Solver) -> list[Record]:
     """Return the records of a case: of the position, and of the blind direction where there is one."""
-    surface = None if case.mesh is None else _surface(case.mesh)
-    contacts = _contacts(case.readings)
-    found = [solver([contacts[int(place)] for place in order], surface) for order in _orders(case)]
+    readings, surface = case.readings, _surface(case.mesh)
+    # Channel 0 is the taxel, channel 1 the one that answered most.
+    others = np.where(readings.responses == readings.strongest, 0.0, readings.strongest)
+    contacts = _contacts(readings, np.stack([readings.responses, others], axis=1))
+    found = [solver([contacts[int(place)] for place in order], surface) for order in _taxel_orders(case)]
     same = all(np.array_equal(one.point, found[0].point, equal_nan=True) for one in found)
-    error = max(exact.distance_to(one.point, truth.answer) for one in found)
-    size = exact.distance(truth.answer)
-    records = [_record(case, case.name, error, size, bar(truth.change, size), same)]
+    error, size = max(distance_to(one.point, truth.answer) for one in found), distance(truth.answer)
+    how = {"draws_by": "derivative" if case.many else "digits"}
+    records = [_record(case.name, case, error, bar(truth.change, size), size, same, **how)]
     if truth.blind is not None:
-        angle = max(_blindness(one, truth.blind) for one in found)
-        records.append(_record(case, f"{case.name}: blind direction", angle, 1.0, bar(truth.turn, 1.0), same))
+        blind = truth.blind
+        angle = max(
+            NO_NUMBER if one.rank != 2 or one.blind is None else exact.between(exact.exactly(one.blind), blind) for one in found
+        )
+        records.append(_record(f"{case.name}: blind direction", case, angle, bar(truth.turn, 1.0), 1.0, same, **how))
     return records
 
 
-def _blindness(found: Found, blind: Vector) -> float:
-    """Return the angle between the direction reported and the right one, rad; `NO_NUMBER` where none is reported."""
-    if found.rank != 2 or found.blind is None:
-        return NO_NUMBER
-    return exact.between(exact.vector(found.blind), blind)
+def _taxel_orders(case: Case) -> Iterator[IntArray]:
+    return _orders(case.readings, case.copies, None if case.many else case.readings.responses / case.readings.strongest)
 
 
-def _record(case: Case, name: str, error: float, size: float, bound: float, same: bool) -> dict[str, Any]:
-    return {
-        "name": name, "solver": _method(case), "error": error, "bound": bound,
-        "error_over_bound": over_bar(error, bound), "holds": bool(error <= bound and same), "same_bits": same, "size": size,
-        "readings": len(case.readings.forces) * case.copies, "draws_by": "derivative" if case.many else "digits",
-    }  # fmt: skip
-
-
-def _method(case: Case) -> str:
-    return "free" if case.mesh is None else "surface"
-
-
-def _surface(mesh: Mesh) -> Surface:
-    """Return the surface; triangles without area are left out, as in loading, but none that has any."""
-    return make_surface(mesh.vertices, mesh.triangles[heights(mesh.corners)[0] > 0])
-
-
-def _orders(case: Case) -> Iterator[IntArray]:
-    """Yield the orders in which the contacts come: as they are, reversed, shuffled, heavy first, light first."""
-    count = len(case.readings.forces)
-    own = np.tile(np.arange(count), case.copies)
-    yield own
-    yield own[::-1]
-    if count == 1:
-        return
-    yield np.random.default_rng(count).permutation(own)
-    if not case.many:
-        by_weight = np.argsort(case.readings.responses / case.readings.strongest, kind="stable")
-        yield np.tile(by_weight[::-1], case.copies)
-        yield np.tile(by_weight, case.copies)
-
-
-def _contacts(readings: Readings) -> list[Contact]:
-    """Return the contacts: channel 0 is the taxel, channel 1 the one that answered most."""
-    alone, two = np.array([0]), np.array([0, 1])
-    own = readings.responses == readings.strongest
-    # The same array for all contacts of a pose: a million of them need no copies.
-    poses: dict[int, FloatArray] = dict(enumerate(readings.poses))
-    pose_of: list[int] = readings.pose_of.tolist()
-    responses = np.stack([readings.responses, readings.strongest], axis=1)
-    return [
-        Contact(
-            number + 1, 0.0, 1.0, readings.forces[number], readings.moments[number], alone if own[number] else two,
-            responses[number, :1] if own[number] else responses[number], poses[pose], f"pose {pose}", 0.0, True,
-        )
-        for number, pose in enumerate(pose_of)
-    ]  # fmt: skip
-
-
-Rows: TypeAlias = Callable[[Readings], tuple[FloatArray, FloatArray]]
-Way: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+RowsOf: TypeAlias = Callable[[TaxelReadings], tuple[FloatArray, FloatArray]]
+RowSolver: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A way to solve A p = b: the point, and a root and an offset with |A p - b|^2 = |root p - offset|^2 + a constant."""
 
 
-def compare(case: Case, truth: Truth) -> list[dict[str, Any]]:
+def compare(case: Case, truth: Truth) -> list[Record]:
     """Return how other ways do on the case, rows in the order of the contacts; none reports a blind direction."""
     if case.blind:
         return []
-    surface = None if case.mesh is None else _surface(case.mesh)
-    push = np.array([[float(one) for one in exact.mean_push(case.readings)]]) if surface is not None else None
-    orders = list(_orders(case))[: 1 if case.many else None]
-    records: list[dict[str, Any]] = []
+    surface = _surface(case.mesh)
+    push = None if surface is None else exact.floats(exact.mean_push(case.readings))[None]
+    orders, bound = list(_taxel_orders(case))[: 1 if case.many else None], bar(truth.change, distance(truth.answer))
+    records: list[Record] = []
     for name, (rows, way) in ALTERNATIVES.items():
         found = [_other(rows, way, case.readings.ordered(order), surface, push) for order in orders]
-        error = max(exact.distance_to(point, truth.answer) for point in found)
-        share = over_bar(error, bar(truth.change, exact.distance(truth.answer)))
-        records.append({"name": case.name, "solver": _method(case), "method": name, "error": error, "error_over_bound": share})
+        records.append(_alternative(case, name, max(distance_to(point, truth.answer) for point in found), bound))
     return records
 
 
-def _other(rows: Rows, way: Way, readings: Readings, surface: Surface | None, push: FloatArray | None) -> FloatArray:
+def _alternative(case: Case | ModuleCase, method: str, error: float, bound: float) -> Record:
+    share = over_bar(error, bound)
+    return {"name": case.name, "solver": _solver(case), "method": method, "error": error, "error_over_bound": share}
+
+
+def _other(
+    rows: RowsOf, way: RowSolver, readings: TaxelReadings, surface: Surface | None, push: FloatArray | None
+) -> FloatArray:
     point, root, offset = way(*rows(readings))
-    if surface is None:
-        return point
-    return nearest_to_rows(surface, root[None], offset[None], push).points[0]
+    return point if surface is None else nearest_to_rows(surface, root[None], offset[None], push).points[0]
 
 
-def _link_frame(readings: Readings) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _link_frame(readings: TaxelReadings) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return u and m/|f| (n, 3) in the link frame, and k (n,)."""
     force, moment = move_wrench(readings.poses[readings.pose_of], readings.forces, readings.moments)
     size = np.sqrt(np.sum(force * force, axis=1, keepdims=True))
     return force / size, moment / size, readings.responses / readings.strongest
 
 
-def three_rows(readings: Readings) -> tuple[FloatArray, FloatArray]:
+def three_rows(readings: TaxelReadings) -> tuple[FloatArray, FloatArray]:
     """Return the rows of (5): A (3n, 3) and b (3n,)."""
     u, m, k = _link_frame(readings)
     return (k[:, None, None] * cross_matrix(u)).reshape(-1, 3), (-k[:, None] * m).ravel()
 
 
-def two_rows(readings: Readings) -> tuple[FloatArray, FloatArray]:
+def two_rows(readings: TaxelReadings) -> tuple[FloatArray, FloatArray]:
     """Return two rows a contact: A (2n, 3) and b (2n,)."""
     u, m, k = _link_frame(readings)
     rows = k[:, None, None] * across(u)
@@ -224,7 +266,7 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:
-        return np.full(3, np.nan)
+        return np.full(len(right), np.nan)
 
 
 def by_normal_equations(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -234,25 +276,21 @@ def by_normal_equations(a: FloatArray, b: FloatArray) -> tuple[FloatArray, Float
     with np.errstate(divide="ignore"):
         inverse = np.where(values > np.finfo(float).eps * values[-1], 1.0 / np.sqrt(np.abs(values)), 0.0)
     root = np.where(inverse > 0, np.sqrt(np.abs(values)), 0.0)[:, None] * axes.T
-    point = _solved(matrix, right)
-    return point, root, inverse * (axes.T @ right)
+    return _solved(matrix, right), root, inverse * (axes.T @ right)
 
 
 def by_qr(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Solve by LAPACK's Householder QR, rows and columns as they come."""
-    # Rows of noughts, so that the root of a single axis has three rows too.
-    padded = np.concatenate([a, np.zeros((3, 3))])
-    q, root = (np.asarray(part, dtype=float) for part in np.linalg.qr(padded))
+    # Rows of zeros, so that the root of a single axis has three rows too.
+    q, root = (np.asarray(part, dtype=float) for part in np.linalg.qr(np.concatenate([a, np.zeros((3, 3))])))
     offset = q[: len(b)].T @ b
-    point = _solved(root, offset)
-    return point, root, offset
+    return _solved(root, offset), root, offset
 
 
 def by_svd(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Solve as `numpy.linalg.lstsq` does."""
     u, values, axes = (np.asarray(part, dtype=float) for part in np.linalg.svd(a, full_matrices=False))
-    point = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=float)
-    return point, values[:, None] * axes, u.T @ b
+    return np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=float), values[:, None] * axes, u.T @ b
 
 
 def by_sorted_qr(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -261,13 +299,152 @@ def by_sorted_qr(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, 
     return factors.solutions[0], factors.roots[0], factors.offsets[0]
 
 
-ALTERNATIVES: dict[str, tuple[Rows, Way]] = {
+ALTERNATIVES: dict[str, tuple[RowsOf, RowSolver]] = {
     "normal equations": (two_rows, by_normal_equations),
     "QR, rows as they come": (two_rows, by_qr),
     "QR, three rows a contact, as they come": (three_rows, by_qr),
     "lstsq, three rows a contact": (three_rows, by_svd),
     "sorted and pivoted QR, three rows a contact": (three_rows, by_sorted_qr),
 }
+
+
+# ---- modules ----
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPads:
+    """What a solver says of a module's k pads."""
+
+    pads: FloatArray
+    """(k, 3) float, metres; wherever it is, of pads that are not known."""
+    blind: NDArray[np.bool_]
+    """(k,) whether no estimate is given."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleProblem:
+    """A case as the program has it."""
+
+    boards: ModuleModel
+    ledger: ContactTable
+    touches: Touches
+    start: ModulePoses
+    noise: NoiseSettings
+
+    def laid(self, pose: ModulePoses) -> Pads:
+        """Return where the pads of the module at one pose lie."""
+        return self.boards.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.boards.pads[0])
+
+    def reached(self, move: FloatArray) -> Pads:
+        """Return where the pads lie after a step from the start."""
+        return self.laid(self.boards.ground.moved(self.start, move[None]))
+
+
+ModuleSolver: TypeAlias = Callable[[ModuleProblem], FoundPads]
+
+
+def problem_of(case: ModuleCase, readings: ModuleReadings, surface: Surface | None) -> ModuleProblem:
+    """Return pokes as the program gets them, the module's start as its plan."""
+    at = case.start
+    anchor = Anchor(np.zeros(2), at.points[0], at.x[0], at.normals[0])
+    layout = Layout((Module(0, KIND, 0, np.zeros(2), 0.0, case.module.mirror),), PADS + 1)
+    boards = ModuleModel(layout, anchor, surface)
+    ledger = ContactTable(_contacts(readings, np.column_stack([readings.responses, readings.beside])))
+    evidence = ledger.evidence(boards.channels_of([0]))
+    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, case.noise, [0])
+    start = boards.plan(0)
+    if start is None:
+        raise ValueError(f"{case.name}: the search begins off the mesh")
+    return ModuleProblem(boards, ledger, touches, start, case.noise)
+
+
+def shipped_module(one: ModuleProblem) -> FoundPads:
+    """Place the module as the program does; every poke counts fully."""
+    said = estimate_modules(one.ledger, one.boards, [0], one.noise, [], {}, doubting=False)
+    return FoundPads(_fitted(one).points, np.array([said[channel].position is None for channel in range(PADS)]))
+
+
+def _fitted(one: ModuleProblem) -> Pads:
+    return fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False).pads
+
+
+def judge_module(case: ModuleCase, truth: ModuleTruth, solver: ModuleSolver) -> Record:
+    """Return the record of a case."""
+    surface = _surface(case.module.mesh)
+    orders = _orders(case.readings, case.copies)
+    found = [solver(problem_of(case, case.readings.ordered(order), surface)) for order in orders]
+    same = all(np.array_equal(one.pads, found[0].pads, equal_nan=True) for one in found)
+    right = all(np.array_equal(one.blind, np.array(truth.blind)) for one in found)
+    error, bound, size = _worst(case, truth, [one.pads for one in found])
+    compared = 0 if case.lost else sum(truth.determined)
+    more = {"draws_by": "step", "blind_right": right, "compared": compared}
+    return _record(case.name, case, error if right else NO_NUMBER, bound, size, same, **more)
+
+
+def _worst(case: ModuleCase, truth: ModuleTruth, found: list[FloatArray]) -> tuple[float, float, float]:
+    """Return error, bar and norm of the pad with the largest error over its bar."""
+    sizes = [distance(place) for place in truth.pads]
+    worst = 0.0, bar(0.0, min(sizes)), min(sizes)
+    for pad in [] if case.lost else np.flatnonzero(truth.determined).tolist():
+        error = max(distance_to(pads[pad], truth.pads[pad]) for pads in found)
+        worst = max(worst, (error, bar(truth.changes[pad], sizes[pad]), sizes[pad]), key=lambda one: one[0] / one[1])
+    return worst
+
+
+def compare_module(case: ModuleCase, truth: ModuleTruth) -> list[Record]:
+    """Return how other ways do on the case, if the pokes determine every pad: none of them says what is blind."""
+    if case.lost or not all(truth.determined):
+        return []
+    one = problem_of(case, case.readings.ordered(next(_orders(case.readings, case.copies))), _surface(case.module.mesh))
+    ways = MODULE_ALTERNATIVES.items()
+    return [_alternative(case, name, *_worst(case, truth, [way(one)])[:2]) for name, way in ways]
+
+
+def modules_by_normal_equations(one: ModuleProblem) -> FloatArray:
+    """Take the program's own steps from its own rows, by A'A - B and A'b."""
+    pose = one.start
+    for _ in range(STEPS):
+        rows = whitened(one.touches, one.laid(pose), one.noise)
+        a = rows.slopes.reshape(-1, rows.slopes.shape[2])
+        right, plain = a.T @ rows.misses.ravel(), a.T @ a
+        matrix = plain - np.sum(bends_of(one.touches, rows, one.boards.ground), axis=0)
+        bent = bool(np.linalg.eigvalsh(matrix + matrix.T)[0] > 0.0)
+        step = _solved(matrix if bent else plain, right)
+        if not np.isfinite(step).all():
+            return np.full((PADS, 3), np.nan)
+        step = step / max(1.0, float(np.abs(step).max()) / 0.015)
+        pose = one.boards.ground.moved(pose, step[None])
+        if float(np.abs(step).max()) < 1e-16:
+            break
+    return one.laid(pose).points
+
+
+def modules_by_differences(one: ModuleProblem) -> FloatArray:
+    """Minimise by `scipy.optimize.least_squares` with its differenced Jacobian.
+
+    The noise is held as it is at the answer, so that the minimum is where the program looks for it.
+    """
+    rows = whitened(one.touches, _fitted(one), one.noise)
+    at, pairs = one.touches.rows, one.touches.evidence.pairs[one.touches.rows]
+
+    def misses(move: FloatArray) -> FloatArray:
+        places = one.touches.middles(one.reached(move))[0]
+        off = np.sum(pairs * (one.touches.evidence.nearest[at] - places)[:, None], axis=2)
+        return np.sum(rows.whiten * off[:, None], axis=2).ravel()
+
+    optimize: Any = import_module("scipy.optimize")
+    zero = np.zeros(one.boards.ground.unknowns)
+    found = optimize.least_squares(misses, zero, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return one.reached(np.asarray(found.x, dtype=np.float64)).points
+
+
+MODULE_ALTERNATIVES: dict[str, Callable[[ModuleProblem], FloatArray]] = {
+    "normal equations": modules_by_normal_equations,
+    "least_squares, differenced": modules_by_differences,
+}
+
+
+# ---- what is said of it ----
 
 
 def summary(result: dict[str, Any]) -> list[str]:
@@ -287,13 +464,13 @@ def summary(result: dict[str, Any]) -> list[str]:
         for one in cases
         if not one["holds"]
     ]
-    for whose, ways in (("", ALTERNATIVES), ("modules, ", BOARD_ALTERNATIVES)):
+    for whose, ways in (("", ALTERNATIVES), ("modules, ", MODULE_ALTERNATIVES)):
         of = [one for one in result["alternatives"] if (one["solver"] == "modules") == bool(whose)]
         lines += [whose + _of_alternative(method, [one for one in of if one["method"] == method]) for method in ways]
     return lines
 
 
-def _of_alternative(method: str, own: list[dict[str, Any]]) -> str:
+def _of_alternative(method: str, own: list[Record]) -> str:
     misses = [one for one in own if one["error_over_bound"] > 1]
     worst = max(own, key=lambda one: one["error_over_bound"])
     far = "no number" if worst["error"] >= NO_NUMBER else f"{worst['error_over_bound']:.1g} times the bar"
@@ -302,45 +479,6 @@ def _of_alternative(method: str, own: list[dict[str, Any]]) -> str:
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw each case's share of the bar, shipped and other ways, one panel a solver."""
-    rows = max(sum(one["solver"] == solver for one in result["cases"]) for solver in SOLVERS)
-    figure.set_size_inches(22.0, 2.0 + 0.19 * rows)
-    for panel, solver in zip(figure.subplots(1, len(SOLVERS), squeeze=False)[0], SOLVERS, strict=True):
-        _draw_solver(result, solver, panel)
-    found = [panel.get_legend_handles_labels() for panel in figure.axes]
-    marks = {label: handle for handles, labels in found for handle, label in zip(handles, labels, strict=True)}
-    figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=4)
-    figure.suptitle(
-        f"Error over the bar. Bar: {FACTOR:g} times what the inputs' last digit does ({result['draws']} draws, "
-        f"{result['digits']} digits) + {OF_SIZE:g} of the answer. Right of the line digits are lost that the readings have."
-    )
+    from skincal.studies.figures import draw_stability
 
-
-def _draw_solver(result: dict[str, Any], solver: str, panel: Axes) -> None:
-    # Only now: the numbers need no drawing library.
-    from skincal.studies.figure import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
-
-    cases = [one for one in result["cases"] if one["solver"] == solver]
-    others = [one for one in result["alternatives"] if one["solver"] == solver]
-    place = {one["name"]: -row for row, one in enumerate(cases)}
-    numbers = [one["error_over_bound"] for one in cases + others if one["error_over_bound"] < NO_NUMBER]
-    right = max(10.0, *numbers) * 3.0
-
-    def put(records: list[dict[str, Any]], **look: Any) -> None:
-        shares = [min(max(one["error_over_bound"], _FLOOR), right) for one in records]
-        panel.scatter(shares, [place[one["name"]] for one in records], **look)
-
-    looks = dict(zip(ALTERNATIVES, zip("xv^sD", (VERMILION, ORANGE, PINK, SKY, GREEN), strict=True), strict=True))
-    looks |= dict(zip(BOARD_ALTERNATIVES, (("x", VERMILION), ("v", BLACK)), strict=True))
-    for method in BOARD_ALTERNATIVES if solver == "modules" else ALTERNATIVES:
-        mark, colour = looks[method]
-        look = {"color": colour} if mark == "x" else {"facecolors": "none", "edgecolors": colour}
-        put([one for one in others if one["method"] == method], s=22, marker=mark, label=method, linewidths=1.0, **look)
-    put(cases, s=26, color=BLUE, label="shipped", zorder=3)
-    panel.axvline(1.0, color=BLACK, linewidth=1.2)
-    panel.set_xscale("log")
-    panel.set_xlim(_FLOOR / 2, right * 2)
-    panel.set_yticks(list(place.values()), list(place), fontsize=7.5)
-    panel.set_ylim(-len(cases), 1)
-    panel.grid(visible=True)
-    panel.set_title(f"{solver}: {len(cases)} cases")
-    panel.set_xlabel(f"error over the bar\n(least {_FLOOR:g}; no number at the right end)")
+    draw_stability(result, figure)

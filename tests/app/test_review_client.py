@@ -22,8 +22,8 @@ from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, 
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer, Unreviewed
 from skincal.session.session import Session
+from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import Rig
 
 

@@ -25,8 +25,8 @@ from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.actions import SetPose, Undo
 from skincal.session.corrections import correct_action
+from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from skincal.simulate.rig import Rig
 from skincal.taxels.result import Method
 

@@ -15,8 +15,8 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import resource
 from skincal.session.replay import load
-from skincal.studies import alternatives, live
-from skincal.studies.benches import SHAPES, Bench
+from skincal.simulate.benches import SHAPES, Bench
+from skincal.studies import alternatives, runtime
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests.skincal.test_session_scale import write_pokes
@@ -47,22 +47,22 @@ def torso_contacts(torso):
 
 def test_a_poke_of_seven_taxels_in_a_session(benchmark, forearm, forearm_contacts):
     """Taken in, solved by both methods, shown."""
-    session = live.solved_session(forearm, forearm_contacts)
-    touching = live.touching(forearm, forearm_contacts[0])
+    session = runtime.solved_session(forearm, forearm_contacts)
+    touching = runtime.touching(forearm, forearm_contacts[0])
 
     def poke():
         session.add(replace(touching, poke=session.last_poke + 1))
         return session.snapshot()
 
     snapshot = benchmark.pedantic(poke, rounds=50, warmup_rounds=5)
-    assert len(snapshot.touched) == live.TOUCHED
+    assert len(snapshot.touched) == runtime.TOUCHED
 
 
 def test_seven_taxels_solved_by_both_methods(benchmark, forearm, forearm_contacts):
     ledger = ContactTable(forearm_contacts)
-    channels = live.touching(forearm, forearm_contacts[0]).channels.tolist()
+    channels = runtime.touching(forearm, forearm_contacts[0]).channels.tolist()
     found = benchmark(estimate_from, ledger, channels, BOTH, forearm.scene.noise, forearm.surface)
-    assert len(found[Method.SURFACE]) == live.TOUCHED
+    assert len(found[Method.SURFACE]) == runtime.TOUCHED
 
 
 @pytest.mark.parametrize("method", BOTH)

@@ -4,7 +4,7 @@ import numpy as np
 
 from skincal.mesh.search import NearestMany
 from skincal.mesh.surface import Surface, make_surface
-from skincal.studies.closed_form import closest_in_triangles
+from skincal.studies.alternatives import closest_in_triangles
 
 
 def grid(points) -> Surface:

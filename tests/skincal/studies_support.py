@@ -6,10 +6,10 @@ from functools import lru_cache
 from typing import Any
 
 from skincal.studies import runtime
-from skincal.studies.runtime import PartSizes, Sizes
+from skincal.studies.runtime import PartSizes, RuntimeSizes
 
 FOREARM = "icub-forearm"
-TINY = Sizes(
+TINY = RuntimeSizes(
     small=PartSizes(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
     large=PartSizes(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
     per_taxel=2,

@@ -12,8 +12,8 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, diagnose
 from skincal.session.corrections import offered
 from skincal.session.known_points import landmark_normals
+from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from tests.skincal.sim_support import make_rig
 
 LAYOUT = 0.004

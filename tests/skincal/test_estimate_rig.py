@@ -12,9 +12,8 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig.correction import RigPrior, RigReadings, RigState, rig_rows
 from skincal.rig.correction_fit import FEWEST, RigRequest, correct_rig
-from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig, scene_and_surface
 

@@ -10,9 +10,8 @@ from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import FEWEST, LandmarkPoke, RigRequest, correct_rig
 from skincal.rig.expected_gain import PlannedPoke, expected_error
-from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 

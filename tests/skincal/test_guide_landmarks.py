@@ -14,9 +14,8 @@ from skincal.mesh.lay import lay
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 

@@ -17,22 +17,23 @@ from skincal.guide.progress import GuideSettings, Why
 from skincal.mesh.search import nearest_points
 from skincal.session.actions import Exclude, Restore
 from skincal.session.session import Session
-from skincal.studies.poking import Conditions, Part, Wish, poked
+from skincal.simulate.benches import Bench
+from skincal.simulate.ways import Conditions, MeantPokes, poked, rig_beside
 from skincal.taxels.result import Estimate, Method, State
 
 STEADY = Conditions(aim=0.0, hand=0.0)
-PART = Part()
+PART = Bench()
 SETTINGS = GuideSettings()
 SOLVED = (Method.FREE, Method.SURFACE)
 
 
-class Bench:
+class PokedBench:
     """A guide, a rig, and a hand that pokes where the test says."""
 
     def __init__(self, method=Method.SURFACE, seed=1, conditions=STEADY):
         self.session, self.conditions = Session(PART.scene, PART.surface, SOLVED), conditions
         self.guide = Guide(PART.plan, PART.scene.noise, method, PART.spacing)
-        self.rig, self.rng = PART.rig(conditions, seed), np.random.default_rng(seed)
+        self.rig, self.rng = rig_beside(PART, conditions, seed), np.random.default_rng(seed)
         self.contacts, self.rejections, self.count = {}, {}, 0
         self.look()
 
@@ -43,7 +44,7 @@ class Bench:
 
     def wish(self, place, push):
         self.count += 1
-        return poked(PART, self.rig, Wish(place[None], push[None]), self.conditions, self.rng, self.count)[0]
+        return poked(PART, self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
 
     def poke(self, place, push):
         for contact in self.wish(place, push):
@@ -74,7 +75,7 @@ def edge_channel():
 
 
 def test_a_taxel_at_the_edge_that_is_poked_right_upon_is_balanced():
-    bench, channel = Bench(), edge_channel()
+    bench, channel = PokedBench(), edge_channel()
     place, normal = bench.true(channel)
     for _ in range(4):
         bench.poke(place, -normal)
@@ -87,7 +88,7 @@ def test_a_taxel_at_the_edge_that_is_poked_right_upon_is_balanced():
 
 
 def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
-    bench = Bench()
+    bench = PokedBench()
     channel = int(PART.plan.channels[40])
     place, normal = bench.true(channel)
     aside = np.cross(normal, [1.0, 0.0, 0.0])
@@ -101,7 +102,7 @@ def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
 
 def test_a_poke_early_on_is_not_taken_to_lie_aside_when_the_whole_skin_is_found_to():
     """The skin lies 4 mm beside its plan: pokes made before that was known are told from their taxels."""
-    bench = Bench(seed=2)
+    bench = PokedBench(seed=2)
     for row in range(0, 84, 4):
         place, normal = bench.true(int(PART.plan.channels[row]))
         for _ in range(2):
@@ -111,7 +112,7 @@ def test_a_poke_early_on_is_not_taken_to_lie_aside_when_the_whole_skin_is_found_
 
 
 def test_an_axis_is_that_of_the_wrench_in_the_link_frame():
-    bench = Bench()
+    bench = PokedBench()
     contact = bench.wish(*(lambda p, n: (p, -n))(*bench.true(int(PART.plan.channels[10]))))[0]
     axis = axis_of(contact)
     place, normal = bench.true(int(PART.plan.channels[10]))
@@ -129,7 +130,7 @@ def bench_rejection(force=None):
 
 
 def test_a_taxel_that_never_answers_is_given_up_after_three_pokes_at_it():
-    bench = Bench()
+    bench = PokedBench()
     silent = bench.guidance.target.channel
     place, normal = bench.guidance.target.place, bench.guidance.target.normal
     for count in range(SETTINGS.unanswered):
@@ -144,7 +145,7 @@ def test_a_taxel_that_never_answers_is_given_up_after_three_pokes_at_it():
 
 
 def test_pokes_elsewhere_do_not_count_as_tries():
-    bench = Bench()
+    bench = PokedBench()
     target = bench.guidance.target
     for _ in range(2 * SETTINGS.unanswered):
         bench.reject(Reason.NO_TAXEL, target.place + np.array([0.05, 0.0, 0.0]), -target.normal)
@@ -154,7 +155,7 @@ def test_pokes_elsewhere_do_not_count_as_tries():
 
 
 def test_pokes_that_slide_lower_the_tilt_that_is_asked_for():
-    bench = Bench(Method.FREE)
+    bench = PokedBench(Method.FREE)
     for _ in range(6):
         target = bench.guidance.target
         lean = np.cross(target.normal, [1.0, 0.0, 0.0])
@@ -166,7 +167,7 @@ def test_pokes_that_slide_lower_the_tilt_that_is_asked_for():
 
 
 def test_whoever_pokes_straight_where_a_tilt_is_wanted_is_asked_for_less():
-    bench = Bench(Method.FREE)
+    bench = PokedBench(Method.FREE)
     while bench.guidance.target.tilt < np.radians(25.0):
         bench.guide.skip()
         bench.look()
@@ -177,7 +178,7 @@ def test_whoever_pokes_straight_where_a_tilt_is_wanted_is_asked_for_less():
 
 
 def test_without_enough_tilt_the_free_method_says_so():
-    bench = Bench(Method.FREE)
+    bench = PokedBench(Method.FREE)
     channel = int(PART.plan.channels[40])
     place, normal = bench.true(channel)
     for _ in range(SETTINGS.own_pokes):
@@ -226,7 +227,7 @@ def test_a_cover_goes_around_what_answered_and_then_where_nobody_poked():
 
 def test_pokes_that_are_taken_back_are_no_tries():
     """A taxel is not given up for pokes that do not count, and it is again once they do."""
-    bench, channel = Bench(), None
+    bench, channel = PokedBench(), None
     channel = bench.guidance.target.channel
     place, normal = bench.guidance.target.place, bench.guidance.target.normal
     beside = place + 0.008 * np.cross(normal, [0.0, 0.0, 1.0])
@@ -253,7 +254,7 @@ def test_pokes_that_are_taken_back_are_no_tries():
 
 
 def test_a_target_that_nobody_saw_is_missed_by_nobody():
-    bench = Bench(Method.FREE)
+    bench = PokedBench(Method.FREE)
     while bench.guidance.target.tilt < np.radians(25.0):
         bench.guide.skip()
         bench.look()
@@ -265,7 +266,7 @@ def test_a_target_that_nobody_saw_is_missed_by_nobody():
 
 
 def test_the_hand_is_at_the_newest_poke_whatever_was_restored():
-    bench = Bench()
+    bench = PokedBench()
     for row in (3, 40, 70):
         place, normal = bench.true(int(PART.plan.channels[row]))
         bench.poke(place, -normal)
@@ -286,7 +287,7 @@ def test_the_hand_is_at_the_newest_poke_whatever_was_restored():
 
 
 def test_the_target_stays_while_a_poke_is_only_told_again():
-    bench = Bench(Method.FREE, conditions=Conditions())
+    bench = PokedBench(Method.FREE, conditions=Conditions())
     for _ in range(12):
         target = bench.guidance.target
         bench.poke(target.place, target.push)
@@ -318,7 +319,7 @@ def bare(method):
 @pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
 def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     session, guide = bare(method)
-    rig, rng = PART.rig(Conditions(), 1), np.random.default_rng(5)
+    rig, rng = rig_beside(PART, Conditions(), 1), np.random.default_rng(5)
     contacts, rejections, seen, phases = {}, {}, set(), []
     for poke in range(1, 181):
         told = {m: {one.channel: one for one in every} for m, every in session.snapshot().estimates.items()}
@@ -328,7 +329,7 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
         guidance = guide.update(contacts, estimates, session.evidence, rejections)
         phases.append(guidance.phase)
         target = guidance.target
-        made, pokes = poked(PART, rig, Wish(target.place[None], target.push[None]), Conditions(), rng, poke)
+        made, pokes = poked(PART, rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
         for contact in made:
             session.add(contact)
             contacts[poke] = contact

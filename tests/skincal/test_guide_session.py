@@ -10,14 +10,15 @@ from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import SKIPPED, Guide
 from skincal.session.actions import Exclude, MarkDead, Restore
 from skincal.session.session import Session
-from skincal.studies.courses import errors_of, looks, run_course
-from skincal.studies.poking import WAYS, Conditions, Part, Wish, poked
+from skincal.simulate.benches import Bench
+from skincal.simulate.courses import errors_of, looks, run_course
+from skincal.simulate.ways import WAYS, Conditions, MeantPokes, poked, rig_beside
 from skincal.taxels.result import Method
 
 
 @cache
 def part():
-    return Part()
+    return Bench()
 
 
 def guide(method=Method.FREE):
@@ -30,7 +31,7 @@ class Followed:
     def __init__(self, method=Method.FREE, seed=1):
         solved = (Method.FREE, Method.SURFACE, *((method,) if method is Method.MODULES else ()))
         self.session, self.guide = Session(part().scene, part().surface, solved), guide(method)
-        self.rig, self.rng = part().rig(Conditions(), seed), np.random.default_rng(seed)
+        self.rig, self.rng = rig_beside(part(), Conditions(), seed), np.random.default_rng(seed)
         self.contacts = {}
         self.guidance = self.look()
         self.asked = []
@@ -41,7 +42,7 @@ class Followed:
     def poke(self, place=None):
         target = self.guidance.target
         self.asked.append(target.channel)
-        wish = Wish((target.place if place is None else place)[None], target.push[None])
+        wish = MeantPokes((target.place if place is None else place)[None], target.push[None])
         for contact in poked(part(), self.rig, wish, Conditions(), self.rng, self.session.last_poke + 1)[0]:
             self.session.add(contact)
             self.contacts[contact.poke] = contact

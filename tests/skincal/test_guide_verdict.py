@@ -17,8 +17,9 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.session.actions import MarkDead
 from skincal.session.session import Session
-from skincal.studies.courses import errors_of
-from skincal.studies.poking import Conditions, Part, poked, tilt_recipe
+from skincal.simulate.benches import Bench
+from skincal.simulate.courses import errors_of
+from skincal.simulate.ways import Conditions, poked, rig_beside, tilt_recipe
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
 
@@ -52,13 +53,13 @@ def test_a_taxel_is_given_up_only_where_more_pokes_would_not_help(missing, chang
 
 @cache
 def part():
-    return Part()
+    return Bench()
 
 
 @cache
 def poked_session(pokes=240, seed=1, conditions=None):
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
-    rig = part().rig(conditions, seed)
+    rig = rig_beside(part(), conditions, seed)
     contacts, _ = poked(part(), rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
     session = Session(part().scene, part().surface)
     for contact in contacts:

@@ -25,9 +25,8 @@ from skincal.session.corrections import correct_action
 from skincal.session.replay import load, replay
 from skincal.session.road import Road
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from skincal.taxels.result import Method
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene
 from tests.skincal.sim_support import make_rig

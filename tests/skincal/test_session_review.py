@@ -18,9 +18,8 @@ from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, 
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, ReviewedPart, Reviewer, Unreviewed, review_change
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts, unguided
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.landmarks import poke_landmarks
 from tests.skincal.poke_script import small_scene
 from tests.skincal.sim_support import make_rig, scene_and_surface
 from tests.skincal.test_session_corrections import rejected

@@ -8,10 +8,18 @@ from hypothesis import strategies as st
 
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
-from skincal.simulate.device import DeviceSettings, Timeline, timeline
-from skincal.simulate.encode import About, Skb, Skt, cobs, make_encoder
+from skincal.simulate.device import (
+    About,
+    DeviceSettings,
+    DeviceTimeline,
+    SkbEncoder,
+    SktEncoder,
+    cobs,
+    make_encoder,
+    timeline,
+)
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits, Move, Press, Told
+from skincal.simulate.operator import Auto, Habits, HandPress, Move, Told
 from skincal.simulate.orders import PokeOrder, PoseOrder
 from skincal.simulate.rig import Rig
 from skincal.streams.decoders.detect import make_decoder
@@ -24,7 +32,7 @@ def play(errors, seconds, seed=1, name="icub-forearm", settings=None, operator=N
     """Return the time line after so long, and all that arrived."""
     rig = make_rig(errors, seed, name)
     rng = np.random.default_rng(seed)
-    line = Timeline(rig, operator(rig, rng) if operator else Auto(rig, Habits.careful(), rng), rng, settings)
+    line = DeviceTimeline(rig, operator(rig, rng) if operator else Auto(rig, Habits.careful(), rng), rng, settings)
     arrived = []
     while line.now < seconds:
         arrived += line.step()
@@ -58,15 +66,15 @@ def after(encoder, seq, letter):
 
 def test_records_are_those_of_the_protocol():
     # The worked examples of the protocol's description, byte for byte.
-    skin = after(Skb("u16"), 17, 1).skin(340000, np.array([201.0, 199, 2310, 200]))
+    skin = after(SkbEncoder("u16"), 17, 1).skin(340000, np.array([201.0, 199, 2310, 200]))
     assert skin.hex() == "020102110420300502c902c7040609c803f32e00"
     wrench = np.array([[1.5, -2.25, 30, 0.125, -0.5, 0.0625]])
-    assert after(Skb(), 1234, 2).wrenches(np.array([1234000]), wrench).hex() == (
+    assert after(SkbEncoder(), 1234, 2).wrenches(np.array([1234000]), wrench).hex() == (
         "020206d20450d412010103c03f010310c00103f0410101023e010102bf0103803d0101010366ec00"
     )
-    line = after(Skt(), 17, "T").skin(340000, np.array([201.0, 199, 2310, 200]))
+    line = after(SktEncoder(), 17, "T").skin(340000, np.array([201.0, 199, 2310, 200]))
     assert line == b"T,17,340000,201,199,2310,200*E4DB\n"
-    header = Skt().header(About(0, "board=left-forearm-A,n=84,rate=50,unit=raw,bits=12", 84))
+    header = SktEncoder().header(About(0, "board=left-forearm-A,n=84,rate=50,unit=raw,bits=12", 84))
     assert header == b"H,skt1,board=left-forearm-A,n=84,rate=50,unit=raw,bits=12*C2AD\n"
 
 
@@ -102,7 +110,7 @@ def test_wide_skins_speak_text_since_no_record_holds_them():
     # Without its surface each module lies in its anchor's plane: quicker, and the same bytes.
     rig = Rig(scene_and_surface("whole-body")[0], None, RigErrors.none(), np.random.default_rng(1))
     rng = np.random.default_rng(1)
-    line = Timeline(rig, Auto(rig, Habits.careful(), rng), rng)
+    line = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng), rng)
     arrived = [item for _ in range(30) for item in line.step()]
     assert set(line.links) == {"wrench", "skin"}
     decoder, _, values = decode(line, arrived, "skin", "text")
@@ -127,7 +135,7 @@ def test_the_same_poke_gives_the_truth_over_the_wire():
         return operator
 
     line, arrived = play(RigErrors.none(), 1.8, settings=QUIET, operator=told)
-    press = next(a for a in line._actions if isinstance(a, Press))
+    press = next(a for a in line._actions if isinstance(a, HandPress))
     _, times, wrenches = decode(line, arrived, "wrench")
     since = times - times[0]
     held = (since > press.begin + press.ramp + 0.01) & (since < press.begin + press.ramp + 0.49)
@@ -152,7 +160,7 @@ def test_the_foam_answers_later_than_the_force():
         return operator
 
     line, arrived = play(RigErrors.none(), 1.2, settings=replace(QUIET, skin_hz=1000.0), operator=told)
-    press = next(a for a in line._actions if isinstance(a, Press))
+    press = next(a for a in line._actions if isinstance(a, HandPress))
     _, times, frames = decode(line, arrived, "skin")
     channel = line.rig.channels[30]
     depth = 240 - frames[:, channel]
@@ -174,7 +182,7 @@ def test_wrench_sign_is_the_sensors():
         scene, _ = scene_and_surface("flat-patch")
         rig = Rig(replace(scene, wrench_sign=sign), None, RigErrors.none(), np.random.default_rng(1))
         rng = np.random.default_rng(2)
-        line = Timeline(rig, told(rig, rng), rng, QUIET)
+        line = DeviceTimeline(rig, told(rig, rng), rng, QUIET)
         arrived = []
         while line.now < 1.5:
             arrived += line.step()

@@ -16,10 +16,9 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Landmark
 from skincal.session.known_points import poke_at
 from skincal.session.road import Road
-from skincal.simulate.device import Timeline
+from skincal.simulate.device import DeviceTimeline
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.follow import Guided
-from skincal.simulate.operator import Auto, Habits, Move, Told
+from skincal.simulate.operator import Auto, Guided, Habits, Move, Told
 from skincal.simulate.orders import NoTarget, PokeOrder, PoseOrder, TargetOrder, read_order, write_wish
 from skincal.simulate.poke import tangents
 from skincal.streams.links import LinkSpec
@@ -257,7 +256,7 @@ def guided_session(rig, pokes, seed=1):
     """Return how many of so many pokes were answered most by the taxel that was asked for, through bytes and detector."""
     scene = rig.scene
     operator = Guided(rig, Habits.careful(), np.random.default_rng(seed), pokes)
-    line = Timeline(rig, operator, np.random.default_rng(seed + 1))
+    line = DeviceTimeline(rig, operator, np.random.default_rng(seed + 1))
     road = Road(scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface)
     plan = plan_from(scene.skin.layout, lay(scene.skin.layout, scene.skin.anchor, rig.surface))
     guide = Guide(plan, scene.noise, Method.FREE, scene.skin.layout.spacing)
@@ -299,7 +298,7 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
     for (head, outward), felt in zip(heads, (False, True), strict=True):
         operator = Guided(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
         operator.accept(read_order(write_wish(TargetOrder(None, head, -outward, known=True))))
-        line = Timeline(rig, operator, np.random.default_rng(4))
+        line = DeviceTimeline(rig, operator, np.random.default_rng(4))
         road = Road(scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface)
         for link in line.links:
             road.feed(LinkEvent(link, 0, LinkState.OPEN))

@@ -5,7 +5,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits, Move, Press, Told, press
+from skincal.simulate.operator import Auto, Habits, HandPress, Move, Told, press
 from skincal.simulate.orders import PokeOrder, PoseOrder, read_order
 from skincal.simulate.poke import push_directions, tangents
 from tests.skincal.sim_support import make_rig
@@ -39,7 +39,7 @@ def test_auto_shares_its_pokes_among_the_poses(rig, rng):
     done = actions(Auto(rig, Habits.careful(), rng, pokes=30, poses=("2", "1", "7")))
     moves = [(i, a.stance.name) for i, a in enumerate(done) if isinstance(a, Move)]
     assert moves == [(0, "2"), (11, "1"), (22, "7")]
-    assert sum(isinstance(a, Press) for a in done) == 30
+    assert sum(isinstance(a, HandPress) for a in done) == 30
 
 
 def test_auto_keeps_to_the_taxels_it_was_given(rig, rng):

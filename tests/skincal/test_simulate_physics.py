@@ -8,12 +8,10 @@ from skincal.mesh.lay import lay
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
-from skincal.simulate.contacts import Tare, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.foam import Foam, answer, felt_share
-from skincal.simulate.noise import WrenchNoise
+from skincal.simulate.contacts import TareTiming, simulate_contacts, unguided
+from skincal.simulate.faults import RigErrors, WrenchNoise
 from skincal.simulate.operator import Habits, aim, place
-from skincal.simulate.rig import Rig
+from skincal.simulate.rig import Foam, Rig, answer, felt_share
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = tuple("1234567")
@@ -226,14 +224,14 @@ def test_one_tare_a_session_leaves_the_drift(rng):
     rig = make_rig(RigErrors.paper())
     pokes = unguided(rig, 12, rng)
     spread = {}
-    for tare in Tare:
+    for tare in TareTiming:
         contacts = simulate_contacts(rig, pokes, np.random.default_rng(5), tare=tare)
         rows = [c.poke - 1 for c in contacts]
         loads = rig.true_wrenches(pokes.points[rows], pokes.forces[rows, None] * pokes.directions[rows], rig.stance())
         error = np.array([c.force for c in contacts]) - rig.read_wrenches(loads)[:, :3]
         spread[tare] = np.sqrt(np.mean(error**2))
-    assert spread[Tare.POKE] < 0.12
-    assert spread[Tare.SESSION] > 2 * spread[Tare.POKE]
+    assert spread[TareTiming.POKE] < 0.12
+    assert spread[TareTiming.SESSION] > 2 * spread[TareTiming.POKE]
 
 
 def test_same_seed_same_contacts():

@@ -11,11 +11,10 @@ import pytest
 import serial
 
 from skincal.model.readings import Stream
-from skincal.simulate.device import DeviceSettings, Timeline
+from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits
-from skincal.simulate.outlets import PtyOutlet, TcpOutlet
-from skincal.simulate.serve import Server
+from skincal.simulate.serve import PtyOutlet, Server, TcpOutlet
 from skincal.streams.decoders.detect import make_decoder
 from tests.skincal.sim_support import make_rig
 
@@ -27,7 +26,7 @@ WAIT_S = 10.0
 def serving(*, tcp, form="skb", name="flat-patch"):
     rig = make_rig(RigErrors.noise(), 1, name)
     rng = np.random.default_rng(1)
-    line = Timeline(rig, Auto(rig, Habits.careful(), rng), rng, DeviceSettings(format=form))
+    line = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng), rng, DeviceSettings(format=form))
     stop = threading.Event()
     with Server(line, tcp=tcp) as server:
         thread = threading.Thread(target=server.run, args=(stop,))

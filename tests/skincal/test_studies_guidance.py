@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from skincal.simulate.ways import WAYS, Conditions
 from skincal.studies import guidance
-from skincal.studies.figure import write_figure
+from skincal.studies.figures import write_figure
 from skincal.studies.guidance import QUICK
-from skincal.studies.poking import WAYS, Conditions
 
 TINY = replace(
     QUICK, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,

@@ -7,11 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from skincal.simulate.courses import TABLE_I
 from skincal.studies import paper
-from skincal.studies.figure import write_figure
-from skincal.studies.paper import QUICK
-from skincal.studies.paper_course import run_course
-from skincal.studies.paper_trials import MINUTES, Spread, run_good, run_trial
+from skincal.studies.figures import write_figure
+from skincal.studies.paper import QUICK, ErrorSpread, run_course, run_good, run_trial
 
 TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84))
 
@@ -28,7 +27,7 @@ def test_it_gives_what_is_asked_of_it():
     assert set(found["mean_mm"]) == {"free", "surface", "modules", "modules_21", "modules_70"}
     assert set(found["good_rig_mm"]) == {"free", "surface", "modules"}
     assert set(found["per_pose_mm"]) == {"free", "surface", "modules"}
-    assert all(list(poses) == list(MINUTES) for poses in found["per_pose_mm"].values())
+    assert all(list(poses) == list(TABLE_I) for poses in found["per_pose_mm"].values())
     assert all(len(course) == 7 for course in found["averaged_mm"].values())
     assert [one["landmark_pokes"] for one in found["landmarks"]] == [21, 70]
     assert len(said) == 2 + 3
@@ -65,7 +64,7 @@ def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
 
 
 def test_a_course_is_the_same_again_but_for_its_times():
-    first, again = (run_course(1, (28,), 0.1, timed) for timed in (0, 28))
+    first, again = (run_course(1, timed, (28,), 0.1) for timed in (0, 28))
     assert first.errors == again.errors
     assert np.isnan(first.seconds["free"]).all()
     assert again.seconds["free"][0] > 0
@@ -75,7 +74,7 @@ def test_a_trial_is_the_same_again_and_another_seed_is_another_rig():
     first, again, other = run_trial(1, 0.1), run_trial(1, 0.1), run_trial(2, 0.1)
     assert first.pooled == again.pooled
     assert first.pooled != other.pooled
-    assert first.pokes == sum(round(0.1 * minutes * 24) for minutes in MINUTES.values())
+    assert first.pokes == sum(round(0.1 * minutes * 24) for minutes in TABLE_I.values())
 
 
 def test_more_pokes_of_a_good_rig_tell_more():
@@ -84,8 +83,8 @@ def test_more_pokes_of_a_good_rig_tell_more():
 
 
 def test_errors_are_summed_up_in_millimetres():
-    told = Spread.of(np.array([0.001, 0.003, np.nan]))
-    assert (told.mean, told.sd, told.largest, told.missing) == pytest.approx((2.0, 1.0, 3.0, 1))
+    said = ErrorSpread.of(np.array([0.001, 0.003, np.nan]))
+    assert (said.mean, said.sd, said.largest, said.missing) == pytest.approx((2.0, 1.0, 3.0, 1))
 
 
 def test_the_figure_is_drawn(tmp_path):

@@ -12,13 +12,12 @@ import pytest
 
 from skincal.mesh.search import nearest_points, nearest_to_rows
 from skincal.methods import estimate_from, estimate_taxels
-from skincal.studies import alternatives, live, runtime
-from skincal.studies.benches import SHAPES, Bench
-from skincal.studies.clock import Spread, at_rest, sampled, timed
-from skincal.studies.closed_form import closest_in_triangles
-from skincal.studies.figure import write_figure
-from skincal.studies.measures import positions_of
-from skincal.studies.runtime_results import bars_of, main_rows, summary, time_words
+from skincal.simulate.benches import SHAPES, Bench
+from skincal.studies import alternatives, runtime
+from skincal.studies.alternatives import closest_in_triangles
+from skincal.studies.figures import write_figure
+from skincal.studies.measuring import Quartiles, at_rest, sampled, time_words, timed
+from skincal.studies.runtime import main_rows, positions_of, runtime_bars, summary, touching
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests.skincal.studies_support import FOREARM, TINY, tiny
@@ -180,7 +179,7 @@ def test_a_bar_is_met_on_its_own_side_only():
     ratios = {"brute_over_surface": 299.0, "slsqp_over_surface": 10_000.0, "per_taxel_100k_over_1k": 2.1}
     spread = {"time_ms": {"median": 1.9}}
     lively = {"poke": [spread], "resolve": {"time_ms": {"median": 2100.0}}, "memory": {"megabytes_per_1000": 2.0}}
-    holds = {name: bar["holds"] for name, bar in bars_of(ratios, {"brute": 1e-13}, lively).items()}
+    holds = {name: bar["holds"] for name, bar in runtime_bars(ratios, {"brute": 1e-13}, lively).items()}
     assert holds == {
         "brute_over_surface": False, "slsqp_over_surface": True, "brute_equal_m": True, "per_taxel_100k_over_1k": False,
         "poke_ms": True, "resolve_s": False, "memory_mb_per_1000": True,
@@ -206,7 +205,7 @@ def test_the_figure_is_drawn_with_a_name_for_every_method(tmp_path):
 
     def draw(figure):
         runtime.draw(tiny()[0], figure)
-        names.extend(text.get_text() for axes in figure.axes for text in axes.texts)
+        names.extend(text.get_text() for legend in figure.legends for text in legend.get_texts())
 
     files = write_figure(draw, tmp_path, "runtime")
     assert [file.suffix for file in files] == [".svg", ".png"]
@@ -234,7 +233,7 @@ def test_garbage_is_left_alone_while_the_clock_runs():
 
 
 def test_a_spread_is_a_median_with_its_quartiles():
-    spread = Spread.of([4.0, 1.0, 2.0, 3.0, 5.0])
+    spread = Quartiles.of([4.0, 1.0, 2.0, 3.0, 5.0])
     assert (spread.median, spread.q1, spread.q3, spread.count) == (3.0, 2.0, 4.0, 5)
     assert spread.times(2.0).plus(1.0).json() == {"median": 7.0, "q1": 5.0, "q3": 9.0, "count": 5}
 
@@ -247,7 +246,7 @@ def test_a_time_is_told_in_the_unit_that_suits_it(ms, words):
 
 
 def test_a_poke_of_the_live_study_touches_seven_taxels_of_one_neighbourhood():
-    contact = live.touching(bench(), poked()[0])
+    contact = touching(bench(), poked()[0])
     assert len(contact.channels) == 7
     assert (np.diff(contact.channels) > 0).all()
     places = bench().rig.places[[bench().rig.row_of(int(channel)) for channel in contact.channels]]

@@ -13,13 +13,24 @@ from skincal.mesh.surface import make_surface
 from skincal.session.actions import Exclude, Restore, Undo
 from skincal.session.session import Session
 from skincal.studies import exact, stability
-from skincal.studies.board_cases import all_board_cases
-from skincal.studies.cases import Case, Readings, Sizes, all_cases, arm_poses, cone, moved, press, sheet, unit
-from skincal.studies.stability import ALTERNATIVES, Found, judge, shipped
+from skincal.studies.stability import ALTERNATIVES, FoundTaxel, judge, shipped
+from skincal.studies.stability_cases import (
+    Case,
+    CaseSizes,
+    TaxelReadings,
+    all_cases,
+    all_module_cases,
+    arm_poses,
+    cone,
+    moved,
+    press,
+    sheet,
+    unit,
+)
 from skincal.taxels.result import PER_TAXEL
 from tests.skincal.poke_script import same_estimates, small_scene
 
-TINY = Sizes(contacts=6, grid=4, many=300)
+TINY = CaseSizes(contacts=6, grid=4, many=300, draws=4)
 CASES = {case.name: case for case in all_cases(TINY)}
 NUMBERS = {name: number for number, name in enumerate(CASES)}
 
@@ -30,7 +41,7 @@ def digits():
         yield
 
 
-def rows_of_the_paper(readings: Readings):
+def rows_of_the_paper(readings: TaxelReadings):
     """(5) with K and (6) row by row in mpmath: A (3n, 3) and b (3n)."""
     mp = mpmath.mpf
     rows, right = [], []
@@ -42,7 +53,7 @@ def rows_of_the_paper(readings: Readings):
         k = mp(float(readings.responses[i])) / mp(float(readings.strongest[i]))
         size = mpmath.norm(f)
         s = skew(f) * (k / size)
-        # Not the first row first: mpmath divides by nought where the leading element is nought.
+        # Not the first row first: mpmath divides by zero where the leading element is zero.
         rows += [[s[r, c] for c in range(3)] for r in (1, 2, 0)]
         right += [-k * m[r] / size for r in (1, 2, 0)]
     return mpmath.matrix(rows), mpmath.matrix(right)
@@ -66,23 +77,26 @@ def difference(ours, theirs):
         "forces 1e-6 to 1e4 N",
     ],
 )
-def test_the_decimal_answer_is_that_of_a_qr_of_the_papers_rows_in_mpmath(name):
+def test_the_exact_answer_is_that_of_a_qr_of_the_papers_rows(name):
     readings = CASES[name].readings
     a, b = rows_of_the_paper(readings)
     theirs, _ = mpmath.qr_solve(a, b)
-    assert difference(exact.solve(exact.system(readings)), theirs) < 1e-30
+    assert difference(exact.solve(exact.normal_equations(readings)), theirs) < 1e-30
 
 
 @pytest.mark.parametrize("name", ["one axis, many forces", "one axis, far sensor, general pose"])
-def test_the_blind_answer_is_that_of_the_eigenvectors_in_mpmath(name):
+def test_the_blind_answer_is_least_across_the_direction_that_the_papers_rows_say_least_of(name):
     readings = CASES[name].readings
     a, b = rows_of_the_paper(readings)
-    values, axes = mpmath.eigsy(a.T * a)
-    h = a.T * b
-    theirs = sum((axes[:, i] * ((axes[:, i].T * h)[0] / values[i]) for i in (1, 2)), mpmath.zeros(3, 1))
-    ours, blind = exact.solve_blind(exact.system(readings))
-    assert difference(ours, theirs) < 1e-40
-    assert min(difference(blind, axes[:, 0]), difference(blind, -axes[:, 0])) < 1e-40
+    ours, blind = (mpmath.matrix([mpmath.mpf(one) for one in v]) for v in exact.solve_blind(exact.normal_equations(readings)))
+    n, h = a.T * a, a.T * b
+    value = (blind.T * n * blind)[0]
+    assert mpmath.norm(blind) == pytest.approx(1.0)
+    assert value < 1e-25 * (n[0, 0] + n[1, 1] + n[2, 2]), "the smallest of the eigenvalues"
+    assert mpmath.norm(n * blind - blind * value) < 1e-60
+    pull = n * ours - h
+    assert abs((ours.T * blind)[0]) < 1e-50
+    assert mpmath.norm(pull - blind * (blind.T * pull)[0]) < 1e-50
 
 
 def least_on_triangle(a, b, corners):
@@ -115,14 +129,14 @@ def least_on_triangle(a, b, corners):
         "needles 1e+04 times as long as wide",
     ],
 )
-def test_the_decimal_answer_on_a_surface_is_that_of_mpmath_over_all_triangles(name):
+def test_the_exact_answer_on_a_surface_is_that_of_qr_over_all_triangles(name):
     case = CASES[name]
     a, b = rows_of_the_paper(case.readings)
     push = np.array([float(x) for x in exact.mean_push(case.readings)])
     surface = make_surface(case.mesh.vertices, case.mesh.triangles)
     facing = case.mesh.corners[surface.normals @ unit(push) < 0]
     _, theirs = min((least_on_triangle(a, b, corners) for corners in facing), key=lambda one: one[0])
-    ours = exact.best(exact.system(case.readings), [exact.exactly(corners) for corners in facing])
+    ours = exact.best(exact.normal_equations(case.readings), exact.exactly(facing))
     assert difference(ours, theirs) < 1e-30
 
 
@@ -136,7 +150,7 @@ def test_triangles_left_out_of_the_draws_are_the_best_in_none():
     change = 0.0
     for _ in range(draws):
         corners = moved(case.mesh.vertices, rng)[case.mesh.triangles[facing]]
-        other = exact.best(exact.system(case.readings.moved(rng)), [exact.exactly(one) for one in corners])
+        other = exact.best(exact.normal_equations(case.readings.moved(rng)), exact.exactly(corners))
         change = max(change, exact.distance(truth.answer, other))
     assert truth.change == change > 0
 
@@ -156,11 +170,11 @@ def test_a_draw_moves_every_number_by_one_unit_in_its_last_place():
 
 def test_the_derivative_moves_the_answer_as_the_draws_in_80_digits_do():
     rng = np.random.default_rng(3)
-    readings = press(rng, cone(rng, 40, 0.5))
+    readings = press(rng, cone(rng, 20, 0.5))
     case = Case("some", readings, many=True)
     fast = exact.find_truth(case, 300, rng)
     draws = (replace(readings, forces=moved(readings.forces, rng), moments=moved(readings.moments, rng)) for _ in range(300))
-    slow = max(exact.distance(fast.answer, exact.solve(exact.system(one))) for one in draws)
+    slow = max(exact.distance(fast.answer, exact.solve(exact.normal_equations(one))) for one in draws)
     assert fast.change == pytest.approx(slow, rel=0.25)
 
 
@@ -192,7 +206,7 @@ def test_the_shipped_solvers_hold(name):
 
 def unsorted(contacts, _surface):
     """Solve by QR of the rows as they come."""
-    readings = Readings(
+    readings = TaxelReadings(
         forces=np.array([one.force for one in contacts]),
         moments=np.array([one.moment for one in contacts]),
         responses=np.array([one.responses[0] for one in contacts]),
@@ -200,7 +214,7 @@ def unsorted(contacts, _surface):
         poses=np.array([one.link_from_sensor for one in contacts]),
         pose_of=np.arange(len(contacts)),
     )
-    return Found(stability.by_qr(*stability.two_rows(readings))[0])
+    return FoundTaxel(stability.by_qr(*stability.two_rows(readings))[0])
 
 
 def test_unsorted_qr_is_caught_on_stiff_weights():
@@ -230,7 +244,7 @@ def test_a_solver_that_follows_the_order_of_the_contacts_is_caught():
     name = "a bent sheet, inside a triangle"
 
     def by_order(contacts, surface):
-        return Found(shipped(contacts, surface).point + 1e-17 * contacts[0].poke)
+        return FoundTaxel(shipped(contacts, surface).point + 1e-17 * contacts[0].poke)
 
     (record,) = judge(CASES[name], truth_of(name), by_order)
     assert record["error"] <= record["bound"]
@@ -242,7 +256,7 @@ def test_a_solver_that_reports_no_blind_direction_is_caught():
     name = "one axis, read many times"
 
     def sure(contacts, surface):
-        return Found(shipped(contacts, surface).point)
+        return FoundTaxel(shipped(contacts, surface).point)
 
     position, direction = judge(CASES[name], truth_of(name), sure)
     assert position["holds"]
@@ -251,26 +265,31 @@ def test_a_solver_that_reports_no_blind_direction_is_caught():
 
 def test_a_solver_without_a_number_is_caught():
     name = "two axes that cross"
-    (record,) = judge(CASES[name], truth_of(name), lambda *_: Found(np.full(3, np.nan)))
+    (record,) = judge(CASES[name], truth_of(name), lambda *_: FoundTaxel(np.full(3, np.nan)))
     assert record["error"] == exact.NO_NUMBER
     assert not record["holds"]
 
 
 @pytest.fixture(scope="module")
 def result():
-    with pytest.MonkeyPatch.context() as patch, mpmath.workdps(15):
-        patch.setattr(stability, "QUICK", TINY)
-        patch.setattr(stability, "DRAWS_QUICK", 4)
-        said = []
-        result = stability.run(quick=True, progress=said.append)
-        assert said[0].startswith("the bar")
-        assert len(said) == 1 + len(CASES) + len(list(all_board_cases(TINY)))
-        return result
+    """A study of a few cases; `tests/long` has it of all."""
+    some = (*SOME[:3], SOME[8], "one axis, read many times"), ("module, two pokes", "module on a sheet, 7 arm poses")
+    taxels, modules = (
+        [case for case in every(TINY) if case.name in names]
+        for every, names in zip((all_cases, all_module_cases), some, strict=True)
+    )
+    said = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stability, "all_cases", lambda _: taxels)
+        patch.setattr(stability, "all_module_cases", lambda _: modules)
+        result = stability.run(quick=True, progress=said.append, sizes=TINY)
+    assert said[0].startswith("the bar")
+    assert len(said) == 1 + len(taxels) + len(modules)
+    return result
 
 
-def test_the_study_has_at_least_forty_cases_and_all_hold(result):
+def test_what_the_study_says_of_its_cases_is_json_and_agrees_with_itself(result):
     cases = result["cases"]
-    assert len(cases) >= 40
     assert len({one["name"] for one in cases}) == len(cases)
     assert {one["solver"] for one in cases} == {"free", "surface", "modules"}
     assert [one["name"] for one in cases if not one["holds"]] == []
@@ -279,11 +298,6 @@ def test_the_study_has_at_least_forty_cases_and_all_hold(result):
         assert one["holds"] == (one["error"] <= one["bound"] and one["same_bits"])
         assert one["error_over_bound"] == pytest.approx(one["error"] / one["bound"])
     assert json.loads(json.dumps(result, allow_nan=False)) == result
-
-
-def test_no_bar_is_so_high_that_it_proves_nothing(result):
-    loose = [one["name"] for one in result["cases"] if one["bound"] > 1e-3 * one["size"]]
-    assert loose == []
 
 
 def test_the_summary_names_what_misses_and_the_figure_every_case(result):

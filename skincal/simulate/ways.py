@@ -1,4 +1,4 @@
-"""Ways to poke a part, and a hand that does what it is told as well as a hand can.
+"""Ways to poke a part, and a hand that pokes what is asked for as well as a hand can.
 
 The part is the forearm that ships, whose skin lies 4 mm beside its plan as a whole. Nobody knows that: all aim at where the
 plan, laid on the surface, puts a taxel; only the guide learns from what is measured. The rig is a good one: 0.10 N and
@@ -8,27 +8,21 @@ plan, laid on the surface, puts a taxel; only the guide learns from what is meas
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.guide.places import PlannedPlaces, plan_from
-from skincal.mesh.lay import lay
-from skincal.mesh.load import load_surface
 from skincal.mesh.search import nearest_points
-from skincal.mesh.surface import Surface
-from skincal.model.scene import Scene, load_scene, resource
-from skincal.simulate.contacts import Tare, simulate_contacts
+from skincal.simulate.benches import Bench
+from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN, TareTiming, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.poke import Pokes, by_hand, cone_tilts, held, push_directions, tangents
+from skincal.simulate.poke import PressedPlaces, by_hand, cone_tilts, held, push_directions, tangents
 from skincal.simulate.rig import Rig
 
-SCENE = "icub-forearm"
 POSE = "2"
 """Of the scene's arm poses the one whose lever is 0.18 m."""
 BESIDE = 0.004
@@ -37,8 +31,6 @@ FORCE = (6.0, 12.0)
 """N, of a hand."""
 UNKNOWN = 0.060
 """m: what a taxel without an estimate counts: the size of the patch."""
-RECIPE_TILT, RECIPE_TURN = float(np.radians(28.0)), float(np.radians(120.0))
-"""rad, of a printed recipe: this tilt, turned so far with each round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,41 +59,13 @@ class Conditions:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
-    """The part as everybody sees it."""
-
-    scene: Scene = field(default_factory=lambda: load_scene(resource(f"scenes/{SCENE}/scene.toml")))
-
-    @cached_property
-    def surface(self) -> Surface:
-        """Its mesh."""
-        if self.scene.surface is None:
-            raise ValueError(f"{SCENE} has no surface")
-        return load_surface(self.scene.surface)[0]
-
-    @cached_property
-    def plan(self) -> PlannedPlaces:
-        """Where the layout puts the taxels."""
-        layout = self.scene.skin.layout
-        laid = None if layout is None else lay(layout, self.scene.skin.anchor, self.surface)
-        plan = None if layout is None or laid is None else plan_from(layout, laid)
-        if plan is None:
-            raise ValueError(f"{SCENE} has no layout that can be laid")
-        return plan
-
-    @property
-    def spacing(self) -> float:
-        """m, usual distance of neighbours."""
-        return 0.0 if self.scene.skin.layout is None else self.scene.skin.layout.spacing
-
-    def rig(self, conditions: Conditions, seed: int) -> Rig:
-        """Return a rig whose skin lies beside its plan its own way."""
-        return Rig(self.scene, self.surface, conditions.errors, np.random.default_rng([seed, 7]))
+def rig_beside(part: Bench, conditions: Conditions, seed: int) -> Rig:
+    """Return a rig whose skin lies beside its plan its own way."""
+    return Rig(part.scene, part.surface, conditions.errors, np.random.default_rng([seed, 7]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wish:
+class MeantPokes:
     """n pokes that somebody means to make."""
 
     places: FloatArray
@@ -111,8 +75,8 @@ class Wish:
 
 
 def poked(
-    part: Part, rig: Rig, wish: Wish, conditions: Conditions, rng: np.random.Generator, first: int
-) -> tuple[list[Contact], Pokes]:
+    part: Bench, rig: Rig, wish: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
+) -> tuple[list[Contact], PressedPlaces]:
     """Return the contacts that a hand makes of a wish, and where they were; the first has the number `first`."""
     count = len(wish.places)
     on, triangles = nearest_points(part.surface, wish.places)
@@ -121,66 +85,66 @@ def poked(
     points, triangles = nearest_points(part.surface, on + beside[:, :1] * e1 + beside[:, 1:] * e2)
     normals = part.surface.normals[triangles]
     pushes = held(by_hand(wish.pushes, conditions.hand, rng), normals, conditions.usable)
-    pokes = Pokes(
+    pokes = PressedPlaces(
         np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
     )
     habits = replace(Habits.careful(), double_rate=conditions.doubled)
-    return simulate_contacts(rig, pokes, rng, POSE, first, Tare.POKE, habits), pokes
+    return simulate_contacts(rig, pokes, rng, POSE, first, TareTiming.POKE, habits), pokes
 
 
 # ---- ways that follow no measurement ----
 
-Way: TypeAlias = Callable[[Part, Conditions, int, np.random.Generator], Wish]
+PokingWay: TypeAlias = Callable[[Bench, Conditions, int, np.random.Generator], MeantPokes]
 """Gives so many pokes."""
 
 
-def _at(part: Part, rows: IntArray, tilts: FloatArray, azimuths: FloatArray) -> Wish:
+def _at(part: Bench, rows: IntArray, tilts: FloatArray, azimuths: FloatArray) -> MeantPokes:
     normals = part.plan.normals[rows]
-    return Wish(part.plan.places[rows], push_directions(normals, tilts, azimuths))
+    return MeantPokes(part.plan.places[rows], push_directions(normals, tilts, azimuths))
 
 
-def _straight(part: Part, rows: IntArray) -> Wish:
+def _straight(part: Bench, rows: IntArray) -> MeantPokes:
     return _at(part, rows, np.zeros(len(rows)), np.zeros(len(rows)))
 
 
-def _rounds(part: Part, count: int, rng: np.random.Generator) -> IntArray:
+def _rounds(part: Bench, count: int, rng: np.random.Generator) -> IntArray:
     taxels = len(part.plan.channels)
     return np.concatenate([rng.permutation(taxels) for _ in range(-(-count // taxels))])[:count]
 
 
-def clumped(part: Part, conditions: Conditions, count: int, rng: np.random.Generator) -> Wish:
+def clumped(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke as people do who are told nothing: favourite places again and again, along the normal."""
     del conditions
     liked = np.exp(1.5 * rng.standard_normal(len(part.plan.channels)))
     return _straight(part, rng.choice(len(liked), count, p=liked / liked.sum()))
 
 
-def random(part: Part, conditions: Conditions, count: int, rng: np.random.Generator) -> Wish:
+def random(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke anywhere, along the normal."""
     del conditions
     return _straight(part, rng.integers(len(part.plan.channels), size=count))
 
 
-def random_sides(part: Part, conditions: Conditions, count: int, rng: np.random.Generator) -> Wish:
+def random_sides(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke anywhere from any side that friction holds."""
     rows = rng.integers(len(part.plan.channels), size=count)
     return _at(part, rows, cone_tilts(count, conditions.usable, rng), rng.uniform(-np.pi, np.pi, count))
 
 
-def round_robin(part: Part, conditions: Conditions, count: int, rng: np.random.Generator) -> Wish:
+def round_robin(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, along the normal."""
     del conditions
     return _straight(part, _rounds(part, count, rng))
 
 
-def tilt_recipe(part: Part, conditions: Conditions, count: int, rng: np.random.Generator) -> Wish:
+def tilt_recipe(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, tilted, the tilt turned with each round: what can be printed on a card."""
     rows = _rounds(part, count, rng)
     turns = np.asarray(RECIPE_TURN * (np.arange(count) // len(part.plan.channels)), dtype=np.float64)
     return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.usable)), turns)
 
 
-WAYS: dict[str, Way] = {
+WAYS: dict[str, PokingWay] = {
     "clumped": clumped,
     "random": random,
     "random_sides": random_sides,

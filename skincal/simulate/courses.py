@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +14,11 @@ from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
 from skincal.session.session import Session
+from skincal.simulate.benches import Bench
+from skincal.simulate.contacts import CYCLE_S, simulate_contacts
+from skincal.simulate.operator import Habits, aim
 from skincal.simulate.rig import Rig
-from skincal.studies.poking import UNKNOWN, WAYS, Conditions, Part, Wish, poked
+from skincal.simulate.ways import UNKNOWN, WAYS, Conditions, MeantPokes, poked, rig_beside
 from skincal.taxels.result import Estimate, Method
 
 FOLLOWED = ("diversity", "optimal", "guided")
@@ -30,7 +33,7 @@ FALSE = 5.0 / 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class ErrorCourse:
     """One session's errors."""
 
     pokes: IntArray
@@ -70,9 +73,9 @@ def looks(limit: int) -> IntArray:
     return np.array(first)
 
 
-def run_course(part: Part, way: str, method: Method, conditions: Conditions, seed: int, limit: int) -> Course:
+def run_course(part: Bench, way: str, method: Method, conditions: Conditions, seed: int, limit: int) -> ErrorCourse:
     """Poke `limit` times, and look at the errors now and then."""
-    rig = part.rig(conditions, seed)
+    rig = rig_beside(part, conditions, seed)
     rng = np.random.default_rng([seed, 11])
     steps = _followed if way in FOLLOWED else _unheard
     at = set(looks(limit).tolist())
@@ -94,7 +97,29 @@ def run_course(part: Part, way: str, method: Method, conditions: Conditions, see
         guidance = _guide(part, method).update(_numbered(session), session.snapshot().estimates, session.evidence)
     done, falsely = _judged(guidance, session.snapshot().estimates[method], rig)
     pokes, mean, p95, spent = (np.array(column) for column in zip(*rows, strict=True))
-    return Course(pokes.astype(np.int64), mean, p95, spent, done, falsely, enough, given_up)
+    return ErrorCourse(pokes.astype(np.int64), mean, p95, spent, done, falsely, enough, given_up)
+
+
+TABLE_I: Mapping[str, float] = {"1": 13, "2": 5, "3": 4, "4": 7, "5": 7, "6": 7, "7": 7}
+"""Minutes for which the paper poked each arm pose (Table I)."""
+
+
+def poke_rounds(rig: Rig, pose: str, count: int, rng: np.random.Generator, first: int) -> list[Contact]:
+    """Return the contacts of so many unguided pokes in an arm pose, round by round, from random sides."""
+    rounds = -(-count // len(rig.channels))
+    targets = np.concatenate([rng.permutation(rig.channels) for _ in range(rounds)])[:count]
+    return simulate_contacts(rig, aim(rig, targets, Habits.careful(), rng), rng, pose, first)
+
+
+def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, list[Contact]]:
+    """Return the contacts of each arm pose of `TABLE_I`, poked for `share` of its minutes."""
+    found: dict[str, list[Contact]] = {}
+    first = 1
+    for pose, minutes in TABLE_I.items():
+        count = round(share * minutes * 60.0 / CYCLE_S)
+        found[pose] = poke_rounds(rig, pose, count, rng, first)
+        first += count
+    return found
 
 
 def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
@@ -108,7 +133,7 @@ Step = tuple[int, float, Session, Guidance | None]
 
 
 def _unheard(
-    part: Part, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+    part: Bench, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as planned before the first poke."""
     wish = WAYS[way](part, conditions, limit, rng)
@@ -123,7 +148,7 @@ def _unheard(
 
 
 def _followed(
-    part: Part, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+    part: Bench, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as a guide says, one after another."""
     session, seconds, hand = _session(part, method), 0.0, None
@@ -145,11 +170,11 @@ def _followed(
         yield count, seconds, session, guidance
 
 
-def _session(part: Part, method: Method) -> Session:
+def _session(part: Bench, method: Method) -> Session:
     return Session(part.scene, part.surface, {*ALONE, method})
 
 
-def _guide(part: Part, method: Method, forever: bool = False) -> Guide:
+def _guide(part: Bench, method: Method, forever: bool = False) -> Guide:
     settings = GuideSettings()
     settings = replace(settings, sweep=float("inf")) if forever else settings
     return Guide(part.plan, part.scene.noise, method, part.spacing, settings)
@@ -159,26 +184,26 @@ def _numbered(session: Session) -> dict[int, Contact]:
     return {contact.poke: contact for contact in session.contacts}
 
 
-def _asked(guidance: Guidance) -> Wish | None:
+def _asked(guidance: Guidance) -> MeantPokes | None:
     target = guidance.target
-    return None if target is None else Wish(target.place[None], target.push[None])
+    return None if target is None else MeantPokes(target.place[None], target.push[None])
 
 
-def _worst(part: Part, guidance: Guidance) -> Wish:
+def _worst(part: Bench, guidance: Guidance) -> MeantPokes:
     row = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
-    return Wish(guidance.places[row][None], -part.plan.normals[row][None])
+    return MeantPokes(guidance.places[row][None], -part.plan.normals[row][None])
 
 
-def _least_spread(part: Part, session: Session, guidance: Guidance, conditions: Conditions) -> Wish:
+def _least_spread(part: Bench, session: Session, guidance: Guidance, conditions: Conditions) -> MeantPokes:
     """Poke the taxel whose axes spread least, from the side that the most distant of its pokes came from least."""
     row = int(np.lexsort((guidance.own, guidance.diversity))[0])
     normal, place = part.plan.normals[row], part.plan.places[row]
     tries = _tries(normal, conditions.usable)
     known = session.evidence([int(part.plan.channels[row])])
     if not len(known.channels):
-        return Wish(place[None], tries[:1])
+        return MeantPokes(place[None], tries[:1])
     apart = np.abs(tries @ known.directions.T).max(axis=1)
-    return Wish(place[None], tries[[int(apart.argmin())]])
+    return MeantPokes(place[None], tries[[int(apart.argmin())]])
 
 
 def _tries(normal: FloatArray, usable: float) -> FloatArray:

@@ -1,7 +1,6 @@
 """The stability study of modules: exact poses checked another way, that it can fail, and that the shipped method does not."""
 
 from dataclasses import replace
-from decimal import Decimal, localcontext
 
 import mpmath
 import numpy as np
@@ -11,39 +10,38 @@ from skincal.mesh.geodesics import Footing, geodesics_of
 from skincal.mesh.surface import make_surface
 from skincal.modules import pose_fit
 from skincal.modules.pose_fit import bends_of, whitened
-from skincal.studies import board_exact, board_stability, exact
-from skincal.studies.board_cases import PADS, all_board_cases, in_space, on_sheet
-from skincal.studies.board_exact import find_board_truth
-from skincal.studies.board_ground import InPlane, OnMesh
-from skincal.studies.board_stability import compare_board, judge_board, shipped_board, surface_of, told
-from skincal.studies.cases import Sizes
+from skincal.studies import exact, stability
+from skincal.studies.exact import InPlane, OnMesh, find_module_truth
+from skincal.studies.stability import compare_module, judge_module, problem_of, shipped_module
+from skincal.studies.stability_cases import PADS, CaseSizes, all_module_cases, in_space, on_sheet
 from skincal.taxels.least_squares import factor, triangle
 
-TINY = Sizes(contacts=7, grid=6, many=300)
-CASES = {case.name: case for case in all_board_cases(TINY)}
+TINY = CaseSizes(contacts=7, grid=6, many=300, draws=8)
+CASES = {case.name: case for case in all_module_cases(TINY)}
 
 
 def truth_of(name, draws=8):
-    return find_board_truth(CASES[name], draws, np.random.default_rng(list(CASES).index(name)))
+    return find_module_truth(CASES[name], draws, np.random.default_rng(list(CASES).index(name)))
+
+
+def problem(case):
+    mesh = case.module.mesh
+    return problem_of(case, case.readings, None if mesh is None else make_surface(mesh.vertices, mesh.triangles))
 
 
 def laid(board):
     return board.ground.laid(board.at.take(np.zeros(PADS, dtype=np.int64)), board.flat).points
 
 
-def floats(points):
-    return np.array([[float(one) for one in point] for point in points])
-
-
 @pytest.mark.parametrize(
     "name", ["module, axes within 1e-1 rad", "module on a sheet, pokes of 1e4 N on one pad, of 1e-4 N elsewhere"]
 )
 def test_pokes_at_the_very_middles_give_the_pose_they_were_made_of(name):
-    np.testing.assert_allclose(floats(truth_of(name, 0).pads), laid(CASES[name].board), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(exact.floats(truth_of(name, 0).pads), laid(CASES[name].module), rtol=0, atol=1e-15)
 
 
 def matrix(rows):
-    return mpmath.matrix([[mpmath.mpf(str(one) if isinstance(one, Decimal) else float(one)) for one in row] for row in rows])
+    return mpmath.matrix([[mpmath.mpf(one) for one in row] for row in rows])
 
 
 def skew(v):
@@ -72,18 +70,16 @@ def misfit(case, poke, place, weights_at):
 
 def middle(case, poke, origin, x, y):
     answers = [mpmath.mpf(float(one)) for one in case.readings.responses[poke]]
-    flat = [[mpmath.mpf(float(one)) for one in pad] for pad in case.board.flat]
+    flat = [[mpmath.mpf(float(one)) for one in pad] for pad in case.module.flat]
     total = sum(answers)
     return origin + sum((x * p[0] + y * p[1]) * (k / total) for k, p in zip(answers, flat, strict=True))
 
 
 @pytest.mark.parametrize("name", ["module, mirrored, 7 arm poses", "module, contacts told to 1e-6 m"])
-def test_at_the_exact_pose_no_small_motion_lessens_the_misfit_in_mpmath(name):
+def test_at_the_exact_pose_no_small_motion_lessens_the_misfit(name):
     case = CASES[name]
-    with localcontext(exact.CONTEXT):
-        ground, _ = board_exact.find(
-            board_exact.pokes_of(case.readings, case.noise), InPlane.begin(case.board.at, case.board.flat)
-        )
+    pokes = exact.pokes_of(case.readings, case.noise)
+    ground, _ = exact.find(pokes, InPlane.begin(case.module.at, case.module.flat))
     with mpmath.workdps(100):
         origin, x, normal = (matrix([[one] for one in v]) for v in (ground.origin, ground.x, ground.normal))
         pokes = range(len(case.readings.forces))
@@ -107,9 +103,8 @@ def test_ways_over_a_flat_sheet_are_straight_and_over_a_bent_one_those_that_unfo
     rng = np.random.default_rng(4)
     for bend, limit in ((0.0, 1e-15), (8.0, 1e-16)):
         board = on_sheet(rng, TINY, bend)
-        with localcontext(exact.CONTEXT):
-            pads = floats(OnMesh.begin(board.at, board.flat, board.mesh).pads().points)
-            plane = floats(InPlane.begin(board.at, board.flat).pads().points)
+        pads = exact.floats(OnMesh.begin(board.at, board.flat, board.mesh).pads().points)
+        plane = exact.floats(InPlane.begin(board.at, board.flat).pads().points)
         crossed = np.unique(board.ground.laid(board.at.take(np.zeros(PADS, dtype=np.int64)), board.flat).triangles)
         assert len(crossed) > 3
         np.testing.assert_allclose(pads, laid(board), rtol=0, atol=1e-16)
@@ -138,7 +133,7 @@ def ground_walks(board):
 
 def test_the_bends_are_how_the_slopes_times_misses_change_beside_the_slopes_themselves():
     for name in ("module, 7 arm poses", "module on a sheet, 7 arm poses"):
-        one = told(CASES[name], CASES[name].readings, surface_of(CASES[name]))
+        one = problem(CASES[name])
         pose = pose_fit.fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False).poses
         ground = one.boards.ground
 
@@ -183,7 +178,7 @@ SOME = [
 
 @pytest.mark.parametrize("name", SOME)
 def test_the_shipped_method_holds(name):
-    record = judge_board(CASES[name], truth_of(name), shipped_board)
+    record = judge_module(CASES[name], truth_of(name), shipped_module)
     assert record["holds"], record
 
 
@@ -204,27 +199,27 @@ def test_an_answer_off_by_more_than_the_bar_is_caught(share, holds):
     truth = truth_of(NAME)
 
     def off(one):
-        found = shipped_board(one)
-        at = floats(truth.pads)
+        found = shipped_module(one)
+        at = exact.floats(truth.pads)
         at[3] += share * (10 * truth.changes[3] + 1e-15 * np.linalg.norm(at[3])) / np.sqrt(3)
         return replace(found, pads=at)
 
-    assert judge_board(CASES[NAME], truth, off)["holds"] is holds
+    assert judge_module(CASES[NAME], truth, off)["holds"] is holds
 
 
 def test_a_pad_that_is_called_known_and_is_not_is_caught():
     name = "module on a sheet, one poke"
-    sure = judge_board(CASES[name], truth_of(name), lambda one: replace(shipped_board(one), blind=np.zeros(PADS, dtype=bool)))
+    sure = judge_module(CASES[name], truth_of(name), lambda one: replace(shipped_module(one), blind=np.zeros(PADS, dtype=bool)))
     assert not sure["holds"]
     assert sure["error"] == exact.NO_NUMBER
 
 
 def test_a_method_that_follows_the_numbers_of_the_pokes_is_caught():
     def by_number(one):
-        found = shipped_board(one)
+        found = shipped_module(one)
         return replace(found, pads=found.pads + 1e-17 * one.touches.evidence.pokes[0])
 
-    record = judge_board(CASES[NAME], truth_of(NAME), by_number)
+    record = judge_module(CASES[NAME], truth_of(NAME), by_number)
     assert record["error"] <= record["bound"]
     assert not record["same_bits"]
     assert not record["holds"]
@@ -233,13 +228,13 @@ def test_a_method_that_follows_the_numbers_of_the_pokes_is_caught():
 def test_a_search_that_ends_at_a_nanometre_is_caught(monkeypatch):
     monkeypatch.setattr(pose_fit, "DONE", 1e-9)
     name = "module, 7 arm poses"
-    record = judge_board(CASES[name], truth_of(name), shipped_board)
+    record = judge_module(CASES[name], truth_of(name), shipped_module)
     assert record["error_over_bound"] > 10
 
 
 def test_a_differenced_jacobian_is_caught():
-    shares = {one["method"]: one["error_over_bound"] for one in compare_board(CASES[NAME], truth_of(NAME))}
-    assert set(shares) == set(board_stability.BOARD_ALTERNATIVES)
+    shares = {one["method"]: one["error_over_bound"] for one in compare_module(CASES[NAME], truth_of(NAME))}
+    assert set(shares) == set(stability.MODULE_ALTERNATIVES)
     assert shares["least_squares, differenced"] > 100
 
 
@@ -248,8 +243,8 @@ def test_a_search_from_anywhere_near_ends_at_the_same_place():
     ends = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        start = case.board.ground.moved(case.board.at, 0.002 * rng.normal(size=(1, 6)))
-        ends.append(shipped_board(told(replace(case, start=start), case.readings, None)).pads)
+        start = case.module.ground.moved(case.module.at, 0.002 * rng.normal(size=(1, 6)))
+        ends.append(shipped_module(problem(replace(case, start=start))).pads)
     for end in ends[1:]:
         np.testing.assert_allclose(end, ends[0], rtol=0, atol=1e-14)
 

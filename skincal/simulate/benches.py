@@ -1,8 +1,8 @@
-"""What the solvers are measured on: simulated rigs of the scenes that ship, and meshes of their parts of any size.
+"""Scenes that ship as they are poked: their mesh, plan and modules, a good rig, and meshes of their parts of any size.
 
-The rig is a good one, with the noise of its sensors and no other error (`RigErrors.noise`), poked by somebody careful,
-unguided: what is left of the error is the solver's and the noise's. Taxels lie on the mesh of the scene; the same
-contacts are solved on finer and coarser meshes of the same shape as well, whose error includes what a coarse mesh costs.
+The rig has the noise of its sensors and no other error (`RigErrors.noise`), and is poked by somebody careful, unguided: what is
+left of the error is the solver's and the noise's. Taxels lie on the mesh of the scene; the same contacts are solved on finer
+and coarser meshes of the same shape as well, whose error includes what a coarse mesh costs.
 """
 
 from __future__ import annotations
@@ -17,10 +17,13 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.guide.places import PlannedPlaces, plan_from
+from skincal.mesh.lay import lay
 from skincal.mesh.load import load_surface
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Scene, load_scene, resource
+from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.resources import forearm_point, torso_point, tube
@@ -32,7 +35,7 @@ _MM = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class TubeShape:
     """A part as a smooth tube, and how its mesh is cut."""
 
     point: Callable[[FloatArray, FloatArray], FloatArray]
@@ -54,8 +57,8 @@ class Shape:
 
 
 SHAPES = {
-    "icub-forearm": Shape(forearm_point, -2.0, 115.0, 60, 72, right_handed=False),
-    "whole-body": Shape(torso_point, 0.0, 560.0, 200, 250, right_handed=True),
+    "icub-forearm": TubeShape(forearm_point, -2.0, 115.0, 60, 72, right_handed=False),
+    "whole-body": TubeShape(torso_point, 0.0, 560.0, 200, 250, right_handed=True),
 }
 
 
@@ -80,9 +83,9 @@ class _Rig(Rig):
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A scene that is poked."""
+    """A scene that ships and is poked."""
 
-    name: str
+    name: str = "icub-forearm"
 
     @cached_property
     def scene(self) -> Scene:
@@ -105,6 +108,33 @@ class Bench:
         rig = _Rig(self.scene, self.mesh(LAID_ON), RigErrors.noise(), np.random.default_rng(1))
         rig.put_on(self.surface)
         return rig
+
+    @cached_property
+    def plan(self) -> PlannedPlaces:
+        """Where the layout, laid on the surface, puts the taxels."""
+        layout = self.scene.skin.layout
+        laid = None if layout is None else lay(layout, self.scene.skin.anchor, self.surface)
+        plan = None if layout is None or laid is None else plan_from(layout, laid)
+        if plan is None:
+            raise ValueError(f"{self.name} has no layout that can be laid")
+        return plan
+
+    @property
+    def spacing(self) -> float:
+        """m, usual distance of neighbours."""
+        return 0.0 if self.scene.skin.layout is None else self.scene.skin.layout.spacing
+
+    @cached_property
+    def boards(self) -> ModuleModel:
+        """Its modules on its mesh."""
+        return self.boards_on(self.surface)
+
+    def boards_on(self, surface: Surface) -> ModuleModel:
+        """Return its modules on another mesh."""
+        skin = self.scene.skin
+        if skin.layout is None:
+            raise ValueError(f"{self.name} has no layout")
+        return ModuleModel(skin.layout, skin.anchor, surface)
 
     @property
     def channels(self) -> list[int]:

@@ -1,0 +1,731 @@
+"""Readings, meshes and modules that are hard to solve: stiff, nearly parallel, few, far away, in the wrong unit, degenerate.
+
+All are made of a taxel's place or a module's pose, directions of push, forces and arm poses by the paper's (1), (2) and (6), in
+general directions so that no zero or one hides an error. What the solvers get are the rounded numbers, the inputs of the study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.mesh.surface import make_surface
+from skincal.model.scene import NoiseSettings
+from skincal.model.skin import KINDS
+from skincal.modules.pose import ModuleGround, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
+
+TAXEL = np.array([0.031, -0.047, 0.083])
+"""m, link frame: where a forearm's taxel may be."""
+KIND = KINDS["triangle_12"]
+PADS = len(KIND.pads)
+_TAXEL_SEED, _MODULE_SEED = 20260721, 20261122
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorReadings:
+    """The numbers that n contacts come with: every one of them is an input."""
+
+    forces: FloatArray
+    """(n, 3) float, N, sensor frame."""
+    moments: FloatArray
+    """(n, 3) float, N m, about the sensor's origin."""
+    responses: FloatArray
+    """(n,) float > 0: t_j of a taxel; (n, k) of each pad of a module, zero where it did not answer."""
+    poses: FloatArray
+    """(g, 4, 4) float: link_from_sensor of each arm pose."""
+    pose_of: IntArray
+    """(n,) int: which of `poses` a contact has."""
+
+    def ordered(self, order: IntArray) -> Self:
+        """Return the contacts in another order; one named twice is there twice."""
+        return replace(self, **{one.name: getattr(self, one.name)[order] for one in fields(self) if one.name != "poses"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TaxelReadings(SensorReadings):
+    """Those of one taxel."""
+
+    strongest: FloatArray
+    """(n,) float: max_y t_y of the contact; where it equals t_j, the taxel is the strongest itself."""
+
+    def moved(self, rng: np.random.Generator) -> TaxelReadings:
+        """Return the readings with every number moved by one unit in its last place, up or down."""
+        own = self.responses == self.strongest
+        strongest = moved(self.strongest, rng)
+        responses = np.where(own, strongest, moved(self.responses, rng))
+        poses = _moved_poses(self.poses, rng)
+        return TaxelReadings(moved(self.forces, rng), moved(self.moments, rng), responses, poses, self.pose_of, strongest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleReadings(SensorReadings):
+    """Those of the pads of one module."""
+
+    beside: FloatArray
+    """(n,) float: of a taxel of another module; zero where none answered."""
+
+    def moved(self, rng: np.random.Generator) -> ModuleReadings:
+        """Return the readings with every number moved by one unit in its last place, up or down."""
+        poses = _moved_poses(self.poses, rng)
+        forces, moments, responses = (moved(one, rng) for one in (self.forces, self.moments, self.responses))
+        return ModuleReadings(forces, moments, responses, poses, self.pose_of, moved(self.beside, rng))
+
+
+def moved(values: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return each of `values` moved by one unit in its last place, up or down; zero has none and stays."""
+    towards = np.where(rng.integers(0, 2, values.shape) == 0, -np.inf, np.inf)
+    return np.where(values == 0, 0.0, np.nextafter(values, towards))
+
+
+def _moved_poses(poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+    poses = poses.copy()
+    poses[:, :3] = moved(poses[:, :3], rng)
+    return poses
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawMesh:
+    """A surface as it is given to `make_surface`."""
+
+    vertices: FloatArray
+    """(nv, 3) float, metres."""
+    triangles: IntArray
+    """(nt, 3) int."""
+
+    @property
+    def corners(self) -> FloatArray:
+        """(nt, 3, 3) float: the vertices of each triangle."""
+        return self.vertices[self.triangles]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """One taxel, to be solved by the free method, or on a mesh by the surface method."""
+
+    name: str
+    readings: TaxelReadings
+    mesh: RawMesh | None = None
+    blind: bool = False
+    """All axes are parallel to the last digit: rank 2 is right."""
+    copies: int = 1
+    """How many times each reading is there, to the last digit, in the draws too."""
+    many: bool = False
+    """Too many readings to solve them 200 times in 80 digits: the draws take the exact answer's derivative. The sensor is
+    in the link frame, which stays, and the taxel is the strongest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedModule:
+    """Where a module lies, and what its maker says of its pads."""
+
+    at: ModulePoses
+    """One pose; a triangle of the mesh, or -1."""
+    mesh: RawMesh | None = None
+    mirror: bool = False
+
+    @property
+    def flat(self) -> FloatArray:
+        """(k, 2) float, metres: the pads in the module's plane."""
+        return KIND.pads * np.array([-1.0 if self.mirror else 1.0, 1.0])
+
+    @property
+    def ground(self) -> ModuleGround:
+        """What it lies on."""
+        return (
+            ModulesInSpace() if self.mesh is None else ModulesOnSurface(make_surface(self.mesh.vertices, self.mesh.triangles))
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleCase:
+    """One module, to be placed."""
+
+    name: str
+    readings: ModuleReadings
+    module: PlacedModule
+    start: ModulePoses
+    """Where the search begins, one pose."""
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    copies: int = 1
+    """How many times each poke is there, to the last digit, in the draws too."""
+    lost: bool = False
+    """The answer is farther off than a search goes: what is said of the pads is compared, and not their places."""
+
+
+@dataclass(frozen=True, slots=True)
+class CaseSizes:
+    """How large the cases are."""
+
+    contacts: int
+    grid: int
+    """Squares along each side of a sheet."""
+    many: int
+    draws: int
+    """Of a taxel; a quarter of them of a module, which has as many answers as pads."""
+
+
+FULL = CaseSizes(contacts=24, grid=24, many=1_000_000, draws=200)
+QUICK = CaseSizes(contacts=10, grid=8, many=20_000, draws=40)
+Cases: TypeAlias = Iterator[Case]
+
+
+def unit(v: FloatArray) -> FloatArray:
+    """Return `v` (..., 3) at length 1."""
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def cone(rng: np.random.Generator, count: int, angle: float, axis: FloatArray | None = None) -> FloatArray:
+    """Return (count, 3) unit directions within `angle`, rad, of `axis` (3,), a random one if None; most near the rim."""
+    axis = unit(rng.normal(size=3)) if axis is None else axis
+    aside = unit(np.cross(axis, rng.normal(size=(count, 3))))
+    return unit(axis + np.tan(angle * rng.uniform(0.5, 1.0, (count, 1))) * aside)
+
+
+def arm_poses(rng: np.random.Generator, count: int, reach: float) -> FloatArray:
+    """Return (count, 4, 4) poses with a general rotation and the sensor `reach` metres away."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    for pose in poses:
+        rotation = np.asarray(np.linalg.qr(rng.normal(size=(3, 3)))[0])
+        pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+        pose[:3, 3] = reach * unit(rng.normal(size=3))
+    return poses
+
+
+def _sensed(
+    rng: np.random.Generator, directions: FloatArray, places: FloatArray, forces: FloatArray | float, poses: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return what the sensor reads of forces about `forces`, N, at `places`: forces, moments, and which pose each poke has."""
+    count = len(directions)
+    pose_of = np.arange(count) % len(poses)
+    rotations_, shifts = poses[pose_of, :3, :3], poses[pose_of, :3, 3]
+    force = directions * np.broadcast_to(forces, count)[:, None] * rng.uniform(0.8, 1.2, (count, 1))
+    # R' v as a row times R.
+    felt = np.einsum("ni,nij->nj", force, rotations_)
+    lever = np.einsum("ni,nij->nj", places - shifts, rotations_)
+    return felt, np.asarray(np.cross(lever, felt), dtype=float), pose_of
+
+
+def press(
+    rng: np.random.Generator,
+    directions: FloatArray,
+    *,
+    taxel: FloatArray = TAXEL,
+    weights: FloatArray | float = 1.0,
+    forces: FloatArray | float = 8.0,
+    scatter: FloatArray | float = 0.001,
+    poses: FloatArray | None = None,
+    pitch: float = 0.0,
+) -> TaxelReadings:
+    """Press a taxel in `directions` (n, 3) unit, link frame; what the sensor reads, poses in turn.
+
+    Parameters
+    ----------
+    scatter : m, how far off the taxel the contacts are
+    pitch : m, the torque about the push over the force: a finger that twists, or two contacts
+    """
+    count = len(directions)
+    poses = np.eye(4)[None] if poses is None else poses
+    places = taxel + np.broadcast_to(scatter, count)[:, None] * unit(np.cross(directions, rng.normal(size=(count, 3))))
+    felt, moments, pose_of = _sensed(rng, directions, places, forces, poses)
+    strongest = rng.uniform(50.0, 200.0, count)
+    weights = np.broadcast_to(weights, count)
+    responses = np.where(weights == 1.0, strongest, strongest * weights)
+    return TaxelReadings(felt, moments + pitch * felt, responses, poses, pose_of, strongest)
+
+
+# ---- cases of the free method ----
+
+
+def _parallel(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    for digits in range(1, 10):
+        angle = 10.0**-digits
+        yield Case(f"axes within 1e-{digits} rad", press(rng, cone(rng, n, angle), scatter=0.0))
+    for digits in (2, 4, 6, 8):
+        yield Case(f"axes within 1e-{digits} rad, contacts 1 mm off", press(rng, cone(rng, n, 10.0**-digits)))
+    for digits in (3, 7):
+        down = np.array([0.0, 0.0, -1.0])
+        yield Case(f"axes within 1e-{digits} rad of z", press(rng, cone(rng, n, 10.0**-digits, down), scatter=0.0))
+    poses = arm_poses(rng, 4, 0.3)
+    yield Case("axes within 1e-5 rad, 4 arm poses", press(rng, cone(rng, n, 1e-5), scatter=0.0, poses=poses))
+
+
+def _few_axes(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    one = cone(rng, 1, 0.5)
+    yield Case("one axis", press(rng, one), blind=True)
+    yield Case("one axis, far sensor, general pose", press(rng, one, poses=arm_poses(rng, 1, 30.0)), blind=True)
+    yield Case("one axis, read many times", press(rng, one), blind=True, copies=sizes.contacts)
+    forces = np.geomspace(0.01, 100.0, sizes.contacts)
+    several = press(rng, np.repeat(one, sizes.contacts, axis=0), forces=forces, scatter=0.0)
+    yield Case("one axis, many forces", several, blind=True)
+    light = press(rng, np.repeat(one, sizes.contacts, axis=0), weights=np.geomspace(1, 1e-12, sizes.contacts), scatter=0.0)
+    yield Case("one axis, weights 1 to 1e-12", light, blind=True)
+    yield Case("two axes that cross", press(rng, cone(rng, 2, 0.8), scatter=0.0))
+    yield Case("two axes 1 mm apart", press(rng, cone(rng, 2, 0.8)))
+    yield Case("two axes within 1e-6 rad", press(rng, cone(rng, 2, 1e-6), scatter=0.0))
+    yield Case("two axes, one weighs 1e-12", press(rng, cone(rng, 2, 0.8), weights=np.array([1.0, 1e-12])))
+
+
+def _stiff(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    wide = cone(rng, n, 0.8)
+    yield Case("weights 1 to 1e-12", press(rng, wide, weights=np.geomspace(1, 1e-12, n)))
+    yield Case("weights 1 or 1e-12", press(rng, wide, weights=np.where(np.arange(n) % 2, 1.0, 1e-12)))
+    for digits in (3, 6, 9, 12):
+        weights = np.where(np.arange(n) == 0, 1.0, 10.0**-digits)
+        yield Case(f"one heavy axis, the rest weigh 1e-{digits}", press(rng, wide, weights=weights))
+    for digits in (3, 6, 9):
+        parts = [cone(rng, n // 2, 10.0**-digits, wide[0]), cone(rng, n - n // 2, 0.8, wide[0])]
+        for light in (1e-6, 1e-12):
+            weights = np.where(np.arange(n) < n // 2, 1.0, light)
+            readings = press(rng, np.concatenate(parts), weights=weights, scatter=0.0)
+            yield Case(f"heavy axes within 1e-{digits} rad, light ones of {light:.0e} fix the depth", readings)
+    for digits in (2, 4):
+        weights = np.where(np.arange(n) == 0, 1.0, 1e-12)
+        close = press(rng, cone(rng, n, 10.0**-digits), weights=weights, scatter=0.0)
+        yield Case(f"one heavy axis, 1e-12 within 1e-{digits} rad of it", close)
+    for light in (1e-3, 1e-6, 1e-9):
+        weights = np.where(np.arange(n) == 0, 1.0, light)
+        twisted = press(rng, wide, weights=weights, pitch=0.02)
+        yield Case(f"one heavy axis with a torque, the rest weigh {light:.0e}", twisted)
+    down = np.array([0.0, 0.0, -1.0])
+    parts = [cone(rng, 3, 1e-9, down), cone(rng, n - 3, 0.04, down)]
+    weights, scatter = np.where(np.arange(n) < 3, 1.0, 1e-4), np.where(np.arange(n) < 3, 0.01, 0.0)
+    along_z = press(rng, np.concatenate(parts), weights=weights, scatter=scatter)
+    yield Case("heavy axes within 1e-9 rad of z and 1 cm off, light ones of 1e-4", along_z)
+    poses = arm_poses(rng, 5, 0.4)
+    yield Case("weights 1 to 1e-12, 5 arm poses", press(rng, wide, weights=np.geomspace(1, 1e-12, n), poses=poses))
+
+
+def _scales(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    wide = cone(rng, n, 0.6)
+    for lever in (1e-3, 1e-1, 1e1, 1e4):
+        yield Case(f"levers of {lever:g} m", press(rng, wide, poses=arm_poses(rng, 3, lever)))
+        yield Case(f"taxel {lever:g} m from the link", press(rng, wide, taxel=TAXEL + lever * unit(rng.normal(size=3))))
+    for force in (1e-6, 1e-3, 1e2, 1e4):
+        yield Case(f"forces of {force:g} N", press(rng, wide, forces=force, poses=arm_poses(rng, 2, 0.3)))
+    yield Case("forces 1e-6 to 1e4 N", press(rng, wide, forces=np.geomspace(1e-6, 1e4, n), poses=arm_poses(rng, 2, 0.3)))
+    good = press(rng, wide, poses=arm_poses(rng, 3, 0.3))
+    in_mm = good.poses.copy()
+    in_mm[:, :3, 3] *= 1e3
+    yield Case("arm in millimetres by mistake", replace(good, poses=in_mm))
+    yield Case("newton millimetres by mistake", replace(good, moments=good.moments * 1e3))
+    close = press(rng, cone(rng, n, 1e-4), poses=arm_poses(rng, 3, 1e3), scatter=0.0)
+    yield Case("axes within 1e-4 rad, levers of 1000 m", close)
+
+
+def _counts(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    poses = arm_poses(rng, 7, 0.3)
+    yield Case("7 arm poses", press(rng, cone(rng, sizes.contacts, 0.5), poses=poses))
+    twice = press(rng, cone(rng, sizes.contacts, 0.5), poses=poses)
+    yield Case("every reading there 10 times", twice.ordered(np.tile(np.arange(sizes.contacts), 10)))
+    yield Case(f"{sizes.many} readings", press(rng, cone(rng, sizes.many, 0.5)), many=True)
+
+
+# ---- cases of the surface method ----
+
+
+def sheet(rng: np.random.Generator, squares: int, bend: float = 20.0, side: float = 0.06) -> RawMesh:
+    """Return a bent square sheet of 2 squares^2 triangles in a general direction, its middle at `TAXEL`.
+
+    Parameters
+    ----------
+    bend : 1/m, curvature; zero is flat, below zero is a hollow
+    side : m
+    """
+    steps = np.linspace(-side / 2, side / 2, squares + 1)
+    x, y = (one.ravel() for one in np.meshgrid(steps, steps, indexing="ij"))
+    local = np.stack([x, y, -bend * (x * x + 0.5 * y * y)], axis=1)
+    i = (np.arange(squares)[:, None] * (squares + 1) + np.arange(squares)).ravel()
+    lower = np.stack([i, i + squares + 1, i + 1], axis=1)
+    upper = np.stack([i + 1, i + squares + 1, i + squares + 2], axis=1)
+    return RawMesh(local @ arm_poses(rng, 1, 1.0)[0, :3, :3].T + TAXEL, np.concatenate([lower, upper]))
+
+
+def _near(mesh: RawMesh, point: FloatArray = TAXEL) -> int:
+    """Return the triangle whose middle is nearest to `point`."""
+    return int(np.linalg.norm(mesh.corners.mean(axis=1) - point, axis=1).argmin())
+
+
+def _at(mesh: RawMesh, triangle: int, shares: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+    """Return a point of a triangle and the direction straight into it."""
+    corners = mesh.corners[triangle]
+    normal = np.asarray(np.cross(corners[1] - corners[0], corners[2] - corners[0]), dtype=float)
+    return np.array(shares) @ corners, -unit(normal)
+
+
+INSIDE, EDGE, VERTEX = (0.2, 0.5, 0.3), (0.4, 0.6, 0.0), (1.0, 0.0, 0.0)
+
+
+def _on_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    for name, bend in (("a bent sheet", 20.0), ("a hollow", -20.0), ("a flat sheet", 0.0)):
+        mesh = sheet(rng, sizes.grid, bend)
+        for place, shares in (("inside a triangle", INSIDE), ("on an edge", EDGE), ("on a vertex", VERTEX)):
+            taxel, push = _at(mesh, _near(mesh), shares)
+            scatter = 0.0005 if place == "inside a triangle" else 0.0
+            yield Case(f"{name}, {place}", press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=scatter), mesh)
+        for place, shares in (("an edge", EDGE), ("a vertex", VERTEX)):
+            taxel, push = _at(mesh, _near(mesh), shares)
+            yield Case(f"{name}, 0.3 mm over {place}", press(rng, cone(rng, n, 0.5, push), taxel=taxel - 3e-4 * push), mesh)
+
+
+def _stiff_on_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    mesh = sheet(rng, sizes.grid)
+    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    wide = cone(rng, n, 0.6, push)
+    for digits in (1, 3, 6, 9):
+        yield Case(f"surface, axes within 1e-{digits} rad", press(rng, cone(rng, n, 10.0**-digits, push), taxel=taxel), mesh)
+    yield Case("surface, one axis", press(rng, wide[:1], taxel=taxel), mesh)
+    yield Case("surface, two axes", press(rng, wide[:2], taxel=taxel), mesh)
+    yield Case("surface, weights 1 to 1e-12", press(rng, wide, taxel=taxel, weights=np.geomspace(1, 1e-12, n)), mesh)
+    weights = np.where(np.arange(n) == 0, 1.0, 1e-9)
+    yield Case("surface, one heavy axis, the rest weigh 1e-9", press(rng, wide, taxel=taxel, weights=weights), mesh)
+    poses = arm_poses(rng, 5, 0.4)
+    yield Case("surface, 5 arm poses", press(rng, wide, taxel=taxel, poses=poses), mesh)
+    yield Case("surface, levers of 1e4 m", press(rng, wide, taxel=taxel, poses=arm_poses(rng, 3, 1e4)), mesh)
+    yield Case("surface, forces 1e-6 to 1e4 N", press(rng, wide, taxel=taxel, forces=np.geomspace(1e-6, 1e4, n)), mesh)
+    good = press(rng, wide, taxel=taxel, poses=poses)
+    yield Case("surface, newton millimetres by mistake", replace(good, moments=good.moments * 1e3), mesh)
+    yield Case("surface, mesh in millimetres by mistake", good, replace(mesh, vertices=mesh.vertices * 1e3))
+    yield Case("surface, every reading there 10 times", good.ordered(np.tile(np.arange(n), 10)), mesh)
+    away = 1000.0 * unit(rng.normal(size=3))
+    far = replace(mesh, vertices=mesh.vertices + away)
+    yield Case("mesh 1 km from the origin", press(rng, wide, taxel=taxel + away), far)
+    poses = arm_poses(rng, 4, 0.4)
+    poses[:, :3, 3] += away
+    yield Case("mesh 1 km from the origin, sensor beside it", press(rng, wide, taxel=taxel + away, poses=poses), far)
+
+
+def _on_coarse_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    """Yield triangles half a metre wide: rounding of their size is far more than that of the readings."""
+    n = sizes.contacts
+    mesh = sheet(rng, 2, bend=1.0, side=1.0)
+    near = (1 - 6e-4, 0.0, 6e-4)
+    for name, shares in (("inside", INSIDE), ("at an edge", EDGE), ("at a vertex", VERTEX), ("near a vertex", near)):
+        taxel, push = _at(mesh, _near(mesh), shares)
+        close = cone(rng, n, 1e-6, unit(push + 0.6 * unit(np.cross(push, rng.normal(size=3)))))
+        weights = np.where(np.arange(n) < 3, 1.0, 1e-3)
+        readings = press(rng, close, taxel=taxel, weights=weights, scatter=0.0)
+        yield Case(f"coarse sheet, {name}, axes within 1e-6 rad", readings, mesh)
+        two = press(rng, cone(rng, 2, 1e-4, push), taxel=taxel, weights=np.array([1.0, 1e-8]), scatter=np.array([0.0075, 0.0]))
+        yield Case(f"coarse sheet, {name}, two axes, one weighs 1e-8", two, mesh)
+        grazing = unit(np.cross(push, rng.normal(size=3)) + 1e-6 * push)
+        grazed = press(rng, cone(rng, n, 1e-5, grazing), taxel=taxel, weights=1e-3, scatter=0.0)
+        yield Case(f"coarse sheet, {name}, axes within 1e-5 rad, tangent", grazed, mesh)
+
+
+def _tangent(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    mesh = sheet(rng, sizes.grid, bend=0.0)
+    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    aside = unit(np.cross(push, rng.normal(size=3)))
+    for digits in (2, 4, 6, 9):
+        grazing = unit(aside + 10.0**-digits * push)
+        yield Case(f"one axis 1e-{digits} rad from the surface", press(rng, grazing[None], taxel=taxel, scatter=0.0), mesh)
+        turned = np.cross(grazing, push) * rng.uniform(-0.5, 0.5, (n, 1))
+        readings = press(rng, unit(grazing + turned), taxel=taxel, scatter=1e-4)
+        yield Case(f"axes 1e-{digits} rad from the surface", readings, mesh)
+    first = np.arange(n) == 0
+    lights = {1e-6: (1e-3, 1e-6), 1e-9: (1e-3, 1e-6, 1e-9), 1e-10: (1e-9,), 1e-11: (1e-9, 1e-12)}
+    for heavy, light in ((heavy, light) for heavy, some in lights.items() for light in some):
+        grazing = unit(aside + heavy * push)
+        directions = np.concatenate([grazing[None], cone(rng, n - 1, 0.5, unit(push + 0.3 * aside))])
+        weights, scatter = np.where(first, 1.0, light), np.where(first, 0.0, 1e-3)
+        readings = press(rng, directions, taxel=taxel, weights=weights, scatter=scatter)
+        yield Case(f"heavy axis {heavy:.0e} rad from the surface, the rest weigh {light:.0e}", readings, mesh)
+
+
+def _gaps(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    mesh = sheet(rng, sizes.grid)
+    middle = _near(mesh)
+    taxel, push = _at(mesh, middle, INSIDE)
+    reach = 1.6 * 0.06 / sizes.grid
+    around = np.linalg.norm(mesh.corners.mean(axis=1) - taxel, axis=1) > reach
+    holed = replace(mesh, triangles=mesh.triangles[around])
+    yield Case("at a hole", press(rng, cone(rng, n, 0.5, push), taxel=taxel), holed)
+    yield Case("at a hole, one axis", press(rng, cone(rng, 1, 0.2, push), taxel=taxel), holed)
+    corner = _near(mesh, mesh.vertices[0])
+    rim = int(np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - mesh.vertices[sizes.grid // 2], axis=1)))
+    for name, triangle in (("at the rim", rim), ("at a corner of the rim", corner)):
+        taxel, push = _at(mesh, triangle, INSIDE)
+        outside = taxel + 1.5 * (taxel - TAXEL) * (reach / np.linalg.norm(taxel - TAXEL))
+        yield Case(name, press(rng, cone(rng, n, 0.5, push), taxel=outside), mesh)
+
+
+def _degenerate(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    n = sizes.contacts
+    for ratio in (1e2, 1e4, 1e6):
+        squares = sheet(rng, sizes.grid, bend=0.0)
+        # Squeezed along a direction of the plane: needles of that ratio.
+        _, push = _at(squares, 0, INSIDE)
+        thin = unit(squares.vertices[1] - squares.vertices[0])
+        offset = squares.vertices - TAXEL
+        needles = replace(squares, vertices=squares.vertices - np.outer(offset @ thin, thin) * (1 - 1 / ratio))
+        taxel, _ = _at(needles, _near(needles), INSIDE)
+        readings = press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=0.0)
+        yield Case(f"needles {ratio:.0e} times as long as wide", readings, needles)
+    for height in (1e-9, 1e-12, 0.0):
+        mesh = sheet(rng, sizes.grid)
+        split, taxel, push = _with_sliver(mesh, height)
+        name = "a triangle without area" if height == 0.0 else f"a triangle {height:.0e} m high"
+        yield Case(name, press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=0.0), split)
+    mesh = sheet(rng, sizes.grid)
+    twice = replace(mesh, triangles=np.concatenate([mesh.triangles, mesh.triangles[:, [1, 2, 0]]]))
+    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    yield Case("every triangle there twice", press(rng, cone(rng, n, 0.5, push), taxel=taxel), twice)
+
+
+def _with_sliver(mesh: RawMesh, height: float) -> tuple[RawMesh, FloatArray, FloatArray]:
+    """Return the mesh with a sliver along an edge of its middle triangle, a point of the sliver and the push into it."""
+    middle = _near(mesh)
+    a, b, c = mesh.triangles[middle]
+    first, second, third = mesh.corners[middle]
+    between, push = _at(mesh, middle, (0.55, 0.45, 0.0))
+    if height == 0.0:
+        # A corner given twice: no rounding can give it an area.
+        return replace(mesh, triangles=np.concatenate([mesh.triangles, [[a, b, a]]])), between, push
+    across = np.asarray(np.cross(second - first, push), dtype=float)
+    inward = unit(across) * np.sign(across @ (third - first))
+    new = len(mesh.vertices)
+    vertices = np.concatenate([mesh.vertices, [between + height * inward]])
+    rest = np.delete(mesh.triangles, middle, axis=0)
+    triangles = np.concatenate([rest, [[a, b, new], [b, c, new], [c, a, new]]])
+    return RawMesh(vertices, triangles), between, push
+
+
+def _two_sheets(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
+    """Yield sheets one behind the other, both met by a heavy axis; light axes say that it is the one behind."""
+    n = sizes.contacts
+    front = sheet(rng, sizes.grid)
+    taxel, push = _at(front, _near(front), INSIDE)
+    behind = taxel + 0.01 * push
+    count = len(front.vertices)
+    both = RawMesh(
+        np.concatenate([front.vertices, front.vertices + 0.01 * push]),
+        np.concatenate([front.triangles, front.triangles + count]),
+    )
+    for light in (1.0, 1e-6, 1e-9, 1e-12):
+        weights = np.where(np.arange(n) == 0, 1.0, light)
+        directions = np.concatenate([push[None], cone(rng, n - 1, 0.5, push)])
+        readings = press(rng, directions, taxel=behind, weights=weights)
+        yield Case(f"two sheets, axes of weight {light:.0e} tell which", readings, both)
+
+
+# ---- cases of the modules method ----
+
+Touched = Sequence[Sequence[int]]
+ALL_OVER: Touched = ((0, 1), (4,), (8, 9, 10), (6,), (3, 11), (1,), (5, 6), (9,), (2, 3), (7, 8, 11))
+"""Pads that answer in turn, neighbours."""
+
+
+def press_module(
+    rng: np.random.Generator,
+    module: PlacedModule,
+    count: int,
+    *,
+    tilt: float = 0.5,
+    lean: FloatArray | None = None,
+    touched: Touched = ALL_OVER,
+    answers: FloatArray | None = None,
+    forces: FloatArray | float = 8.0,
+    scatter: float = 0.0005,
+    poses: FloatArray | None = None,
+) -> ModuleReadings:
+    """Press a module's pads in turn; what sensor and skin read, arm poses in turn.
+
+    Parameters
+    ----------
+    tilt : rad, within which pushes lie about one direction
+    lean : (3,) unit, that direction; None against the module's normal
+    answers : (n, k) float, what the pads answer; None for what is usual of `touched`
+    scatter : m, how far off the middle the contacts are
+    """
+    flat = module.flat
+    pads = module.ground.laid(module.at.take(np.zeros(len(flat), dtype=np.int64)), flat)
+    directions = cone(rng, count, tilt, -module.at.normals[0] if lean is None else lean)
+    if answers is None:
+        answers = np.zeros((count, len(flat)))
+        for poke, row in enumerate(answers):
+            own = list(touched[poke % len(touched)])
+            row[own] = rng.uniform(50.0, 200.0, len(own))
+    middles = answers @ pads.points / answers.sum(axis=1, keepdims=True)
+    places = middles + scatter * unit(np.cross(directions, rng.normal(size=(count, 3))))
+    poses = np.eye(4)[None] if poses is None else poses
+    felt, moments, pose_of = _sensed(rng, directions, places, forces, poses)
+    return ModuleReadings(felt, moments, answers, poses, pose_of, np.zeros(count))
+
+
+def in_space(rng: np.random.Generator, mirror: bool = False, at: FloatArray = TAXEL) -> PlacedModule:
+    """Return a module without a surface, in a general direction."""
+    turn = arm_poses(rng, 1, 1.0)[0, :3, :3]
+    return PlacedModule(ModulePoses(at[None].copy(), turn[None, :, 0], turn[None, :, 2], np.full(1, -1)), mirror=mirror)
+
+
+def on_sheet(
+    rng: np.random.Generator, sizes: CaseSizes, bend: float = 0.0, aside: float = 0.0, away: float = 0.0, mirror: bool = False
+) -> PlacedModule:
+    """Return a module on a sheet, near its middle and turned.
+
+    Parameters
+    ----------
+    bend : 1/m, the sheet's curvature
+    aside : m, from the middle towards the rim
+    away : m, of the sheet from the origin
+    """
+    mesh = sheet(rng, sizes.grid, bend)
+    mesh = replace(mesh, vertices=mesh.vertices + away * unit(rng.normal(size=3)))
+    surface = make_surface(mesh.vertices, mesh.triangles)
+    middle = len(mesh.triangles) // 4 + sizes.grid // 4
+    corners = mesh.corners[middle]
+    x = unit(corners[1] - corners[0])
+    begin = ModulePoses(np.array([[0.2, 0.5, 0.3]]) @ corners, x[None], surface.normals[middle][None], np.array([middle]))
+    way = np.array([[0.0013 + aside, 0.0021, 0.01 * rng.uniform(-1.0, 1.0)]])
+    return PlacedModule(ModulesOnSurface(surface).moved(begin, way), mesh, mirror)
+
+
+def beside(rng: np.random.Generator, module: PlacedModule, shift: float = 0.002, turn: float = 0.1) -> ModulePoses:
+    """Return a pose so far, metres and radians, from where the module lies."""
+    ground = module.ground
+    if ground.unknowns == 3:
+        way = shift * unit(np.append(rng.normal(size=2), 0.0))
+        return ground.moved(module.at, np.array([[*way[:2], 0.010 * turn]]))
+    # Tilted by a third of what it is turned in its plane.
+    axis = module.at.normals[0] + 0.33 * unit(rng.normal(size=3))
+    turned = rotations(turn * unit(axis)[None])[0]
+    at = module.at
+    return ModulePoses(at.points + shift * unit(rng.normal(size=3)), at.x @ turned.T, at.normals @ turned.T, at.triangles)
+
+
+def _case(rng: np.random.Generator, name: str, module: PlacedModule, readings: ModuleReadings, **rest: Any) -> ModuleCase:
+    return ModuleCase(name, readings, module, beside(rng, module), **rest)
+
+
+ModuleCases: TypeAlias = Iterator[ModuleCase]
+
+
+def _module_parallel(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
+    n, module = sizes.contacts, in_space(rng)
+    lean = unit(-module.at.normals[0] + 0.4 * rng.normal(size=3))
+    for digits in (1, 2, 4, 6):
+        close = press_module(rng, module, n, tilt=10.0**-digits, lean=lean, scatter=0.0)
+        yield _case(rng, f"module, axes within 1e-{digits} rad", module, close)
+    flat = on_sheet(rng, sizes)
+    readings = press_module(rng, flat, n, tilt=1e-6, lean=unit(-flat.at.normals[0] + 0.4 * rng.normal(size=3)))
+    yield _case(rng, "module on a sheet, axes within 1e-6 rad", flat, readings)
+    grazing = unit(np.cross(flat.at.normals[0], rng.normal(size=3)) - 0.02 * flat.at.normals[0])
+    readings = press_module(rng, flat, n, tilt=0.01, lean=grazing, scatter=1e-5)
+    yield _case(rng, "module on a sheet, axes graze it by 0.02 rad", flat, readings)
+
+
+def _module_few(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
+    n, modules = sizes.contacts, {"module": in_space(rng), "module on a sheet": on_sheet(rng, sizes)}
+    for name, one in modules.items():
+        yield _case(rng, f"{name}, one poke", one, press_module(rng, one, 1, touched=((4,),)))
+        yield _case(rng, f"{name}, two pokes", one, press_module(rng, one, 2, touched=((4,), (8, 9)), scatter=0.0001))
+        yield _case(rng, f"{name}, three pokes", one, press_module(rng, one, 3, touched=((0,), (5,), (9,)), scatter=0.0001))
+        # Without noise of the skin: its direction is that of a module whose tilt the pokes do not tell.
+        single = press_module(rng, one, n, touched=((4,),))
+        yield _case(rng, f"{name}, one pad poked", one, single, noise=NoiseSettings(contact=0.0))
+        answers = np.zeros((n, PADS))
+        answers[:, 4] = 120.0
+        answers[np.arange(n), np.array([3, 5, 6])[np.arange(n) % 3]] = 0.012
+        near = press_module(rng, one, n, answers=answers, scatter=0.0)
+        yield _case(rng, f"{name}, one pad poked, neighbours answer by 1e-4", one, near, noise=NoiseSettings(contact=1e-7))
+
+
+def _module_stiff(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
+    n, poses = sizes.contacts, arm_poses(rng, 3, 0.3)
+    noises = {
+        "force noise of 1e-6 N, moment 1 N m": NoiseSettings(force=1e-6, moment=1.0),
+        "force noise of 1 N, moment 1e-6 N m": NoiseSettings(force=1.0, moment=1e-6),
+        "contacts told to 1e-6 m": NoiseSettings(contact=1e-6, force=1e-4, moment=1e-6),
+    }
+    for name, module in (("module", in_space(rng)), ("module on a sheet", on_sheet(rng, sizes))):
+        # With fewer the light ones leave the module to three.
+        count = max(n, 10)
+        mixed = press_module(rng, module, count, forces=rng.permutation(np.geomspace(1e-6, 1e4, count)), poses=poses)
+        yield _case(rng, f"{name}, forces 1e-6 to 1e4 N", module, mixed)
+        usual = press_module(rng, module, n, poses=poses)
+        for words, noise in noises.items():
+            yield _case(rng, f"{name}, {words}", module, usual, noise=noise)
+        some: Touched = [(4,)] * (n // 3) + [(0,), (9,), (7, 8)] * n
+        forces = np.where(np.arange(n) < n // 3, 1e4, 1e-4)
+        parted, fine = (
+            press_module(rng, module, n, touched=some, forces=forces, scatter=0.0),
+            NoiseSettings(contact=1e-7, force=1e-6),
+        )
+        yield _case(rng, f"{name}, pokes of 1e4 N on one pad, of 1e-4 N elsewhere", module, parted, noise=fine)
+        answers = np.array([np.roll(np.r_[np.geomspace(1.0, 1e-12, 4), np.zeros(PADS - 4)], 3 * i) for i in range(n)])
+        light = press_module(rng, module, n, answers=100.0 * answers)
+        yield _case(rng, f"{name}, answers 1 to 1e-12", module, light)
+
+
+def _module_scales(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
+    n, module, flat = sizes.contacts, in_space(rng), on_sheet(rng, sizes)
+    for lever in (1e-3, 1e4):
+        poses = arm_poses(rng, 3, lever)
+        yield _case(rng, f"module, levers of {lever:g} m", module, press_module(rng, module, n, poses=poses))
+        if lever > 1:
+            yield _case(rng, f"module on a sheet, levers of {lever:g} m", flat, press_module(rng, flat, n, poses=poses))
+    across, normal = arm_poses(rng, 1, 1e2), flat.at.normals[0]
+    across[0, :3, 3] -= (across[0, :3, 3] @ normal) * normal
+    readings = press_module(rng, flat, n, tilt=1e-4, poses=across)
+    yield _case(rng, "module on a sheet, levers of 100 m across the push", flat, readings)
+    good = press_module(rng, module, n, poses=arm_poses(rng, 3, 0.3))
+    wrong = replace(good, moments=good.moments * 1e3)
+    yield _case(rng, "module, newton millimetres by mistake", module, wrong, lost=True)
+    away = 1000.0 * unit(rng.normal(size=3))
+    far, beside_it = in_space(rng, at=TAXEL + away), arm_poses(rng, 3, 0.3)
+    beside_it[:, :3, 3] += away
+    yield _case(rng, "module 1 km from the origin, sensor beside it", far, press_module(rng, far, n, poses=beside_it))
+    distant = on_sheet(rng, sizes, away=1000.0)
+    yield _case(rng, "module on a sheet 1 km from the origin", distant, press_module(rng, distant, n))
+
+
+def _lying(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
+    n, poses = sizes.contacts, arm_poses(rng, 7, 0.3)
+    modules = {
+        "module": in_space(rng), "module, mirrored": in_space(rng, mirror=True), "module on a sheet": on_sheet(rng, sizes),
+        "module on a sheet, mirrored": on_sheet(rng, sizes, mirror=True), "module on a bent sheet": on_sheet(rng, sizes, 8.0),
+        "module over the rim of a sheet": on_sheet(rng, sizes, aside=0.025),
+    }  # fmt: skip
+    for name, module in modules.items():
+        yield _case(rng, f"{name}, 7 arm poses", module, press_module(rng, module, n, poses=poses))
+    for name in ("module", "module on a sheet"):
+        module, usual = modules[name], press_module(rng, modules[name], n, poses=poses)
+        yield _case(rng, f"{name}, every poke there 10 times", module, usual, copies=10)
+        two = replace(usual, beside=0.6 * usual.responses.max(axis=1) * (np.arange(n) % 2))
+        yield _case(rng, f"{name}, another one answers too", module, two)
+        begun = beside(rng, module, 0.0075, np.radians(50.0))
+        yield ModuleCase(f"{name}, begun 50 degrees and 7.5 mm off", usual, module, begun)
+
+
+# ---- all of them; the numbers of one family do not depend on the others ----
+
+TAXEL_FAMILIES: tuple[Callable[[np.random.Generator, CaseSizes], Cases], ...] = (
+    _parallel, _few_axes, _stiff, _scales, _counts, _on_sheet, _stiff_on_sheet, _tangent, _gaps, _degenerate, _two_sheets,
+    _on_coarse_sheet,
+)  # fmt: skip
+MODULE_FAMILIES: tuple[Callable[[np.random.Generator, CaseSizes], ModuleCases], ...] = (
+    _module_parallel, _module_few, _module_stiff, _module_scales, _lying,
+)  # fmt: skip
+
+
+def all_cases(sizes: CaseSizes) -> Cases:
+    """Yield every case of a taxel."""
+    for number, family in enumerate(TAXEL_FAMILIES):
+        yield from family(np.random.default_rng([_TAXEL_SEED, number]), sizes)
+
+
+def all_module_cases(sizes: CaseSizes) -> ModuleCases:
+    """Yield every case of a module."""
+    for number, family in enumerate(MODULE_FAMILIES):
+        yield from family(np.random.default_rng([_MODULE_SEED, number]), sizes)

@@ -1,0 +1,35 @@
+"""Every small case of the stability study, in the processes that it uses: `python3 -m pytest tests/long`.
+
+Some of them, and what is said of them, are in `tests/skincal/test_studies_stability.py`.
+"""
+
+import json
+
+import pytest
+
+from skincal.studies import stability
+from skincal.studies.stability_cases import all_cases, all_module_cases
+from tests.skincal.test_studies_stability import TINY
+
+
+@pytest.fixture(scope="module")
+def result():
+    said = []
+    result = stability.run(quick=True, progress=said.append, sizes=TINY)
+    assert len(said) == 1 + len(list(all_cases(TINY))) + len(list(all_module_cases(TINY)))
+    return result
+
+
+@pytest.mark.timeout(600)
+def test_the_study_has_at_least_forty_cases_and_all_hold(result):
+    cases = result["cases"]
+    assert len(cases) >= 40
+    assert len({one["name"] for one in cases}) == len(cases)
+    assert [one["name"] for one in cases if not one["holds"]] == []
+    assert result["held"] == len(cases)
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+
+
+def test_no_bar_is_so_high_that_it_proves_nothing(result):
+    loose = [one["name"] for one in result["cases"] if one["bound"] > 1e-3 * one["size"]]
+    assert loose == []
