@@ -31,8 +31,9 @@ LONG = 2.0
 """A part is long when it spreads this much more along its longest axis than along the next."""
 NEAREST, FARTHEST = 0.02, 20.0
 """m. The camera stays between these distances of what it looks at."""
-BEFORE = 0.95
-"""Of the distance to the nearest point of the part: what is drawn before the part lies there."""
+BEFORE = 0.98
+"""Of the distance to the nearest point of the part: what is drawn before the part lies there, where VTK still draws (measured
+down to 0.95 of a flat part)."""
 NEAREST_PLANE = 5e-3
 """m. Nothing is brought nearer to the camera: VTK draws from a thousandth of the farthest distance on."""
 TURN_S = 0.36

@@ -163,12 +163,11 @@ class Stage:
 
     def _before_picture(self, *_: object) -> None:
         """Fit what depends on the camera; changes nothing else, so it asks for no further picture."""
-        # Once for the names' places, which ask whether they are in the picture, and once for what was lifted.
+        # VTK leaves room before and behind what it finds, enough for what the layers lift now.
         self.renderer.ResetCameraClippingRange()
         sight = sight_of(self.renderer)
         for layer in self.layers:
             layer.fit_to(sight)
-        self.renderer.ResetCameraClippingRange()
 
 
 def _light(renderer: vtkRenderer) -> None:

@@ -5,16 +5,18 @@ Mesa compiles its shaders for the processor it finds, or for what `GALLIUM_OVERR
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scene3d_support import box, estimate, laid, layout, scene, snapshot
 
-from app.scene3d.camera import project
+from app.scene3d.camera import approach, orbit, project
 from app.scene3d.static_scene import DARK, HUES, Cloud, Comparison, StaticScene, Tint, View3DState
 from skincal.guide.guidance import Target
 from skincal.model.scene import Landmark
+from skincal.surface.mesh import Surface
 from skincal.taxels.result import Method
 
 pytestmark = pytest.mark.pixels
@@ -30,7 +32,7 @@ CENTRE_CHANNEL = 3
 class Pictures:
     """A stage in a window that is never on a screen."""
 
-    def __init__(self) -> None:
+    def __init__(self, surface: Surface | None) -> None:
         from app.scene3d.offscreen import choose_offscreen
 
         choose_offscreen()
@@ -38,7 +40,7 @@ class Pictures:
         from app.scene3d.stage import Stage
 
         self.window = HiddenWindow((640, 480))
-        self.stage = Stage(self.window.renderer, StaticScene(scene(PLAN), box(), laid(PLAN), range(24)), DARK)
+        self.stage = Stage(self.window.renderer, StaticScene(scene(PLAN), surface, laid(PLAN), range(24)), DARK)
         self.stage.fit()
 
     def of(self, frame: View3DState) -> np.ndarray:
@@ -51,13 +53,15 @@ class Pictures:
         x, y, _ = project(self.stage.renderer, place[None])[0].round().astype(int)
         return picture[y - reach : y + reach + 1, x - reach : x + reach + 1].reshape(-1, 3)
 
+    def close(self) -> None:
+        self.stage.close()
+        self.window.close()
+
 
 @pytest.fixture
 def pictures():
-    made = Pictures()
-    yield made
-    made.stage.close()
-    made.window.close()
+    with closing(Pictures(box())) as made:
+        yield made
 
 
 def moment(method: Method) -> View3DState:
@@ -107,6 +111,19 @@ def ring_steps() -> np.ndarray:
     from app.scene3d.target import RING
 
     return RING * np.array([(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (np.cos(0.2), 0.0, -np.sin(0.2))])
+
+
+def test_what_is_brought_before_a_flat_part_seen_straight_from_afar_is_not_cut_off():
+    with closing(Pictures(None)) as pictures:
+        from app.scene3d.stage import LEAN_DEG
+
+        camera = pictures.stage.renderer.GetActiveCamera()
+        orbit(camera, -LEAN_DEG[0], -LEAN_DEG[1])
+        approach(camera, 0.05)
+        dots = Comparison((Cloud(Tint.TO, PLACES),), np.full((24, 2, 3), np.nan))
+        compared = pictures.of(replace(moment(Method.FREE), comparison=dots))
+        for place in PLACES:
+            assert (np.abs(pictures.around(compared, place, 1) - DARK.tints[Tint.TO]).max(axis=1) < 60).sum() >= 5
 
 
 def test_no_layer_asks_for_a_polygon_offset(pictures):
