@@ -4,8 +4,10 @@ Installs what the tests need, then runs the style, type and layer checks and the
 only pytest runs: `python3 check.py tests/skincal -k clock`.
 """
 
+import os
 import sys
 
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # noqa: PTH100, PTH120 - missing where PYTHONSAFEPATH is set
 from tools.checkout import require_python
 
 

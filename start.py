@@ -4,8 +4,10 @@ Installs what is missing, then opens the window on a simulated forearm that is b
 the same session without a window. Any skincal command works the same way: `python3 start.py solve SESSION`.
 """
 
+import os
 import sys
 
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # noqa: PTH100, PTH120 - missing where PYTHONSAFEPATH is set
 from tools.checkout import require_python
 
 

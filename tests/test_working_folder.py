@@ -49,6 +49,14 @@ def test_the_poison_works(poisoned):
     assert (poisoned.parent / "ran").read_text() == f"{poisoned / 'app/__init__.py'}\n"
 
 
+@installed
+def test_who_asks_for_a_safe_path_gets_one(poisoned, monkeypatch):
+    monkeypatch.setenv("PYTHONSAFEPATH", "1")
+    outside = Path(sys.base_prefix) / ("python.exe" if os.name == "nt" else "bin/python3")
+    done = run_there(poisoned, outside, CHECKOUT / "start.py", "--version")
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("way", ["start.py", "skincal", "console script", "-P -m app", "-P -m skincal.cli"])
 def test_a_command_runs_nothing_of_the_working_folder(poisoned, way):
     if way in ("start.py", "skincal") and not packages.is_ready(checkout.RUN_LOCK):
