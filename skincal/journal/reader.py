@@ -68,6 +68,7 @@ class SessionLog:
     def __init__(self, folder: Path, *, own: bool = False) -> None:
         self.folder, self.own = folder, own
         self.segments = find_segments(folder)
+        self._digest = scene_digest(folder / SCENE_FOLDER)
         self._findings: list[str] = []
         first = next(Segment(self.segments[0], last=True).state(), None)
         if not isinstance(first, SegmentMark):
@@ -140,7 +141,7 @@ class SessionLog:
     def _differs(self, mark: SegmentMark) -> bool:
         """Tell whether the scene is another one now."""
         if mark.digest is not None:
-            return mark.digest != scene_digest(self.folder / SCENE_FOLDER)
+            return mark.digest != self._digest
         return bool(mark.scene) and _without_paths(mark.scene) != _without_paths(self.scene.text)
 
 

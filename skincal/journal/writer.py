@@ -1,7 +1,8 @@
 """What arrived and what the operator did, on the disk as it happens.
 
 A session is a folder: `segment-0001.mcap` with `segment-0001.jsonl` beside it, `segment-0002...`, and `scene/`. A new segment
-begins each time the session is opened to go on, and every ten minutes, so that MCAP's own index of what is open stays small.
+begins each time the session is opened to go on, and every five minutes, so that MCAP's own index of what is open stays small
+and little has to be written anew after a kill.
 
 The MCAP file holds everything, for replay and for other programs: chunks of bytes as read (`/raw/LINK`) and events (`/events`,
 JSON), which are the segment's *items*, numbered from 0 in MCAP's `sequence` in the order in which they were taken; notes on
@@ -41,8 +42,9 @@ from skincal.streams.links import LinkSpec
 
 FLUSH_NS = 500_000_000
 """ns. What is buffered for so long is written: the most that a kill may cost."""
-SEGMENT_NS = 600_000_000_000
-"""ns. A segment that is so long is followed by another: the library's index of an open one takes 2 kB a second."""
+SEGMENT_NS = 300_000_000_000
+"""ns. A segment that is so long is followed by another. While it is open the library holds its index, 2 kB a second; after a
+kill it is written anew, which takes 1 s for each minute at 1 kHz."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
 RAW_TOPIC = "/raw/"
 EVENT_TOPIC = "/events"

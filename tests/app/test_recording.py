@@ -1,11 +1,15 @@
 """A recording that is paused goes on in the next segment, and where it cannot, nothing is lost."""
 
+import shutil
 from pathlib import Path
 
 import pytest
+from app.plan import Plan
 
 from app.session.recording import Recording
+from app.session.storage import Storage
 from skincal.journal import writer
+from skincal.journal.lock import LOCK_NAME
 from skincal.model.errors import InputError
 from skincal.session.actions import Exclude
 from skincal.session.replay import load, replay, resume
@@ -67,3 +71,29 @@ def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp
     with pytest.raises(InputError, match="open the session again"):
         recording.go_on()
     assert segments(tmp_path / "s") == ["segment-0001.mcap"]
+
+
+def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path, monkeypatch):
+    """It goes on while it is copied; lines that speak of bytes that were not copied would not be played."""
+    temporary = Storage(Plan(), tmp_path / "documents")
+    copy, rest = shutil.copytree, as_chunks(some_pokes(recording.road.scene, 4).samples)
+    road = Road(recording.road.scene, LINKS, None, writer.create_session(temporary.folder, recording.road.scene, LINKS))
+
+    def slowly(*arguments, **options):
+        for _ in range(len(rest) // 2):
+            road.feed(rest.pop(0))
+        return copy(*arguments, **options)
+
+    for item in as_chunks(some_pokes(road.scene, 1).samples):
+        road.feed(item)
+    monkeypatch.setattr(shutil, "copytree", slowly)
+    kept = temporary.keep()
+    monkeypatch.undo()
+    loaded, played = load(kept), replay(kept)
+    assert len(loaded.session.contacts) == len(played.session.contacts) > 1
+    assert not any("missing" in sentence for sentence in played.findings)
+    assert not (kept / LOCK_NAME).exists()
+    road.close()
+    temporary.finish()
+    assert len(load(kept).session.contacts) >= 3
+    assert replay(kept).findings == ()

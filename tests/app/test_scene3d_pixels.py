@@ -15,8 +15,8 @@ from scene3d_support import box, estimate, laid, layout, scene, snapshot
 from app.scene3d.camera import approach, orbit, project
 from app.scene3d.static_scene import DARK, HUES, Cloud, Comparison, StaticScene, Tint, View3DState
 from skincal.guide.guidance import Target
+from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
-from skincal.surface.mesh import Surface
 from skincal.taxels.result import Method
 
 pytestmark = pytest.mark.pixels

@@ -1,6 +1,7 @@
 """A long session lies in several segments; where one ends and the next begins leaves no trace in it."""
 
 import json
+import os
 import random
 import shutil
 
@@ -8,6 +9,7 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.journal import writer
+from skincal.journal.documents import Ending, SegmentMark
 from skincal.journal.lines import lines_path, read_lines
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
@@ -208,3 +210,34 @@ def test_a_session_without_lines_goes_on_with_them(tmp_path):
     assert_same(torn, again, load(folder))
     again.close()
     assert load(folder).findings == ()
+
+
+def test_an_ending_belongs_to_the_segment_that_it_ends(scene, tmp_path):
+    journal = create_session(tmp_path / "s", scene, LINKS)
+    journal.write(Chunk("skin", 1, b"x"))
+    following = journal.open_next(scene, LINKS)
+    journal.write(Ending(10 * SEGMENT_NS))
+    journal.close()
+    following.close()
+    assert [path.name for path in sorted((tmp_path / "s").glob("*.mcap"))] == ["segment-0001.mcap", "segment-0002.mcap"]
+    assert [type(item) for item in SessionLog(tmp_path / "s").items()] == [SegmentMark, Chunk, Ending, SegmentMark]
+
+
+def test_at_a_contact_both_files_are_forced_onto_the_medium_the_bytes_first(tmp_path, monkeypatch):
+    scene = write_scene(tmp_path / "source")
+    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    names = {path.stat().st_ino: path.suffix for path in (tmp_path / "s").glob("segment-*")}
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append((names[os.fstat(file).st_ino], os.fstat(file).st_size)))
+    for item in as_chunks(some_pokes(scene, 1).samples):
+        before, known = len(synced), [one.outcome for one in road.snapshot().pokes]
+        road.feed(item)
+        if [one.outcome for one in road.snapshot().pokes] != known:
+            new = synced[before:]
+            assert [suffix for suffix, _ in new] == [".mcap", ".jsonl"]
+            assert new[1][1] == len(lines_path(tmp_path / "s" / "segment-0001.mcap").read_bytes())
+        else:
+            assert synced[before:] == []
+    assert len(synced) == 4  # at its release and when it is final
+    monkeypatch.undo()
+    road.close()
