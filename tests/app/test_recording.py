@@ -4,8 +4,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from app.plan import Plan
 
+from app.session.open_request import OpenRequest
 from app.session.recording import Recording
 from app.session.storage import Storage
 from skincal.journal import writer
@@ -75,7 +75,7 @@ def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp
 
 def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path, monkeypatch):
     """It goes on while it is copied; lines that speak of bytes that were not copied would not be played."""
-    temporary = Storage(Plan(), tmp_path / "documents")
+    temporary = Storage(OpenRequest(), tmp_path / "documents")
     copy, rest = shutil.copytree, as_chunks(some_pokes(recording.road.scene, 4).samples)
     road = Road(recording.road.scene, LINKS, None, writer.create_session(temporary.folder, recording.road.scene, LINKS))
 

@@ -1,6 +1,7 @@
 """From device bytes to a written calibration file, and what the headless way needs."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,9 +12,12 @@ import pytest
 from skincal.cli import main
 from skincal.files.icub import read_icub
 from skincal.files.reference import error_summary, read_reference
+from skincal.mesh.lay import lay
 from skincal.mesh.load import load_surface
 from skincal.model.readings import Loss
 from skincal.model.scene import load_scene, resource
+from skincal.session.actions import AddLandmark, AskLandmark, to_json
+from skincal.session.replay import load, replay
 from skincal.session.road import Road
 from skincal.simulate.device import DeviceSettings
 from skincal.simulate.faults import RigErrors
@@ -143,6 +147,38 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
     assert poked[2:5] == ["free", "estimated", "3"]
     unseen = next(row for row in rows[1:] if row[3] == "unseen")
     assert unseen[5:] == [""] * 7
+
+
+def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_path, monkeypatch, capsys):
+    """A taxel's place is named as a landmark and asked for on stdin: the pokes at the taxel are found to be there."""
+    scene = load_scene(PATCH)
+    x, y, z = lay(scene.skin.layout, scene.skin.anchor, None).places[3].tolist()
+    orders = [AddLandmark("pad", x, y, z), AskLandmark("pad"), AskLandmark("nose")]
+    reading, writing = os.pipe()
+    os.write(writing, b"".join(json.dumps(to_json(order)).encode() + b"\n" for order in orders))
+    os.close(writing)
+    with (
+        os.fdopen(reading) as stdin,
+        subprocess.Popen(
+            [sys.executable, "-m", "skincal.cli", *SERVE, str(PATCH)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as server,
+    ):
+        monkeypatch.setattr(sys, "stdin", stdin)
+        try:
+            links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
+            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\npoke 3 25 210 9\n")
+            server.stdin.flush()
+            arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH)]
+            done = main(["record", *arguments, "--out", str(tmp_path / "s"), "--pokes", "3", "--seconds", "40", "--orders"])
+        finally:
+            server.terminate()
+    assert done == 0
+    assert 'order {"do": "ask_landmark", "name": "nose"}: not done. There is no landmark' in capsys.readouterr().err
+    at = load(tmp_path / "s").snapshot().at_landmarks
+    assert at == replay(tmp_path / "s").snapshot().at_landmarks
+    # The first may have begun before it was asked for.
+    assert len(at) >= 2
+    assert set(at.values()) == {"pad"}
 
 
 @pytest.mark.parametrize(
