@@ -29,7 +29,6 @@ from app.opening import Part
 from app.panels.devices import LinkChips
 from app.panels.message_bar import Message
 from app.policies import Allowed, allowed, link_lines
-from app.rig_offers import used_words
 from app.rigging import Rigging
 from app.scene3d.view import View3D
 from app.short_way import ShortWay
@@ -39,6 +38,7 @@ from app.wishes import wish_of
 from app.workspace import Workspace
 from skincal.files.calibration import landmark_check
 from skincal.model.errors import InputError
+from skincal.sentences import correction_sentence
 from skincal.session.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.session.corrections import used_of
 from skincal.session.review import Review
@@ -207,7 +207,7 @@ class Desk(QObject):
             offer = self.frame.offers[0]
             if self._controller.act(offer.action):
                 back = "Backspace takes it back until the next poke, the Rig tab at any time."
-                self.said.emit(Message(f"{used_words(used_of(offer.action))} {back}"))
+                self.said.emit(Message(f"{correction_sentence(used_of(offer.action))} {back}"))
 
     def _hear(self, frame: Frame, behind_s: float) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from app.display_units import DASH, in_millimetres, millimetres, number
 from skincal.contacts.outcome import Outcome
-from skincal.rig.correction import FRAME, RIG, UsedCorrection
+from skincal.rig.correction import FRAME, RIG
+from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 from skincal.session.actions import Correct
 from skincal.session.corrections import offered
 from skincal.session.review import Review
@@ -39,7 +40,7 @@ def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
         return ()
     if action.of == FRAME and frame is not None:
         perhaps = "" if frame.sure else " Another mistake would be nearly as likely: poke another landmark."
-        return (Offer("Correct the sensor's frame", frame.words + perhaps, action),)
+        return (Offer("Correct the sensor's frame", frame_sentence(frame) + perhaps, action),)
     used = snapshot.corrections.get(RIG)
     if used is not None and used.pokes == pokes:
         return ()
@@ -51,11 +52,6 @@ def rig_words(before: float, after: float) -> str:
     """Return what a correction of the rig would do, with the misses of held-out pokes, metres."""
     now, told = millimetres(after), millimetres(before)
     return f"The rig can be corrected: held-out pokes then pass their landmarks at {now}, now at {told}."
-
-
-def used_words(used: UsedCorrection) -> str:
-    """Return what is in use, with the misses, as a sentence."""
-    return f"{used.words[0].upper()}{used.words[1:]}."
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
@@ -78,15 +74,15 @@ def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -
 
 def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: Sequence[Estimate]) -> tuple[str, ...]:
     """Return what is said of the rig, most important first."""
-    frame, rig = review.frame, review.rig
-    said = [] if frame is None else [frame.words]
-    said += [used_words(used) for used in snapshot.corrections.values()]
+    frame, rig, found = review.frame, review.rig, rig_sentences(review.rig)
+    said = [] if frame is None else [frame_sentence(frame)]
+    said += [correction_sentence(used) for used in snapshot.corrections.values()]
     if RIG not in snapshot.corrections:
-        said += rig.sentences[:1]
+        said += found[:1]
     elif not rig.used:
-        said.append(f"The landmark pokes that count now do not speak for it any more. {rig.sentences[0]}")
+        said.append(f"The landmark pokes that count now do not speak for it any more. {found[0]}")
     moved = moved_words(review, method, estimates)
-    return tuple(filter(None, (*said, moved, *rig.sentences[1:])))
+    return tuple(filter(None, (*said, moved, *found[1:])))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from app.display_units import ChannelNames, age, count, millimetres, newtons, nu
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.geometry.wrench import move_wrench, pitch
 from skincal.model.readings import LinkHealth, LinkState, is_silent
+from skincal.sentences import state_sentence
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 
@@ -117,8 +118,8 @@ def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: 
     if estimate is not None and peak is not None and estimate.state is State.ESTIMATED:
         contacts = count(estimate.contacts, "contact")
         parts.append(f"{names.short(peak)} is known to {millimetres(estimate.rms)} from {contacts}")
-    elif estimate is not None and estimate.reason:
-        parts.append(estimate.reason)
+    elif estimate is not None and estimate.reason is not None:
+        parts.append(state_sentence(estimate.reason))
     return "  \N{MIDDLE DOT}  ".join(parts)
 
 

@@ -14,7 +14,7 @@ from skincal.geometry.arrays import FloatArray
 from skincal.methods import estimate_taxels
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.modules.pose import ModuleModel
-from skincal.rig.correction_fit import TOLD, LandmarkPoke, RigRequest, correct_rig
+from skincal.rig.correction_fit import DOUBTED, LandmarkPoke, RigRequest, correct_rig
 from skincal.simulate.contacts import CYCLE_S, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.landmarks import poke_landmarks
@@ -70,7 +70,7 @@ def part() -> tuple[Scene, Surface, ModuleModel]:
 def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[Method, FloatArray]:
     """Return of each method the positions (n, 3) of the rig's taxels, metres, NaN where there is no estimate."""
     scene, surface, boards = part()
-    found = estimate_taxels(contacts, rig.channels.tolist(), methods, scene.noise, surface, boards=boards)
+    found = estimate_taxels(contacts, rig.channels.tolist(), methods, scene.noise, surface, model=boards)
     return {method: _positions(list(estimates.values())) for method, estimates in found.items()}
 
 
@@ -136,7 +136,7 @@ def corrected(
         used=answer.used,
         held_before=1e3 * answer.before,
         held_after=1e3 * answer.after,
-        doubted=tuple(poke for poke, trust in answer.trust.items() if trust < TOLD),
+        doubted=tuple(poke for poke, trust in answer.trust.items() if trust < DOUBTED),
         errors={method.value: spread(places, rig) for method, places in solved(right, rig, methods).items()},
         seconds=seconds,
     )

@@ -32,7 +32,7 @@ from skincal.studies.exact import NO_NUMBER, Truth, Vector
 from skincal.surface.clean import heights
 from skincal.surface.mesh import Surface, make_surface
 from skincal.surface.nearest import nearest_to_rows
-from skincal.taxels.contact_table import across, gather
+from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
@@ -67,7 +67,7 @@ def shipped(contacts: Sequence[Contact], surface: Surface | None) -> Found:
     """Solve taxel 0 as the program does: free without a surface, else on it."""
     # Each reading counts as it is: what is doubted is not a question of digits.
     method = Method.FREE if surface is None else Method.SURFACE
-    found = solve(gather(contacts, [0]), [method], NoiseSettings(), surface, doubting=False)
+    found = solve(ContactTable(contacts).evidence([0]), [method], NoiseSettings(), surface, doubting=False)
     if found.surface is not None:
         return Found(found.surface.points[0])
     return Found(found.factors.solutions[0], int(found.factors.ranks[0]), found.factors.blind[0])

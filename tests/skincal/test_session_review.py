@@ -17,6 +17,7 @@ from skincal.model.scene import SurfaceSpec
 from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
+from skincal.sentences import frame_sentence
 from skincal.session import review_process
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Uncorrect, Undo
 from skincal.session.corrections import correct_action
@@ -157,7 +158,7 @@ def reviewed(session, reviewer=None, asked=None):
 def places(session, contacts):
     """Where each method puts the taxels, worked out without a reviewer; NaN where it does not know."""
     solved = estimate_taxels(
-        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, boards=session.boards
+        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, model=session.boards
     )
     unknown = np.full(3, np.nan)
     return {
@@ -173,9 +174,9 @@ def assert_is_of(session, review):
     rig = correct_rig(session.rig_request())
     assert (review.frame is None) == (frame is None)
     if frame is not None:
-        assert review.frame.words == frame.words
+        assert frame_sentence(review.frame) == frame_sentence(frame)
     assert [one.poke for one in review.pokes] == [one.poke for one in session.landmark_pokes]
-    assert (review.rig.used, review.rig.sentences, review.rig.trust) == (rig.used, rig.sentences, rig.trust)
+    assert (review.rig.used, review.rig.distances, review.rig.trust) == (rig.used, rig.distances, rig.trust)
     np.testing.assert_array_equal(review.rig.unknowns, rig.unknowns)
     np.testing.assert_array_equal(review.channels, session.channels)
     contacts = [one for one in session.framed().values() if isinstance(one, Contact)]

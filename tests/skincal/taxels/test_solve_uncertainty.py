@@ -7,11 +7,11 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry.wrench import cross_matrix
 from skincal.model.scene import NoiseSettings
 from skincal.surface.mesh import make_surface
-from skincal.taxels.contact_table import across, gather
+from skincal.taxels.contact_table import across
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import SD_MAX, Method, State
 from skincal.taxels.solve import solve as solve_evidence
-from tests.skincal.estimate_support import solve
+from tests.skincal.estimate_support import gather, solve
 
 NOISE = NoiseSettings()
 FLAT = replace(NOISE, radius=1e9)

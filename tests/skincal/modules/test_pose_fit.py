@@ -18,7 +18,7 @@ from skincal.simulate.operator import Habits
 from skincal.simulate.rig import RigErrors
 from skincal.surface.mesh import make_surface
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import Method, State
+from skincal.taxels.result import Cause, Method, State
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 NOISE = NoiseSettings()
@@ -87,7 +87,7 @@ def press(boards, poses, rng, pokes, modules=None, tilt=0.4, noise=0.0):
 def modules(contacts, boards, channels=None, **options):
     scene_channels = boards.layout.channels if channels is None else channels
     surface = boards.ground.surface if isinstance(boards.ground, ModulesOnSurface) else None
-    return estimate_taxels(contacts, scene_channels, MODULES, NOISE, surface, boards=boards, **options)[Method.MODULES]
+    return estimate_taxels(contacts, scene_channels, MODULES, NOISE, surface, model=boards, **options)[Method.MODULES]
 
 
 CASES = [("icub-forearm", True), ("icub-forearm", False), ("flat-patch", False)]
@@ -141,9 +141,9 @@ def test_rows_fall_with_the_step_that_their_slopes_tell(rng):
     boards = boards_of(surface=False)
     poses = moved_poses(boards, rng)
     contacts = press(boards, poses, rng, 20, modules=[1])
-    ledger = ContactTable(contacts)
-    evidence = ledger.evidence(boards.channels_of([1]))
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [1])
+    table = ContactTable(contacts)
+    evidence = table.evidence(boards.channels_of([1]))
+    touches = find_touches(evidence, table.totals(evidence.pokes), boards, NOISE, [1])
     start = boards.plan(1)
     step = 1e-5 * rng.standard_normal((1, 6))
     before, after = (whitened(touches, laid(boards, 1, boards.ground.moved(start, s * step)), NOISE) for s in (0.0, 1.0))
@@ -245,7 +245,7 @@ def test_on_a_good_rig_modules_are_twice_as_good_as_taxels():
     for seed in range(1, 5):
         rig, contacts = good_rig(seed)
         found = estimate_taxels(
-            contacts, rig.channels.tolist(), [Method.SURFACE, Method.MODULES], rig.scene.noise, rig.surface, boards=boards_of()
+            contacts, rig.channels.tolist(), [Method.SURFACE, Method.MODULES], rig.scene.noise, rig.surface, model=boards_of()
         )
         own, single = (errors(rig, found[method]).mean() for method in (Method.MODULES, Method.SURFACE))
         assert own < 0.6
@@ -305,7 +305,7 @@ def test_one_poke_tells_a_place_and_not_how_the_module_is_turned(surface, rng):
     found = modules([lone], boards)
     others = [found[channel] for channel in boards.channels_of([3]) if channel != peak]
     assert {one.state for one in others} == {State.BLIND}
-    assert all("One poke" in one.reason and one.weakest is not None and one.sd is None for one in others)
+    assert all(one.reason.cause is Cause.MODULE_ONE_POKE and one.weakest is not None and one.sd is None for one in others)
     assert found[peak].state is (State.ESTIMATED if surface else State.BLIND)
 
 
@@ -326,7 +326,9 @@ def test_pokes_from_behind_are_said_to_be(rng):
     contacts = [
         replace(one, force=-one.force, moment=-one.moment) for one in press(boards, [boards.plan(m) for m in range(7)], rng, 60)
     ]
-    assert all(one.state is State.BLIND and "behind" in one.reason for one in modules(contacts, boards).values())
+    assert all(
+        one.state is State.BLIND and one.reason.cause is Cause.MODULE_BEHIND for one in modules(contacts, boards).values()
+    )
 
 
 def test_a_dead_taxel_stays_dead_and_its_module_lives(rng):
@@ -340,8 +342,8 @@ def test_a_dead_taxel_stays_dead_and_its_module_lives(rng):
 def test_errors_of_arm_poses_that_are_told_make_the_ellipses_larger():
     rig, contacts = good_rig(1)
     known = replace(rig.scene.noise, pose_turn=0.02, pose_shift=0.002)
-    ledger, surface = ContactTable(contacts), [{}]
-    plain, told = (estimate_modules(ledger, boards_of(), range(7), noise, surface, {}) for noise in (rig.scene.noise, known))
+    table, surface = ContactTable(contacts), [{}]
+    plain, told = (estimate_modules(table, boards_of(), range(7), noise, surface, {}) for noise in (rig.scene.noise, known))
     assert all(told[channel].rms > 2e-3 + plain[channel].rms for channel in plain)
 
 
@@ -382,10 +384,10 @@ def test_a_poke_between_two_modules_counts_for_the_one_that_answers_more_and_for
     here, there = (int(boards.layout.modules[module].channels[0]) for module in (0, 1))
     channels = np.sort([here, there])
     responses = np.where(channels == here, 100.0, 100.0 * other)
-    ledger = ContactTable([replace(contact, channels=channels, responses=responses)])
-    evidence = ledger.evidence(boards.channels_of([0, 1]))
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [0, 1])
-    assert touches.boards.tolist() == ([0 if other < 1.0 else 1] if counts else [])
+    table = ContactTable([replace(contact, channels=channels, responses=responses)])
+    evidence = table.evidence(boards.channels_of([0, 1]))
+    touches = find_touches(evidence, table.totals(evidence.pokes), boards, NOISE, [0, 1])
+    assert touches.modules.tolist() == ([0 if other < 1.0 else 1] if counts else [])
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -394,10 +396,10 @@ def test_without_a_surface_a_pose_that_does_not_settle_is_blind_and_more_pokes_m
     boards = boards_of(surface=False)
     contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
     few, many = (
-        estimate_taxels(contacts[:count], rig.channels.tolist(), [Method.MODULES], rig.scene.noise, None, boards=boards)
+        estimate_taxels(contacts[:count], rig.channels.tolist(), [Method.MODULES], rig.scene.noise, None, model=boards)
         for count in (20, 80)
     )
-    unsettled = [one for one in few[Method.MODULES].values() if "does not settle" in one.reason]
+    unsettled = [one for one in few[Method.MODULES].values() if one.reason and one.reason.cause is Cause.MODULE_MOVING]
     assert unsettled
     assert all(one.state is State.BLIND and one.position is None for one in unsettled)
-    assert not [one for one in many[Method.MODULES].values() if "does not settle" in one.reason]
+    assert not [one for one in many[Method.MODULES].values() if one.reason and one.reason.cause is Cause.MODULE_MOVING]

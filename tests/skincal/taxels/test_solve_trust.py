@@ -1,6 +1,6 @@
 """What pokes that touch two places do to the estimates, and what the trust makes of them.
 
-`python -m tests.skincal.test_estimate_robust` prints the table of a session with and without them. Seeds are 1, 2, 3 ...
+`python -m tests.skincal.taxels.test_solve_trust` prints the table of a session with and without them. Seeds are 1, 2, 3 ...
 """
 
 import os

@@ -1,7 +1,7 @@
 """The predicted uncertainty against simulated errors: how often 95 % ellipsoids hold the true place.
 
 `SKINCAL_LONG=1` runs 200 seeds and the limits of 93 to 97 %, in some minutes; else a few seeds with the limits that chance
-allows them. `python -m tests.skincal.test_estimate_coverage` prints the table. Seeds are 1, 2, 3 ...: none is chosen.
+allows them. `python -m tests.skincal.taxels.test_solve_coverage` prints the table. Seeds are 1, 2, 3 ...: none is chosen.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""A poke left out of its module: told from the fit with it as the fit without it tells."""
+"""A poke left out of its module: predicted from the fit with it as the fit without it tells."""
 
 from dataclasses import replace
 from functools import cache
@@ -25,14 +25,14 @@ def poked(seed=1, rounds=4):
 
 def fitted(rig, contacts, surface=True, doubting=True):
     boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface if surface else None)
-    clouds = module_groups(ContactTable(contacts), boards, {}, rig.scene.noise, rig.channels.tolist())
-    return clouds.touches, fit_modules(clouds.touches, boards, clouds.poses, rig.scene.noise, doubting)
+    groups = module_groups(ContactTable(contacts), boards, {}, rig.scene.noise, rig.channels.tolist())
+    return groups.touches, fit_modules(groups.touches, boards, groups.poses, rig.scene.noise, doubting)
 
 
 def solved_without(rig, contacts, poke, touches, at, surface):
     """The squared distance of a poke from where its board lies that is solved without it, summed up in space."""
     others, other = fitted(rig, [one for one in contacts if one.poke != poke], surface, doubting=False)
-    assert (others.boards == touches.boards).all()
+    assert (others.modules == touches.modules).all()
     places, gradients, normals = (each[at] for each in touches.middles(other.pads))
     evidence, row, noise = touches.evidence, touches.rows[at], rig.scene.noise
     u, lever, size = evidence.directions[row], places - evidence.sensors[row], evidence.forces[row]
@@ -55,14 +55,14 @@ def test_a_poke_left_out_is_as_far_off_as_where_its_module_is_solved_without_it(
     touches, found = fitted(rig, contacts, surface, doubting=False)
     some = np.arange(0, len(touches.of), 31)
     pokes = touches.evidence.pokes[touches.rows[some]].tolist()
-    told = predicted_squares(touches, found, rig.scene.noise, some)
+    predicted = predicted_squares(touches, found, rig.scene.noise, some)
     anew = [solved_without(rig, contacts, *each, surface) for each in zip(pokes, [touches] * len(pokes), some, strict=True)]
     assert len(anew) >= 8
-    np.testing.assert_allclose(np.sqrt(told), np.sqrt(anew), rtol=0.03, atol=0.03)
+    np.testing.assert_allclose(np.sqrt(predicted), np.sqrt(anew), rtol=0.03, atol=0.03)
 
 
 def test_what_is_left_out_is_chi_squared():
-    """Over all pokes of four rigs; a few percent more lie inside, since the pads' middle is told a little too wide."""
+    """Over all pokes of four rigs; a few percent more lie inside, since the pads' middle is predicted a little too wide."""
     inside, median = [], []
     for seed in range(1, 5):
         rig, contacts = poked(seed)

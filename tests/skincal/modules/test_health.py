@@ -28,7 +28,7 @@ def poked(seed, errors="noise"):
         [Method.FREE, Method.SURFACE, Method.MODULES],
         rig.scene.noise,
         rig.surface,
-        boards=boards,
+        model=boards,
     )
     return rig, found
 
@@ -65,7 +65,7 @@ def test_a_few_estimates_close_together_fit_any_turn_and_tell_none():
                 normal = rig.normals[rig.row_of(every[row])]
                 estimates[every[row]] = Estimate(every[row], Method.SURFACE, State.ESTIMATED, 3, position=place, normal=normal)
         for said in find_misfits(boards, estimates):
-            assert said.after < 0.8 * said.before, said.words
+            assert said.after < 0.8 * said.before
 
 
 @pytest.mark.parametrize(("errors", "seed"), CASES)
@@ -76,7 +76,6 @@ def test_a_module_that_is_mirrored_is_named(errors, seed, which):
     (said,) = find_misfits(boards, found[Method.SURFACE])
     assert (said.kind, said.module) == (MisfitKind.MIRRORED, boards.layout.modules[which].id)
     assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
-    assert "mirror" in said.words
 
 
 @pytest.mark.parametrize(("errors", "seed"), CASES)
@@ -88,7 +87,6 @@ def test_a_module_that_is_turned_is_named_with_its_turn(errors, seed, turn):
     assert (said.kind, said.module) == (MisfitKind.TURNED, 29)
     assert np.degrees(said.turn) == pytest.approx(turn)
     assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
-    assert f"{turn} degrees" in said.words
 
 
 # Where a rig bends the whole skin by more than half a module (seed 3) a swap is told as another mistake.

@@ -94,9 +94,7 @@ def answers():
     whole = make_surface(rig.surface.vertices, rig.surface.triangles)
     layout = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, whole)
     contacts = [one for pose in rig.stances for one in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
-    for method in estimate_taxels(
-        contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, boards=layout
-    ).values():
+    for method in estimate_taxels(contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, model=layout).values():
         for one in method.values():
             yield from (one.state, *(value.tobytes() for value in (one.position, one.covariance) if value is not None))
 
@@ -130,8 +128,8 @@ def test_a_number_that_stands_in_both_languages_is_the_same(name, here):
 
 def test_both_languages_mean_the_same_tables():
     machine = Machine()
-    assert machine.told("answer_size") == solve.ANSWER.itemsize
-    assert machine.told("surface_size") == ctypes.sizeof(resident.Layout)
+    assert machine.value("answer_size") == solve.ANSWER.itemsize
+    assert machine.value("surface_size") == ctypes.sizeof(resident.Layout)
 
 
 def test_the_logarithm_is_right_to_two_roundings(probe):

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.wrench import axis_point, move_wrench, pitch
-from skincal.taxels.contact_table import ContactTable, Evidence, gather
+from skincal.taxels.contact_table import ContactTable, Evidence
+from tests.skincal.estimate_support import gather
 
 
 def contact(number: int, seed: int, channels=None, pose: str = "") -> Contact:
@@ -66,30 +67,30 @@ def test_evidence_of_a_taxel_does_not_depend_on_which_others_are_asked_for():
     steps=st.lists(st.tuples(st.integers(1, 40), st.integers(0, 1000), st.booleans()), max_size=250),
     order=st.randoms(use_true_random=False),
 )
-def test_what_is_in_a_ledger_counts_and_neither_order_nor_what_was_taken_out(steps, order):
-    ledger, kept = ContactTable(), {}
+def test_what_is_in_a_table_counts_and_neither_order_nor_what_was_taken_out(steps, order):
+    table, kept = ContactTable(), {}
     for number, seed, drops in steps:
         if drops:
-            ledger.drop(number)
+            table.drop(number)
             kept.pop(number, None)
         else:
             kept[number] = contact(number, seed)
-            ledger.add([kept[number]])
+            table.add([kept[number]])
     fresh = list(kept.values())
     order.shuffle(fresh)
-    assert same(ledger.evidence(range(6)), gather(fresh, range(6)))
+    assert same(table.evidence(range(6)), gather(fresh, range(6)))
 
 
-def test_a_ledger_forgets_what_was_replaced():
+def test_a_table_forgets_what_was_replaced():
     """Every poke is told twice: rows must not pile up."""
-    ledger = ContactTable()
+    table = ContactTable()
     contacts = [contact(number, number) for number in range(1, 1001)]
     for one in contacts:
-        ledger.add([one])
-        ledger.add([one])
-        ledger.evidence([0])
-    assert ledger._table.shape[1] <= 4096
-    assert same(ledger.evidence(range(6)), gather(contacts, range(6)))
+        table.add([one])
+        table.add([one])
+        table.evidence([0])
+    assert table._table.shape[1] <= 4096
+    assert same(table.evidence(range(6)), gather(contacts, range(6)))
 
 
 def test_equal_contacts_are_all_kept():
@@ -98,9 +99,9 @@ def test_equal_contacts_are_all_kept():
 
 
 def test_a_bad_contact_is_refused_and_nothing_is_taken():
-    ledger = ContactTable([contact(1, 1, channels=[0])])
+    table = ContactTable([contact(1, 1, channels=[0])])
     bad = contact(2, 2, channels=[0])
     bad.force[0] = np.nan
     with pytest.raises(ValueError, match="poke 2"):
-        ledger.add([contact(3, 3, channels=[0]), bad])
-    assert ledger.evidence([0]).pokes.tolist() == [1]
+        table.add([contact(3, 3, channels=[0]), bad])
+    assert table.evidence([0]).pokes.tolist() == [1]

@@ -109,7 +109,7 @@ def measured_errors(seed):
     boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
     squares = []
     for some in (contacts, [answer.correction.corrected(one) for one in contacts]):
-        found = estimate_taxels(some, rig.channels.tolist(), [Method.MODULES], rig.scene.noise, rig.surface, boards=boards)
+        found = estimate_taxels(some, rig.channels.tolist(), [Method.MODULES], rig.scene.noise, rig.surface, model=boards)
         off = [one.position - rig.places[row] for row, one in enumerate(found[Method.MODULES].values())]
         squares.append(np.mean(np.sum(np.square(off), axis=1)))
     return pokes, squares
