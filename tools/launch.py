@@ -30,6 +30,12 @@ HALVES = (("-m", "not quiet", "tests", "--ignore=tests/app", f"--ignore={PLAYED}
 """The tests, in two parts that take about as long."""
 QUIET = ("-m", "quiet", "tests/app")
 """Those that nothing may run beside."""
+PIXELS = ("-m", "pixels", "tests/app/test_scene3d_pixels.py")
+"""What the 3D view must show on any processor."""
+CAPABILITIES = "GALLIUM_OVERRIDE_CPU_CAPS"
+"""Mesa's switch for what its software OpenGL may use of a processor."""
+PROCESSORS = ("sse2", "sse4.1", "avx")
+"""As on which these tests run again."""
 
 
 HELP = """\
@@ -130,7 +136,7 @@ def _run(name: str, told: Sequence[str], environment: Mapping[str, str]) -> int:
 
 def _run_tests(environment: Mapping[str, str]) -> int:
     """Run all tests, those of the window beside the others: each uses one core, and half of the time is enough for both."""
-    alone, beside, quiet = (("-m", "pytest", "-p", "no:cacheprovider", *part) for part in (*HALVES, QUIET))
+    alone, beside, quiet, pixels = (("-m", "pytest", "-p", "no:cacheprovider", *part) for part in (*HALVES, QUIET, PIXELS))
     with tempfile.TemporaryFile() as told:
         window = subprocess.Popen(
             [places.interpreter(), *beside],
@@ -149,7 +155,8 @@ def _run_tests(environment: Mapping[str, str]) -> int:
         told.seek(0)
         say(told.read().decode(errors="replace").rstrip())
     failed_quiet = _run(shlex.join(("pytest", *QUIET)), quiet, environment)
-    return failed or failed_beside or failed_quiet
+    failed_pixels = [_run(f"pytest as on {caps}", pixels, {**environment, CAPABILITIES: caps}) for caps in PROCESSORS]
+    return failed or failed_beside or failed_quiet or max(failed_pixels)
 
 
 def _become(command: list[str], environment: Mapping[str, str]) -> int:

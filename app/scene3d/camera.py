@@ -20,6 +20,10 @@ LONG = 2.0
 """A part is long when it spreads this much more along its longest axis than along the next."""
 NEAREST, FARTHEST = 0.02, 20.0
 """m. The camera stays between these distances of what it looks at."""
+BEFORE = 0.95
+"""Of the distance to the nearest point of the part: what is drawn before the part lies there."""
+NEAREST_PLANE = 5e-3
+"""m. Nothing is brought nearer to the camera: VTK draws from a thousandth of the farthest distance on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +41,49 @@ class Eye:
 
 PLAIN = Eye(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
 """While there is no picture yet."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """From where a picture is seen; link frame, metres."""
+
+    place: FloatArray
+    """(3,) float: of the camera."""
+    towards: FloatArray
+    """(3,) float, unit: from the part to the camera."""
+    scale: float
+    """Pixels a metre, at the distance the camera looks at."""
+
+    def same(self, other: Sight | None) -> bool:
+        """Return whether what was laid out for one sight is exact for the other."""
+        return (
+            other is not None
+            and self.scale == other.scale
+            and np.array_equal(self.place, other.place)
+            and np.array_equal(self.towards, other.towards)
+        )
+
+    def lift(self, points: FloatArray, by: float) -> FloatArray:
+        """Return (..., 3) points, metres nearer to the camera, half of the way at most; in the picture nothing moves."""
+        way = self.place - points
+        return points + way * np.minimum(by / np.linalg.norm(way, axis=-1, keepdims=True), 0.5)
+
+    def bring_before(self, points: FloatArray, part: FloatArray) -> FloatArray:
+        """Return (..., 3) points brought before all of a part, (n, 3); in the picture nothing moves.
+
+        They come to lie in one plane; those before it, or behind the camera, stay.
+        """
+        if not len(part):
+            return points
+        plane = max(BEFORE * float(((self.place - part) @ self.towards).min()), NEAREST_PLANE)
+        away = ((self.place - points) @ self.towards)[..., None]
+        return self.place + (points - self.place) * (plane / np.maximum(away, plane))
+
+
+def sight_of(camera: vtkCamera, height: int) -> Sight:
+    """Return from where a picture `height` pixels high is seen."""
+    towards = -np.array(camera.GetDirectionOfProjection())
+    return Sight(np.array(camera.GetPosition()), towards, pixels_per_metre(camera, height))
 
 
 def eye_of(camera: vtkCamera) -> Eye:

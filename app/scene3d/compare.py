@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
+from app.scene3d.camera import Sight
 from app.scene3d.estimates import FAR_SIDE
 from app.scene3d.ground import Comparison, Frame, Ground
 from app.scene3d.looks import DARK, ColourArray, Look, Tint
@@ -26,8 +27,6 @@ HEAD_SHARE = 0.4
 """Of an arrow's length at most, so that a short arrow is not all head."""
 SPREAD = float(np.radians(28.0))
 """rad. Angle of these strokes with the arrow."""
-NEARER = -60_000.0
-"""How far towards the camera all of it is drawn, in VTK's units of depth: before every wall of the part."""
 ALONG = 1e-6
 """Sine. An arrow that the camera looks along has no head: it is a dot."""
 
@@ -43,15 +42,11 @@ class CompareLayer:
         self.dots.actor.GetProperty().SetRenderPointsAsSpheres(True)
         self._look = DARK
         self._shown: Comparison | None = None
-        self._towards: FloatArray = np.zeros(3)
-        """(3,) float, unit: from the part to the camera."""
+        self._sight: Sight | None = None
+        self._part = ground.extent
         known = ground.surface is not None and ground.laid is not None
         self._normals = ground.normals if known else np.full((len(ground.channels), 3), np.nan)
         for shape in (self.arrows, self.dots):
-            mapper = shape.actor.GetMapper()
-            mapper.SetResolveCoincidentTopologyToPolygonOffset()
-            mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, NEARER)
-            mapper.SetRelativeCoincidentTopologyPointOffsetParameter(NEARER)
             renderer.AddActor(shape.actor)
 
     def dress(self, look: Look) -> None:
@@ -72,28 +67,25 @@ class CompareLayer:
             self.arrows.join(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8))
         return True
 
-    def follow(self, pixels_per_metre: float, towards: FloatArray) -> None:
-        """Keep the dots' size on the part and the arrows' heads flat to the camera, and leave out the far side.
-
-        Parameters
-        ----------
-        towards : (3,) float, unit: from the part to the camera
-        """
-        if self._shown is None:
+    def follow(self, sight: Sight) -> None:
+        """Keep the dots' size on the part, all before it, and the arrows' heads flat to the camera; leave out the far side."""
+        if self._shown is None or sight.same(self._sight):
             return
-        self.dots.actor.GetProperty().SetPointSize(float(np.clip(DOT * pixels_per_metre, *DOT_PIXELS)))
-        if not np.array_equal(towards, self._towards):
-            self._towards = towards
-            self._draw(self._shown)
+        self._sight = sight
+        self.dots.actor.GetProperty().SetPointSize(float(np.clip(DOT * sight.scale, *DOT_PIXELS)))
+        self._draw(self._shown)
 
     def _draw(self, shown: Comparison) -> None:
-        near = ~(self._normals @ self._towards < FAR_SIDE)
+        sight = self._sight
+        if sight is None:
+            return
+        near = ~(self._normals @ sight.towards < FAR_SIDE)
         dots = [_known(cloud.places, near) for cloud in shown.clouds]
         tints = [self._colour(cloud.tint, len(places)) for cloud, places in zip(shown.clouds, dots, strict=True)]
-        self.dots.set(np.concatenate(dots), np.concatenate(tints))
+        self.dots.set(sight.bring_before(np.concatenate(dots), self._part), np.concatenate(tints))
         shafts = _known(shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
-        strokes = np.concatenate([shafts, heads(shafts, self._towards)])
-        self.arrows.join(strokes, self._colour(Tint.TO, len(strokes)))
+        strokes = np.concatenate([shafts, heads(shafts, sight.towards)])
+        self.arrows.join(sight.bring_before(strokes, self._part), self._colour(Tint.TO, len(strokes)))
 
     def _colour(self, tint: Tint, count: int) -> ColourArray:
         return np.tile(np.array(self._look.tints[tint], np.uint8), (count, 1))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
+from app.scene3d.camera import Sight
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import ColourArray, Look
 from app.scene3d.shapes import Balls, Segments, crosses, rings
@@ -69,15 +70,10 @@ class EstimatesLayer:
         self._ink, self._faint = np.array(look.ink, np.uint8), np.array(look.faint, np.uint8)
         self._key = None
 
-    def follow(self, pixels_per_metre: float, towards: FloatArray) -> None:
-        """Keep the balls' size on the part when the camera comes nearer, and leave out those on its far side.
-
-        Parameters
-        ----------
-        towards : (3,) float, unit: from the part to the camera
-        """
-        self.balls.actor.GetProperty().SetPointSize(float(np.clip(BALL * pixels_per_metre, *BALL_PIXELS)))
-        near = ~(self._normals @ towards < FAR_SIDE)
+    def follow(self, sight: Sight) -> None:
+        """Keep the balls' size on the part when the camera comes nearer, and leave out those on its far side."""
+        self.balls.actor.GetProperty().SetPointSize(float(np.clip(BALL * sight.scale, *BALL_PIXELS)))
+        near = ~(self._normals @ sight.towards < FAR_SIDE)
         if not np.array_equal(near, self.near):
             self.near = near
             self._show_balls()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
 
+from app.scene3d.camera import Sight
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import ColourArray, Look, unit
 from app.scene3d.picking import project
@@ -25,8 +26,8 @@ DIAMOND = 2.6e-3
 """m. From the middle of a diamond to its corners: a screw's head, and well inside the target's ring."""
 LEAST_PIXELS = 8.0
 """The same on the screen at least: on a whole body a diamond of its own size would not be found."""
-NEARER = -500.0
-"""How far towards the camera it is drawn, in VTK's units of depth: the part's curve must not cut it, the target's ring may."""
+LIFT = 2.5e-3
+"""m. How far towards the camera it is drawn: the part's curve must not cut it, the target's ring may."""
 MOST_NAMES = 12
 """More landmarks than this are drawn without their names, which would hide each other."""
 LETTERS = 13
@@ -61,9 +62,7 @@ class LandmarksLayer:
         self._scale = 1.0
         """How many times larger than its own size each is drawn."""
         self._look: Look | None = None
-        mapper = self.marks.actor.GetMapper()
-        mapper.SetResolveCoincidentTopologyToPolygonOffset()
-        mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, NEARER)
+        self._sight: Sight | None = None
         renderer.AddActor(self.marks.actor)
 
     def dress(self, look: Look) -> None:
@@ -72,22 +71,17 @@ class LandmarksLayer:
         self._draw()
         self._colour_names()
 
-    def follow(self, pixels_per_metre: float, towards: FloatArray) -> None:
-        """Keep the diamonds large enough to be found when the camera goes away, and leave out those on the part's far side.
-
-        Parameters
-        ----------
-        towards : (3,) float, unit: from the part to the camera
-        """
+    def follow(self, sight: Sight) -> None:
+        """Keep the diamonds large enough to be found when the camera goes away, and leave out those on the part's far side."""
         if not self._landmarks:
             return
-        scale = max(1.0, LEAST_PIXELS / (DIAMOND * pixels_per_metre))
-        near = self._normals @ towards >= FAR_SIDE
-        if scale != self._scale or not np.array_equal(near, self._near):
-            self._scale, self._near = scale, near
+        scale = max(1.0, LEAST_PIXELS / (DIAMOND * sight.scale))
+        near = self._normals @ sight.towards >= FAR_SIDE
+        if not (sight.same(self._sight) and np.array_equal(near, self._near)):
+            self._sight, self._scale, self._near = sight, scale, near
             self._draw()
         at = project(self._renderer, self.places)
-        beside = GAP + BESIDE * scale * DIAMOND * pixels_per_metre
+        beside = GAP + BESIDE * scale * DIAMOND * sight.scale
         for actor, seen, (x, y, depth) in zip(self.names[: self.named], near.tolist(), at.tolist(), strict=False):
             actor.SetVisibility(seen and abs(depth) <= 1.0)
             actor.SetPosition(x + beside, y)
@@ -122,6 +116,8 @@ class LandmarksLayer:
         sides = np.where(fresh[:, None, None], ink, pale).repeat(4, axis=1)
         inner = np.tile(ink, (2 * int(fresh.sum()), 1))
         ends = np.concatenate([diamonds.reshape(-1, 2, 3), crosses[fresh].reshape(-1, 2, 3)])
+        if self._sight is not None:
+            ends = self._sight.lift(ends, LIFT * self._scale)
         self.marks.join(ends, np.concatenate([sides.reshape(-1, 3), inner]).astype(np.uint8))
 
     def _put_names(self) -> None:

@@ -187,15 +187,14 @@ class Stage:
     def _before_picture(self, *_: object) -> None:
         """Fit what depends on the camera; changes nothing else, so it asks for no further picture."""
         active = self.renderer.GetActiveCamera()
-        self.renderer.ResetCameraClippingRange()
         size = self.renderer.GetSize()
-        scale = camera.pixels_per_metre(active, size[1])
-        towards = -np.array(active.GetDirectionOfProjection())
-        self.estimates.follow(scale, towards)
-        self.landmarks.follow(scale, towards)
-        self.target.follow(scale, towards)
-        self.compare.follow(scale, towards)
+        sight = camera.sight_of(active, size[1])
+        # The clipping range has no say in where the camera stands; the names' places need one that holds the landmarks.
+        self.renderer.ResetCameraClippingRange()
+        for layer in (self.estimates, self.landmarks, self.target, self.compare):
+            layer.follow(sight)
         self.hints.follow(active, (size[0], size[1]))
+        self.renderer.ResetCameraClippingRange()
 
 
 def _light(renderer: vtkRenderer) -> None:

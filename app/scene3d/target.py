@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
+from app.scene3d.camera import Sight
 from app.scene3d.entry import skin_point
 from app.scene3d.ground import Frame, Ground
 from app.scene3d.looks import Look
@@ -29,9 +30,8 @@ ALONG = 1e-6
 """Sine. A camera that looks along the arrow sees a dot: either side of it will do."""
 LEAST_PIXELS = 13.0
 """Radius of the ring at least, on the screen: on a whole body a ring of its own size would not be found."""
-NEARER = {"rim": -600.0, "core": -1000.0}
-"""How far towards the camera each is drawn, in VTK's units of depth, a few millimetres here: the part's curve must not cut
-the ring, nor the black the white."""
+RIM_LIFT, CORE_LIFT = 3e-3, 5e-3
+"""m. How far towards the camera black and white are drawn: the part's curve must not cut the ring, nor the black the white."""
 BLACK, WHITE = np.zeros(3, np.uint8), np.full(3, 255, np.uint8)
 
 
@@ -54,14 +54,9 @@ class TargetLayer:
         """(3,) float, metres: where the target's line meets the skin."""
         self._scale = 1.0
         """How many times larger than its own size it is drawn."""
-        self._towards: FloatArray = np.zeros(3)
-        """(3,) float, unit: from the part to the camera."""
-        for shape, nearer in ((self.rim, NEARER["rim"]), (self.core, NEARER["core"])):
-            mapper = shape.actor.GetMapper()
-            mapper.SetResolveCoincidentTopologyToPolygonOffset()
-            mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, nearer)
+        self._sight: Sight | None = None
+        for shape in (self.rim, self.core, self.cone):
             renderer.AddActor(shape.actor)
-        renderer.AddActor(self.cone.actor)
 
     def dress(self, look: Look) -> None:
         """Take the cone's colour, between ink and what is not to be in the way; black and white are seen in every theme."""
@@ -83,22 +78,17 @@ class TargetLayer:
         self._draw()
         return True
 
-    def follow(self, pixels_per_metre: float, towards: FloatArray) -> None:
-        """Keep the ring large enough to be found when the camera goes away, and the arrow's head flat to the camera.
-
-        Parameters
-        ----------
-        towards : (3,) float, unit: from the part to the camera
-        """
-        scale = max(1.0, LEAST_PIXELS / (RING * pixels_per_metre))
-        if scale != self._scale or not np.array_equal(towards, self._towards):
-            self._scale, self._towards = scale, towards
+    def follow(self, sight: Sight) -> None:
+        """Keep the ring large enough to be found when the camera goes away, and the arrow's head flat to the camera."""
+        if not sight.same(self._sight):
+            self._scale, self._sight = max(1.0, LEAST_PIXELS / (RING * sight.scale)), sight
             self._draw()
 
     def _draw(self) -> None:
         ends = np.empty((0, 2, 3)) if self._target is None else self._strokes(self._target)
-        for shape, colour in ((self.rim, BLACK), (self.core, WHITE)):
-            shape.join(ends, np.tile(colour, (len(ends), 1)))
+        for shape, colour, by in ((self.rim, BLACK, RIM_LIFT), (self.core, WHITE, CORE_LIFT)):
+            lifted = ends if self._sight is None else self._sight.lift(ends, by * self._scale)
+            shape.join(lifted, np.tile(colour, (len(ends), 1)))
         soft = np.empty((0, 2, 3))
         if self._target is not None and self._leeway:
             soft = self._at + self._scale * cone(self._target.push, self._leeway)
@@ -106,8 +96,9 @@ class TargetLayer:
 
     def _strokes(self, target: Target) -> FloatArray:
         """Return the sides of the ring and the strokes of the arrow, (n, 2, 3) float, metres, on the skin."""
+        towards = np.zeros(3) if self._sight is None else self._sight.towards
         ring = rings(np.zeros((1, 3)), target.normal[None], RING, sides=36).reshape(-1, 2, 3)
-        return self._at + self._scale * np.concatenate([ring, arrow(target.push, self._towards)])
+        return self._at + self._scale * np.concatenate([ring, arrow(target.push, towards)])
 
 
 def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:

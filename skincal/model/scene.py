@@ -325,7 +325,7 @@ def resource(name: str) -> Path:
     InputError
         There is no such resource.
     """
-    here = Path(__file__).resolve().parent
+    here = Path(__file__).resolve().parent.parent
     for folder in (here / "resources", here.parent / "resources"):
         if (folder / name).exists():
             return folder / name

@@ -15,6 +15,7 @@ from scene3d_support import box, estimate
 from scipy.stats import chi2
 
 from app.scene3d import graphics
+from app.scene3d.camera import Sight
 from app.scene3d.entry import contact_point, entry_points
 from app.scene3d.looks import HUES, LIGHT, module_hues
 from app.scene3d.shading import shade
@@ -136,6 +137,22 @@ def test_a_click_means_the_foremost_ball_that_it_hits():
     assert nearest_at(screen, 200.0, 60.0, ball=6.0) == 2
     assert nearest_at(screen, 150.0, 100.0, ball=6.0) is None
     assert nearest_at(screen[:0], 0.0, 0.0, ball=6.0) is None
+
+
+def test_what_is_lifted_stays_where_it_appears_and_comes_nearer(rng):
+    towards = np.array([0.6, 0.0, 0.8])
+    sight, points = Sight(0.5 * towards, towards, 1000.0), rng.uniform((-0.04, -0.04, -0.02), (0.04, 0.04, 0.0), (20, 2, 3))
+    for moved in (sight.lift(points, 3e-3), sight.bring_before(points, box().vertices)):
+        ways, lengths = sight.place - points, np.linalg.norm(sight.place - points, axis=-1)
+        shorter = np.linalg.norm(sight.place - moved, axis=-1) / lengths
+        np.testing.assert_allclose(sight.place - moved, ways * shorter[..., None], atol=1e-12)
+        assert (shorter < 1.0).all()
+    np.testing.assert_allclose(np.linalg.norm(sight.lift(points, 3e-3) - points, axis=-1), 3e-3)
+    before = (sight.place - sight.bring_before(points, box().vertices)) @ towards
+    assert before.max() < ((sight.place - box().vertices) @ towards).min()
+    assert sight.bring_before(points, np.empty((0, 3))) is points
+    behind = sight.place + 0.1 * towards
+    np.testing.assert_array_equal(sight.bring_before(behind, box().vertices), behind)
 
 
 def test_seven_modules_have_seven_hues_and_the_eighth_repeats_the_first():

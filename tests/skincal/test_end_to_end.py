@@ -175,7 +175,7 @@ def test_every_command_shows_an_example(capsys):
 def test_the_readme_shows_what_the_sample_session_really_gives(capsys):
     """Word for word."""
     checkout = Path(__file__).resolve().parents[2]
-    block = (checkout / "README.md").read_text(encoding="utf-8").split("```console\n")[1].split("```")[0]
+    block = (checkout / "docs" / "manual.md").read_text(encoding="utf-8").split("```console\n")[1].split("```")[0]
     command, *shown = block.strip().splitlines()
     words = command.removeprefix("$ skincal ").split()
     assert main([word if "/" not in word else str(checkout / word) for word in words]) == 0
