@@ -221,7 +221,7 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
     if answer.used and answer.correction is not None and RIG not in session.corrections:
         contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
-        noise, surface, model = session.scene.noise, session.surface, model = session.boards
+        noise, surface, model = session.scene.noise, session.surface, session.boards
         solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, model=model)
         rig["methods"] = {
             f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)

@@ -5,7 +5,7 @@ it most is solved without it; the poke's axis passes it at r = E (p - a), two nu
 E S E' + D, with S that of the taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a
 chi-squared of two degrees of freedom, at most 5.99 in 95 of 100 pokes.
 
-By the modules method the module that the poke touched is solved without it (`estimate/board_check.py`), and the axis passes the
+By the modules method the module that the poke touched is solved without it (`predicted_squares`), and the axis passes the
 middle of the pads that answered; the rest is the same.
 
 That tells errors of which the prediction knows nothing: a wrong frame, a slipped sensor, a part that moved. It does not tell

@@ -1,7 +1,7 @@
 """A module's pose in 80 digits, from the numbers as they were read: where a search by Gauss and Newton's steps must end.
 
 A poke (f, m), carried into the link frame, is a line along u = f/|f| through a = u x m/|f|; it passes the middle c of the pads
-that answered by E (a - c), with E any two orthonormal directions across u. By the definition in `board_fit.py` that has the
+that answered by E (a - c), with E any two orthonormal directions across u. By the definition in `pose_fit.py` that has the
 covariance D = E N E' + s^2 (I - o o'), o = E n: since E (c - a) is v.rho for each e of E, v = u x e and rho = u x (c - a),
 
     D_ij = v_i' ((sm/|f|)^2 I + (sf/|f|)^2 S(l) S(l)') v_j + s^2 (e_i.e_j - (e_i.n) (e_j.n)),   l = c - the sensor's origin.

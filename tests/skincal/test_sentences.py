@@ -30,8 +30,8 @@ STATES = (
     (StateReason(Cause.ONE_AXIS), "One axis only: the depth along it is unknown. Poke once more with another tilt."),
     (
         StateReason(Cause.ALIKE_AXES, 3, size=0.0417, angle=float(np.radians(1.24))),
-        "All 3 axes lie within 1.2 degrees of one direction: the depth along it is known to 42 mm only (limit 30 mm). Poke with "
-        "another tilt.",
+        "All 3 axes lie within 1.2 degrees of one direction: the depth along it is known to 42 mm only (limit 30 mm). Poke "
+        "with another tilt.",
     ),
     (
         StateReason(Cause.ALIKE_AXES, 2, angle=1e-9),
@@ -67,8 +67,8 @@ STATES = (
     ),
     (
         StateReason(Cause.MODULE_OFF, size=0.061),
-        "The axes pass its module at 61 mm (limit 50 mm): check the mesh's unit and pose, the arm poses, and which channels the "
-        "module has.",
+        "The axes pass its module at 61 mm (limit 50 mm): check the mesh's unit and pose, the arm poses, and which channels "
+        "the module has.",
     ),
     (
         StateReason(Cause.MODULE_MOVING, size=0.0044),
@@ -95,7 +95,8 @@ STATES = (
     (StateReason(Cause.MEAN_OF_POSES, 2, blind=1), "Mean of 2 poses; 1 are blind and left out."),
     (
         StateReason(Cause.BLIND_IN_POSES, 2, inner=StateReason(Cause.OPPOSED, 4)),
-        "Blind in each of its 2 poses. In the one with most pokes: The 4 pokes push from opposite sides: exclude the wrong ones.",
+        "Blind in each of its 2 poses. In the one with most pokes: The 4 pokes push from opposite sides: exclude the wrong "
+        "ones.",
     ),
     (StateReason(Cause.GIVEN, text="stuck at 255"), "stuck at 255"),
 )
@@ -139,8 +140,8 @@ def test_a_change_says_what_the_file_is_to_say():
         ),
         (
             Unmended(UnmendedKind.NO_RING, (3, 7)),
-            "Module 3 lies where module 7 is planned, but no exchange leads around to it: poke modules 3 and 7 and those beside "
-            "them, so that it is seen where each of them lies.",
+            "Module 3 lies where module 7 is planned, but no exchange leads around to it: poke modules 3 and 7 and those "
+            "beside them, so that it is seen where each of them lies.",
         ),
         (
             Unmended(UnmendedKind.UNLIKE, (10, 11)),
@@ -154,8 +155,8 @@ def test_a_change_says_what_the_file_is_to_say():
         ),
         (
             Unmended(UnmendedKind.NO_NEARER, (1, 2, 3, 4, 5, 6)),
-            "Modules 1, 2, 3, 4 and 2 more do not lie as planned, but no change of the layout lies nearer to their taxels: poke "
-            "them more, and look at them on the part.",
+            "Modules 1, 2, 3, 4 and 2 more do not lie as planned, but no change of the layout lies nearer to their taxels: "
+            "poke them more, and look at them on the part.",
         ),
     ],
 )

@@ -64,7 +64,7 @@ static Vec mean_push(const Contacts *c)
     return vec(sum.x / shares, sum.y / shares, sum.z / shares);
 }
 
-/* The unit vector along the mean push; nought where pushes cancel. */
+/* The unit vector along the mean push; zero where pushes cancel. */
 static Vec along_push(const Contacts *c)
 {
     Vec push = mean_push(c);

@@ -25,7 +25,7 @@ typedef struct {
     int order[3];  /* columns in the order of elimination: root with its columns so ordered is upper triangular */
     int rank;      /* how many directions of p the rows determine */
     Vec solution;  /* of the smallest norm where that is fewer than three */
-    Vec blind;     /* unit, the direction that the rows say nothing of, where the rank is 2; else nought */
+    Vec blind;     /* unit, the direction that the rows say nothing of, where the rank is 2; else zero */
 } Factor;
 
 /* m rows A | b, column by column. */
@@ -95,7 +95,7 @@ static double product_of(const double *p, const double *q, int first, int count)
     return total_of(total);
 }
 
-/* Reflects the rows from k on so that the pivot column is nought below; writes the factor's row k. */
+/* Reflects the rows from k on so that the pivot column is zero below; writes the factor's row k. */
 static void eliminate(Rows *rows, int k, int left[3], Factor *f)
 {
     int count = rows->count, pivot = 0;
@@ -155,7 +155,7 @@ static Vec smallest(const Vec rows[2], int rank, const double offsets[2], Vec *b
     *blind = vec(0, 0, 0);
     if (rank == 0) return *blind;
     if (rank == 1) return times(offsets[0] / dot(rows[0], rows[0]), rows[0]);
-    /* The second row starts with a nought, so it is the better one to take across: rows = L Q', x = Q L^-1 offset. */
+    /* The second row starts with a zero, so it is the better one to take across: rows = L Q', x = Q L^-1 offset. */
     double size = length(rows[0]);
     Vec q1 = times(1.0 / size, rows[0]);
     double shared = dot(rows[1], q1);

@@ -10,7 +10,7 @@
 
 #include "base.h"
 
-/* A squared length below this is nought, as is whatever is divided by it. */
+/* A squared length below this is zero, as is whatever is divided by it. */
 static const double NOUGHT = 1e-300;
 
 static const int AFTER[3] = {1, 2, 0}, BEFORE[3] = {2, 0, 1};
@@ -80,7 +80,7 @@ INLINE Vec point_of(const Closest *found, const Vec corners[3])
 typedef struct {
     Vec away;      /* d, metres */
     int corner;    /* where the point is one, else -1 */
-    double rise;   /* f(d): below nought where the anchor was not the best */
+    double rise;   /* f(d): below zero where the anchor was not the best */
     double unsure; /* the rounding of `rise` */
 } Polished;
 

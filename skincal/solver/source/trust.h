@@ -13,7 +13,7 @@
  *
  * Up to FULL a contact counts fully, so that without outliers the estimate is that of (5); from NONE on not at all; in
  * between by a smooth step. The point from which r counts is found by least squares, then by STEPS steps with weights
- * 1/z^2. With few contacts, or where hardly one would be left, none can be told to be the wrong one.
+ * 1/z^2. With few contacts, or where hardly one would be left, none can be shown to be wrong.
  *
  * It does not see a second touch that moves the axis by no more than the noise does.
  */
@@ -27,7 +27,7 @@
 static const double FULL = 2.8, NONE = 3.8;
 /* Contacts below which all count fully: two of three can agree by chance. */
 static const int FEWEST = 4;
-/* Sum of the trust below which all count fully: where hardly one is left, nobody can tell which one is right. */
+/* Sum of the trust below which all count fully: where hardly one is left, nobody can say which is right. */
 static const double LEFT = 2.0;
 /* A spread found from few misses may be too small: it is raised as limits of Student's t are, by this over its 2 n - 3
  * degrees of freedom. */
@@ -39,7 +39,7 @@ static const int STEPS = 1;
 /* Share of the weights that holds a step back where nearly parallel axes do not determine one: those of 0.6 degrees
  * spread. */
 static const double DAMPING = 1e-4;
-/* Share of a spread's square below which a squared miss counts as that: one miss of nought may not decide. */
+/* Share of a spread's square below which a squared miss counts as that: one miss of zero may not decide. */
 static const double RAISED = 0.1;
 /* Means of ln max(x, RAISED) for x of chi-square, of two degrees of freedom and of one: by numerical integration. */
 static const double USUAL_MISS = 0.1653, USUAL_PITCH = -0.7685;
@@ -59,7 +59,7 @@ INLINE void pull(Pulls *s, double weight, Vec row, double residual)
     s->pull = plus(s->pull, times(residual, w));
 }
 
-/* The step to the minimum, held back by DAMPING; by Cholesky's factors, whose pivots that keeps above nought. */
+/* The step to the minimum, held back by DAMPING; by Cholesky's factors, whose pivots that keeps above zero. */
 static Vec step_of(const Pulls *s)
 {
     double held = DAMPING * (s->xx + s->yy + s->zz);

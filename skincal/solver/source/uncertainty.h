@@ -104,7 +104,7 @@ typedef struct {
     const Noise *noise;
     const Freedom *free;
     Vec p;                     /* metres, where the noise is evaluated */
-    Vec normal;                /* unit, of the skin, of either sign; nought where pushes cancel */
+    Vec normal;                /* unit, of the skin, of either sign; zero where pushes cancel */
     double *first[3], *second[3]; /* how far each contact's two rows move the d coordinates of Q */
 } Carried;
 
@@ -220,7 +220,7 @@ static void add_poses(const Carried *k, double middle[3][3])
 
 /* ---- the largest eigenvalue ---- */
 
-/* Turns rows and columns p and q of a symmetric matrix so that their common number is nought (Jacobi 1846). */
+/* Turns rows and columns p and q of a symmetric matrix so that their common number is zero (Jacobi 1846). */
 static void turn(double a[3][3], double v[3][3], int d, int p, int q)
 {
     if (a[p][q] == 0.0) return;

@@ -38,7 +38,7 @@ def three(trial):
     pokes = poke_landmarks(rig, rig.scene.landmarks, 3, rng)[:3]
     beside = LAYOUT / np.sqrt(3.0) * rng.standard_normal((3, 3))
     pokes = [replace(poke, place=poke.place + off) for poke, off in zip(pokes, beside, strict=True)]
-    return pokes, [one.normal for one in rig.scene.landmarks[:3]], rng
+    return pokes, [landmark.normal for landmark in rig.scene.landmarks[:3]], rng
 
 
 def other_axes(rng):
@@ -60,11 +60,11 @@ def said_right(trial):
     pokes, normals, rng = three(trial)
     kind, axes, motion = trial % 5, other_axes(rng), mounting(rng)
     change = (
-        lambda one: one,
-        lambda one: replace(one, force=axes.T @ one.force, moment=axes.T @ one.moment),
-        lambda one: replace(one, moment=1e3 * one.moment),
-        lambda one: replace(one, force=one.force / GRAVITY),
-        lambda one: replace(one, link_from_sensor=one.link_from_sensor @ motion),
+        lambda poke: poke,
+        lambda contact: replace(contact, force=axes.T @ contact.force, moment=axes.T @ contact.moment),
+        lambda contact: replace(contact, moment=1e3 * contact.moment),
+        lambda contact: replace(contact, force=contact.force / GRAVITY),
+        lambda contact: replace(contact, link_from_sensor=contact.link_from_sensor @ motion),
     )[kind]
     said = diagnose([change(poke) for poke in pokes], normals)
     plain = np.array_equal(said.correction.axes, np.eye(3))
@@ -97,7 +97,7 @@ def on_bad_rigs(count):
 def test_what_is_ordinarily_wrong_with_a_rig_is_no_wrong_frame(count):
     # Measured: 100 and 100 of 100; without the prior 43 and 14.
     said = [diagnose(pokes, normals) for pokes, normals, _ in on_bad_rigs(count)]
-    assert sum(one.right for one in said) >= 0.97 * BAD
+    assert sum(diagnosis.right for diagnosis in said) >= 0.97 * BAD
     none = RigPrior(matrix=0.0, pose_turn=0.0, pose_shift=0.0)
     assert sum(diagnose(pokes, normals, none).right for pokes, normals, _ in on_bad_rigs(count)[:20]) < 0.9 * 20
 
@@ -106,7 +106,7 @@ def test_what_is_ordinarily_wrong_with_a_rig_is_no_wrong_frame(count):
 def test_on_such_a_rig_another_order_of_the_axes_is_named(count):
     named = 0
     for pokes, normals, axes in on_bad_rigs(count):
-        said = diagnose([replace(one, force=axes.T @ one.force, moment=axes.T @ one.moment) for one in pokes], normals)
+        said = diagnose([replace(poke, force=axes.T @ poke.force, moment=axes.T @ poke.moment) for poke in pokes], normals)
         named += np.array_equal(said.correction.axes, axes) and said.correction.moment_scale == 1.0
     assert named >= 0.95 * BAD
 
@@ -185,7 +185,7 @@ def test_a_wrong_frame_is_named_beside_a_poke_at_another_landmark():
     for seed in range(1, SLIPS + 1):
         pokes, normals, slip = one_elsewhere(12, seed)
         axes = other_axes(np.random.default_rng([seed, 96]))
-        said = diagnose([replace(one, force=axes.T @ one.force, moment=axes.T @ one.moment) for one in pokes], normals)
+        said = diagnose([replace(poke, force=axes.T @ poke.force, moment=axes.T @ poke.moment) for poke in pokes], normals)
         named += (
             np.array_equal(said.correction.axes, axes)
             and said.explained
@@ -216,8 +216,8 @@ def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
     unexplained = 0
     for pokes, normals, _ in on_bad_rigs(21)[:SLIPS]:
         # The landmarks' names went round by one.
-        places = [one.place for one in (*pokes[1:6], pokes[0])] * 4
-        said = diagnose([replace(one, place=place) for one, place in zip(pokes, places[:21], strict=True)], normals)
+        places = [landmark.place for landmark in (*pokes[1:6], pokes[0])] * 4
+        said = diagnose([replace(poke, place=place) for poke, place in zip(pokes, places[:21], strict=True)], normals)
         assert not (said.sure and said.right)
         unexplained += not said.explained
         if not said.explained:
@@ -229,7 +229,7 @@ def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
 
 def test_a_reaction_is_shown_by_the_surface_where_landmarks_have_no_normal():
     rig = rig_of(1)
-    bare = [replace(one, normal=None) for one in rig.scene.landmarks[:3]]
+    bare = [replace(landmark, normal=None) for landmark in rig.scene.landmarks[:3]]
     pokes, _, _ = three(0)
     reaction = [replace(poke, force=-poke.force, moment=-poke.moment) for poke in pokes]
     normals = landmark_normals(bare, rig.surface)

@@ -20,8 +20,8 @@ def tube(around=48, along=30, length=0.2) -> Surface:
     a, h = np.meshgrid(angle, height, indexing="ij")
     vertices = np.stack([RADIUS * np.cos(a), RADIUS * np.sin(a), h], axis=-1).reshape(-1, 3)
     i = (np.arange(around)[:, None] * (along + 1) + np.arange(along)).ravel()
-    one, two = np.stack([i, i + along + 1, i + 1], axis=1), np.stack([i + 1, i + along + 1, i + along + 2], axis=1)
-    return make_surface(vertices, np.concatenate([one, two]))
+    lower, upper = np.stack([i, i + along + 1, i + 1], axis=1), np.stack([i + 1, i + along + 1, i + along + 2], axis=1)
+    return make_surface(vertices, np.concatenate([lower, upper]))
 
 
 def random_pose(rng, reach=0.2):
@@ -94,12 +94,12 @@ def test_taxels_are_recovered_without_noise_over_several_poses(method):
     surface = tube()
     found = solve(contacts, range(12), method, NOISE, surface)
     for channel, (point, normal) in enumerate(zip(points, normals, strict=True)):
-        one = found[channel]
-        assert one.state is State.ESTIMATED
-        assert one.contacts == 5
-        np.testing.assert_allclose(one.position, point, atol=1e-12)
-        assert one.normal @ normal > (0.85 if method is Method.FREE else 1 - 1e-12)
-        assert (one.triangle is None) == (method is Method.FREE)
+        estimate = found[channel]
+        assert estimate.state is State.ESTIMATED
+        assert estimate.contacts == 5
+        np.testing.assert_allclose(estimate.position, point, atol=1e-12)
+        assert estimate.normal @ normal > (0.85 if method is Method.FREE else 1 - 1e-12)
+        assert (estimate.triangle is None) == (method is Method.FREE)
 
 
 def stacked_system(contacts, channel, doubted):
@@ -157,10 +157,10 @@ def test_the_order_of_the_pokes_leaves_no_trace(method):
     contacts, _, _ = session(rng, exact=False)
     contacts += contacts[:7]
     surface = tube()
-    one = solve(contacts, range(12), method, NOISE, surface)
+    plain = solve(contacts, range(12), method, NOISE, surface)
     for _ in range(4):
         shuffled = [contacts[i] for i in rng.permutation(len(contacts))]
-        same(one, solve(shuffled, range(12), method, NOISE, surface))
+        same(plain, solve(shuffled, range(12), method, NOISE, surface))
 
 
 @pytest.mark.parametrize("method", PER_TAXEL)
@@ -176,8 +176,8 @@ def test_solving_a_few_taxels_gives_the_bits_of_solving_all(method):
     same({3: everything[3]}, solve(fewer, [3], method, NOISE, surface))
 
 
-def same(one, other):
-    for channel, estimate in one.items():
+def same(here, other):
+    for channel, estimate in here.items():
         twin = other[channel]
         assert (estimate.state, estimate.contacts, estimate.triangle) == (twin.state, twin.contacts, twin.triangle)
         for name in ("position", "normal", "covariance", "weakest"):
@@ -196,10 +196,10 @@ def test_estimates_turn_with_a_rigid_motion_of_everything(method):
         Contact(c.poke, 0.0, 1.0, c.force, c.moment, c.channels, c.responses, motion @ c.link_from_sensor, c.pose, 0.0, True)
         for c in contacts
     ]
-    one = solve(contacts, range(12), method, NOISE, surface)
+    plain = solve(contacts, range(12), method, NOISE, surface)
     two = solve(moved, range(12), method, NOISE, moved_surface)
     for channel in range(12):
-        a, b = one[channel], two[channel]
+        a, b = plain[channel], two[channel]
         np.testing.assert_allclose(rotation @ a.position + shift, b.position, atol=1e-10)
         np.testing.assert_allclose(rotation @ a.normal, b.normal, atol=1e-9)
         np.testing.assert_allclose(rotation @ a.covariance @ rotation.T, b.covariance, atol=1e-13)
@@ -279,16 +279,16 @@ def test_no_triangle_faces_the_poke():
     inside_out = make_surface(surface.vertices, surface.triangles[:, ::-1])
     contacts = [poke(1, np.array([RADIUS, 0, 0.1]), np.array([0.0, 0.0, -8.0]))]
     for mesh in (surface, inside_out):
-        one = solve(contacts, [0], Method.SURFACE, NOISE, mesh)[0]
-        assert one.state is State.BLIND
-        assert one.reason.cause is Cause.NO_TRIANGLE
+        estimate = solve(contacts, [0], Method.SURFACE, NOISE, mesh)[0]
+        assert estimate.state is State.BLIND
+        assert estimate.reason.cause is Cause.NO_TRIANGLE
 
 
 def test_pushes_from_opposite_sides_have_no_outward_side():
     contacts = [poke(i, np.array([RADIUS, 0, 0.1]), np.array([8.0 * s, 0.1, 0.0])) for i, s in ((1, 1), (2, -1))]
-    one = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
-    assert one.state is State.BLIND
-    assert (one.reason.cause, one.reason.count) == (Cause.OPPOSED, 2)
+    estimate = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
+    assert estimate.state is State.BLIND
+    assert (estimate.reason.cause, estimate.reason.count) == (Cause.OPPOSED, 2)
 
 
 def test_axes_that_miss_the_part_altogether_are_blind():
@@ -296,10 +296,10 @@ def test_axes_that_miss_the_part_altogether_are_blind():
     contacts = [poke(1, np.array([RADIUS, 0, 0.1]), np.array([-8.0, 0, 0]))]
     for shift, state in ((0.0, State.ESTIMATED), (0.14, State.ESTIMATED), (0.4, State.BLIND)):
         moved = make_surface(tube().vertices + np.array([0, 0, shift]), tube().triangles)
-        one = solve(contacts, [0], Method.SURFACE, NOISE, moved)[0]
-        assert one.state is state
-    assert one.reason.cause is Cause.OFF_SURFACE
-    assert one.reason.size == pytest.approx(0.3, abs=5e-4)
+        estimate = solve(contacts, [0], Method.SURFACE, NOISE, moved)[0]
+        assert estimate.state is state
+    assert estimate.reason.cause is Cause.OFF_SURFACE
+    assert estimate.reason.size == pytest.approx(0.3, abs=5e-4)
 
 
 def test_axes_that_pass_each_other_far_off_are_no_estimate():
@@ -308,21 +308,21 @@ def test_axes_that_pass_each_other_far_off_are_no_estimate():
     for apart, state in ((0.0, State.ESTIMATED), (0.08, State.ESTIMATED), (0.3, State.BLIND)):
         aside = np.array([0, 0, apart])
         contacts = [poke(1, point, np.array([-8.0, 0, 0])), poke(2, point + aside, np.array([-6.0, 4.0, 0]))]
-        one = solve(contacts, [0], Method.FREE, NOISE, None)[0]
-        assert one.state is state
-        assert (one.position is None) == (state is State.BLIND)
-    assert one.reason.cause is Cause.AXES_APART
-    assert one.reason.size == pytest.approx(0.15, abs=5e-4)
+        estimate = solve(contacts, [0], Method.FREE, NOISE, None)[0]
+        assert estimate.state is state
+        assert (estimate.position is None) == (state is State.BLIND)
+    assert estimate.reason.cause is Cause.AXES_APART
+    assert estimate.reason.size == pytest.approx(0.15, abs=5e-4)
 
 
 def test_pokes_that_graze_the_surface_are_blind():
     flat = make_surface(np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
     contacts = [poke(1, np.zeros(3), np.array([8.0, 0.0, -0.1]))]
-    one = solve(contacts, [0], Method.SURFACE, NOISE, flat)[0]
-    assert one.state is State.BLIND
-    assert one.reason.cause is Cause.GRAZING
-    assert abs(one.weakest[0]) > 0.99
-    assert one.sd > 0.03
+    estimate = solve(contacts, [0], Method.SURFACE, NOISE, flat)[0]
+    assert estimate.state is State.BLIND
+    assert estimate.reason.cause is Cause.GRAZING
+    assert abs(estimate.weakest[0]) > 0.99
+    assert estimate.sd > 0.03
 
 
 @pytest.mark.parametrize("what", ["force", "moment", "link_from_sensor", "responses", "no force", "negative response"])
@@ -365,12 +365,12 @@ def test_nothing_is_ever_nan_however_extreme_the_numbers():
             for i in range(1, int(rng.integers(2, 6)))
         ]
         for method in PER_TAXEL:
-            one = solve(contacts, [0], method, NOISE, surface)[0]
+            estimate = solve(contacts, [0], method, NOISE, surface)[0]
             for name in ("position", "normal", "covariance", "weakest", "sd", "rms"):
-                value = getattr(one, name)
+                value = getattr(estimate, name)
                 assert value is None or np.isfinite(value).all()
-            assert (one.position is None) == (one.state is not State.ESTIMATED)
-            assert one.reason or one.state is State.ESTIMATED
+            assert (estimate.position is None) == (estimate.state is not State.ESTIMATED)
+            assert estimate.reason or estimate.state is State.ESTIMATED
 
 
 def test_poses_averaged_as_in_the_paper():
@@ -397,11 +397,15 @@ def test_poses_averaged_as_in_the_paper():
         found = average_over_poses(shaken, range(6), method, NOISE, surface)
         of_poses = [solve([c for c in shaken if c.pose == f"pose {i}"], range(6), method, NOISE, surface) for i in range(3)]
         for channel in range(6):
-            ones = [one[channel] for one in of_poses if one[channel].position is not None]
-            assert len(ones) == 3
-            np.testing.assert_allclose(found[channel].position, np.mean([one.position for one in ones], axis=0), atol=1e-15)
-            np.testing.assert_allclose(found[channel].covariance, np.sum([one.covariance for one in ones], axis=0) / 9)
-            assert found[channel].contacts == sum(one[channel].contacts for one in of_poses)
+            seen = [pose[channel] for pose in of_poses if pose[channel].position is not None]
+            assert len(seen) == 3
+            np.testing.assert_allclose(
+                found[channel].position, np.mean([estimate.position for estimate in seen], axis=0), atol=1e-15
+            )
+            np.testing.assert_allclose(
+                found[channel].covariance, np.sum([estimate.covariance for estimate in seen], axis=0) / 9
+            )
+            assert found[channel].contacts == sum(pose[channel].contacts for pose in of_poses)
             assert (found[channel].reason.cause, found[channel].reason.count) == (Cause.MEAN_OF_POSES, 3)
         same(found, average_over_poses(shaken[::-1], range(6), method, NOISE, surface))
 
@@ -410,9 +414,9 @@ def test_a_pose_in_which_a_taxel_is_blind_does_not_count():
     point = np.array([RADIUS, 0.0, 0.1])
     good = [poke(i, point, 8 * np.array([-1.0, 0.3 * s, 0.0]), name="a") for i, s in enumerate((-1, 0, 1), start=1)]
     lone = poke(4, point + 0.01, np.array([-8.0, 0, 0]), name="b")
-    one = average_over_poses([lone, *good], [0], Method.FREE, NOISE, None)[0]
-    np.testing.assert_allclose(one.position, point, atol=1e-14)
-    assert (one.reason.count, one.reason.blind) == (1, 1)
+    estimate = average_over_poses([lone, *good], [0], Method.FREE, NOISE, None)[0]
+    np.testing.assert_allclose(estimate.position, point, atol=1e-14)
+    assert (estimate.reason.count, estimate.reason.blind) == (1, 1)
     blind = average_over_poses([lone], [0, 1], Method.FREE, NOISE, None)
     assert blind[0].state is State.BLIND
     assert (blind[0].reason.cause, blind[0].reason.inner.cause) == (Cause.BLIND_IN_POSES, Cause.ONE_AXIS)
