@@ -14,7 +14,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
-from skincal.taxels.solve import Solution, estimate_free, estimate_surface, solve
+from skincal.taxels.solve import estimate_free, estimate_surface, solve
 
 if TYPE_CHECKING:
     from skincal.modules.pose import ModuleModel
@@ -95,8 +95,8 @@ def estimate_from(
     for first, after in _blocks(evidence):
         part = evidence.part(first, after)
         solution = solve(part, methods, noise, surface, _triangles(part, last), doubting)
-        for method, estimates in _estimates(solution, surface).items():
-            solved[method].update((estimate.channel, estimate) for estimate in estimates)
+        for estimate in (*estimate_free(solution), *estimate_surface(solution, surface)):
+            solved[estimate.method][estimate.channel] = estimate
     return {
         method: {channel: found.get(channel) or _without(channel, method, dead) for channel in channels}
         for method, found in solved.items()
@@ -109,15 +109,6 @@ def _blocks(evidence: Evidence) -> list[tuple[int, int]]:
     edges = np.searchsorted(evidence.starts, np.arange(0, len(evidence.pokes), _AT_ONCE), side="left")
     cuts = sorted({*edges.tolist(), count})
     return [(a, b) for a, b in pairwise(cuts) if b > a]
-
-
-def _estimates(solution: Solution, surface: Surface | None) -> dict[Method, list[Estimate]]:
-    estimates: dict[Method, list[Estimate]] = {}
-    if solution.free is not None:
-        estimates[Method.FREE] = estimate_free(solution, solution.free)
-    if solution.surface is not None and surface is not None:
-        estimates[Method.SURFACE] = estimate_surface(solution, solution.surface, surface)
-    return estimates
 
 
 def _triangles(evidence: Evidence, last: Mapping[int, Estimate]) -> IntArray:

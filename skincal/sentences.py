@@ -21,71 +21,62 @@ MOST_NAMED = 4
 OF_RIG = 0.005
 """m. Pokes that pass their landmarks at more under a right frame show errors of the rig: noise and a hand make 1 to 3 mm."""
 
-_FIXED = {
+_STATES = {
     Cause.UNPOKED: "No accepted poke touched this taxel.",
-    Cause.MODULE_UNPOKED: "No accepted poke touched its module.",
-    Cause.BY_MODULE: "Not poked itself; known by its module.",
     Cause.ONE_AXIS: "One axis only: the depth along it is unknown. Poke once more with another tilt.",
+    Cause.ALIKE_AXES: (
+        "All {count} axes lie within {degrees:.1f} degrees of one direction: the depth along it {depth} (limit {sd_max}). "
+        "Poke with another tilt."
+    ),
+    Cause.AXES_APART: (
+        "The axes pass each other at {mm:.0f} mm from their middle (limit {miss_max}): check the arm poses, or exclude the "
+        "wrong pokes."
+    ),
+    Cause.OPPOSED: "The {count} pokes push from opposite sides: exclude the wrong ones.",
     Cause.NO_TRIANGLE: (
         "No triangle of the surface faces the pokes: check that its normals point outward and the wrench's sign."
     ),
-    Cause.GRAZING: (
-        f"The pokes graze the surface, so that their axes do not fix a point on it to {SD_MAX * 1e3:.0f} mm: poke steeper."
-    ),
+    Cause.OFF_SURFACE: "The axes pass the surface at {mm:.0f} mm (limit {miss_max}): check the mesh's unit and pose.",
+    Cause.GRAZING: "The pokes graze the surface, so that their axes do not fix a point on it to {sd_max}: poke steeper.",
+    Cause.MODULE_UNPOKED: "No accepted poke touched its module.",
     Cause.MODULE_UNPLACED: (
         "Its module answered only beside others, or the plan does not say where it is: poke its own taxels."
     ),
+    Cause.MODULE_OFF: (
+        "The axes pass its module at {mm:.0f} mm (limit {miss_max}): check the mesh's unit and pose, the arm poses, and which "
+        "channels the module has."
+    ),
+    Cause.MODULE_MOVING: (
+        "Where its module lies does not settle (to {mm:.1f} mm): poke taxels farther apart, with other tilts."
+    ),
     Cause.MODULE_BEHIND: "The pokes push its module from behind: check the wrench's sign and the surface's normals.",
     Cause.MODULE_ONE_POKE: "One poke on its module does not tell how that is turned. Poke another of its taxels.",
+    Cause.MODULE_LOOSE: ("The {count} pokes on its module {tell} how that lies: poke taxels farther apart, with other tilts."),
+    Cause.BY_MODULE: "Not poked itself; known by its module.",
+    Cause.MEAN_OF_POSES: "Mean of {count} poses{left_out}.",
+    Cause.BLIND_IN_POSES: "Blind in each of its {count} poses. In the one with most pokes: {inner}",
+    Cause.GIVEN: "{text}",
 }
-"""Causes without a number."""
+"""Sentences on a taxel's state, filled in by `state_sentence`."""
 
 
 def state_sentence(reason: StateReason | None) -> str:
     """Return why a taxel's state is what it is; empty for None."""
     if reason is None:
         return ""
-    if reason.cause in _FIXED:
-        return _FIXED[reason.cause]
-    if reason.inner is not None:
-        inner = state_sentence(reason.inner)
-        return f"Blind in each of its {reason.count} poses. In the one with most pokes: {inner}"
-    if reason.size is not None and reason.cause in (Cause.AXES_APART, Cause.OFF_SURFACE, Cause.MODULE_OFF, Cause.MODULE_MOVING):
-        return _off_sentence(reason.cause, reason.size)
-    return _counted_sentence(reason)
-
-
-def _off_sentence(cause: Cause, metres: float) -> str:
-    """Return the sentence of a cause that is a distance."""
-    off, limit = f"{metres * 1e3:.0f} mm", f"(limit {MISS_MAX * 1e3:.0f} mm)"
-    if cause is Cause.AXES_APART:
-        return f"The axes pass each other at {off} from their middle {limit}: check the arm poses, or exclude the wrong pokes."
-    if cause is Cause.OFF_SURFACE:
-        return f"The axes pass the surface at {off} {limit}: check the mesh's unit and pose."
-    if cause is Cause.MODULE_OFF:
-        causes = "check the mesh's unit and pose, the arm poses, and which channels the module has."
-        return f"The axes pass its module at {off} {limit}: {causes}"
-    return f"Where its module lies does not settle (to {metres * 1e3:.1f} mm): poke taxels farther apart, with other tilts."
-
-
-def _counted_sentence(reason: StateReason) -> str:
-    """Return the sentence of a cause that counts pokes, axes or arm poses, or the text that was given."""
-    count = reason.count
-    if reason.cause is Cause.ALIKE_AXES:
-        degrees = f"{max(float(np.degrees(reason.angle)), 0.1):.1f} degrees"
-        known = "is unknown" if reason.size is None else f"is known to {_coarse(reason.size)} only"
-        return (
-            f"All {count} axes lie within {degrees} of one direction: the depth along it {known} "
-            f"(limit {SD_MAX * 1e3:.0f} mm). Poke with another tilt."
-        )
-    if reason.cause is Cause.OPPOSED:
-        return f"The {count} pokes push from opposite sides: exclude the wrong ones."
-    if reason.cause is Cause.MODULE_LOOSE:
-        known = "do not tell" if reason.size is None else f"tell it to worse than {SD_MAX * 1e3:.0f} mm"
-        return f"The {count} pokes on its module {known} how that lies: poke taxels farther apart, with other tilts."
-    if reason.cause is Cause.MEAN_OF_POSES:
-        return f"Mean of {count} poses" + (f"; {reason.blind} are blind and left out." if reason.blind else ".")
-    return reason.text
+    size = reason.size
+    return _STATES[reason.cause].format(
+        count=reason.count,
+        mm=0.0 if size is None else size * 1e3,
+        degrees=max(float(np.degrees(reason.angle)), 0.1),
+        depth="is unknown" if size is None else f"is known to {_coarse(size)} only",
+        tell="do not tell" if size is None else f"tell it to worse than {SD_MAX * 1e3:.0f} mm",
+        left_out=f"; {reason.blind} are blind and left out" if reason.blind else "",
+        inner=state_sentence(reason.inner),
+        text=reason.text,
+        miss_max=f"{MISS_MAX * 1e3:.0f} mm",
+        sd_max=f"{SD_MAX * 1e3:.0f} mm",
+    )
 
 
 def _coarse(metres: float) -> str:

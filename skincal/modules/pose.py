@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -64,35 +64,17 @@ class Pads:
     """(n,) of the surface; -1 without one."""
 
 
-class ModuleGround(Protocol):
-    """What modules lie on."""
-
-    unknowns: int
-    """d, of each module."""
-
-    def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie, one pad a module."""
-        ...
-
-    def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses (n,) moved by `moves` (n, d)."""
-        ...
-
-    def axes(self, normals: FloatArray) -> FloatArray:
-        """Return (n, t, 3) what the last t unknowns turn places with `normals` (n, 3) about."""
-        ...
-
-
 class ModulesOnSurface:
     """A surface that modules are bent onto."""
 
     unknowns = 3
+    """d, of each module."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads lie: at the ends of the geodesics that lead there in the module's plane."""
+        """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie: at the ends of geodesics."""
         end = self.surface.unfolded.walk(_footing(poses), flat).end
         normals = self.surface.normals[end.triangles]
         x, y = end.x, crossed(normals, end.x)
@@ -100,7 +82,7 @@ class ModulesOnSurface:
         return Pads(end.points, np.stack([x, y, turn], axis=2), normals, end.triangles)
 
     def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses at the ends of the moves' ways, turned there."""
+        """Return the poses (n,) moved by `moves` (n, 3): at the ends of geodesics, turned there."""
         end = self.surface.unfolded.walk(_footing(poses), moves[:, :2]).end
         normals = self.surface.normals[end.triangles]
         y = crossed(normals, end.x)
@@ -108,7 +90,7 @@ class ModulesOnSurface:
         return ModulePoses(end.points, c * end.x + s * y, normals, end.triangles)
 
     def axes(self, normals: FloatArray) -> FloatArray:
-        """Return the normals: a module turns in its plane."""
+        """Return (n, 1, 3) the axes that the last unknown turns places about, the normals: a module turns in its plane."""
         return normals[:, None]
 
 
@@ -118,20 +100,24 @@ class ModulesInSpace:
     unknowns = 6
 
     def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads lie in the planes of their modules."""
+        """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie, in the planes of the modules."""
         arms = flat[:, :1] * poses.x + flat[:, 1:] * crossed(poses.normals, poses.x)
         gradients = np.concatenate([np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / LEVER], axis=2)
         return Pads(poses.points + arms, gradients, poses.normals, poses.triangles)
 
     def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses, shifted and turned."""
+        """Return the poses (n,) moved by `moves` (n, 6): shifted and turned."""
         turn = rotations(moves[:, 3:] / LEVER)
         x, normals = (np.sum(turn * v[:, None], axis=2) for v in (poses.x, poses.normals))
         return ModulePoses(poses.points + moves[:, :3], x, normals, poses.triangles)
 
     def axes(self, normals: FloatArray) -> FloatArray:
-        """Return the three axes, for each."""
+        """Return (n, 3, 3) the axes that the last three unknowns turn places about: those of the link."""
         return np.tile(np.eye(3), (len(normals), 1, 1))
+
+
+ModuleGround: TypeAlias = ModulesOnSurface | ModulesInSpace
+"""What modules lie on."""
 
 
 def _footing(poses: ModulePoses) -> Footing:

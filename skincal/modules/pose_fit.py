@@ -556,8 +556,9 @@ def _chosen(first: NDArray[np.bool_], here: _Rows, there: _Rows) -> _Rows:
     """Return the rows of `here` where `first` (n,), else those of `there`."""
     if first.all() or not first.any():
         return here if first.all() else there
-    pairs = [(getattr(here, field.name), getattr(there, field.name)) for field in fields(here)]
-    return type(here)(*(np.where(first.reshape(-1, *[1] * (own.ndim - 1)), own, other) for own, other in pairs))
+    own, other = ([np.asarray(getattr(rows, field.name)) for field in fields(here)] for rows in (here, there))
+    pairs = zip(own, other, strict=True)
+    return type(here)(*(np.where(first.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
 def _shifted(pads: Pads, steps: FloatArray) -> Pads:

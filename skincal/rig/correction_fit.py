@@ -74,29 +74,23 @@ class PlacedPokes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModuleGroups:
+class _Groups:
+    pokes: IntArray
+    """(m,) numbers of the pokes."""
+    of: IntArray
+    """(m,) group of each poke, 0 to `count` - 1."""
+    count: int
+    trust: FloatArray
+    """(m,) of each poke, from the fit of the taxels or modules alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleGroups(_Groups):
     """The modules that were poked, each rigid."""
 
     model: ModuleModel
     touches: Touches
     poses: ModulePoses
-    trust: FloatArray
-    """(m,) of each poke, from the fit of the modules alone."""
-
-    @property
-    def pokes(self) -> IntArray:
-        """(m,) numbers of the pokes."""
-        return self.touches.evidence.pokes[self.touches.rows]
-
-    @property
-    def of(self) -> IntArray:
-        """(m,) group of each poke, 0 to `count` - 1."""
-        return self.touches.of
-
-    @property
-    def count(self) -> int:
-        """How many groups there are."""
-        return len(self.touches.modules)
 
     def placed(self) -> PlacedPokes:
         """Return where the pokes are."""
@@ -114,17 +108,13 @@ class ModuleGroups:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TaxelGroups:
+class TaxelGroups(_Groups):
     """The taxels that were poked, each by itself."""
 
-    pokes: IntArray
-    of: IntArray
-    count: int
     points: FloatArray
     """(count, 3) float, metres."""
     offsets: FloatArray
     """(m,) float, m^2: variance of the contact beside its taxel, each direction."""
-    trust: FloatArray
 
     def placed(self) -> PlacedPokes:
         """Return where the pokes are: at their taxels."""
@@ -151,7 +141,11 @@ def module_groups(
     """
     evidence = table.evidence(channels)
     fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, [estimates])
-    return None if fit is None else ModuleGroups(model, fit[0], fit[1].poses, fit[1].trust)
+    if fit is None:
+        return None
+    touches, fitted = fit
+    pokes = evidence.pokes[touches.rows]
+    return ModuleGroups(pokes, touches.of, len(touches.modules), fitted.trust, model, touches, fitted.poses)
 
 
 def taxel_groups(
@@ -264,16 +258,6 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     return fit.answer(names)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """One linear solve."""
-
-    step: FloatArray
-    """(n,) from the prior's zero."""
-    root: FloatArray
-    """(n, n) upper triangular: root' root is the information."""
-
-
 class _Fit:
     """Steps of Gauss and Newton over the rig and the rigid groups."""
 
@@ -297,13 +281,12 @@ class _Fit:
         base, tops = self._without_groups(self.state.unknowns(self.scales))
         rows = self._landmark_rows(self.state)
         for _ in range(ROUNDS):
-            solved = _solved(base, rows, self.trust)
-            self.trust = _trusted(rows, solved, self.trust)
-        solved = _solved(base, rows, self.trust)
+            self.trust = _trusted(rows, *_solved(base, rows, self.trust), self.trust)
+        step, _ = _solved(base, rows, self.trust)
         self._last = (rows, base)
-        self.state = self.state.moved(solved.step, self.scales)
+        self.state = self.state.moved(step, self.scales)
         if self.groups is not None:
-            self.groups = self.groups.moved(np.stack([_group_move(top, solved.step) for top in tops]))
+            self.groups = self.groups.moved(np.stack([_group_move(top, step) for top in tops]))
 
     def _landmark_rows(self, state: RigState) -> RigRows:
         return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
@@ -332,7 +315,7 @@ class _Fit:
         before, after = (np.average(np.sum(own**2, axis=1), weights=self.trust) for own in (reported.misses, held))
         # Misses are in standard deviations; this is how many metres one of them is on average.
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
-        root = _solved(base, rows, self.trust).root
+        _, root = _solved(base, rows, self.trust)
         known = np.sqrt(np.sum(np.asarray(np.linalg.inv(root), dtype=np.float64) ** 2, axis=1))
         pokes = [poke.poke for poke in self.landmarks]
         poses = zip(names, self.state.turns, self.state.shifts, strict=True)
@@ -356,7 +339,7 @@ class _Fit:
         quarter = np.array([names.index(poke.name) % HELD_OUT for poke in self.landmarks])
         for out in range(HELD_OUT):
             own = quarter == out
-            step = _solved(base, rows, np.where(own, 0.0, self.trust)).step
+            step, _ = _solved(base, rows, np.where(own, 0.0, self.trust))
             held[own] = rows.misses[own] + rows.of_rig[own] @ step
         return held
 
@@ -390,22 +373,27 @@ def qr_factor(rows: FloatArray) -> FloatArray:
     return np.asarray(factor, dtype=np.float64)
 
 
-def _solved(base: FloatArray, rows: RigRows, trust: FloatArray) -> _Solved:
-    """Return the minimum of all rows, those of landmarks by their trust."""
+def _solved(base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the minimum of all rows, those of landmarks by their trust.
+
+    Returns
+    -------
+    (n,) the step from the prior's zero, and (n, n) upper triangular the root of the information, root' root.
+    """
     own = np.concatenate([rows.of_rig, rows.misses[:, :, None]], axis=2) * np.sqrt(trust)[:, None, None]
     factor = qr_factor(np.concatenate([base, own.reshape(-1, own.shape[2])]))
     root = factor[:-1, :-1]
-    return _Solved(-np.asarray(np.linalg.solve(root, factor[:-1, -1]), dtype=np.float64), root)
+    return -np.asarray(np.linalg.solve(root, factor[:-1, -1]), dtype=np.float64), root
 
 
-def _trusted(rows: RigRows, solved: _Solved, trust: FloatArray) -> FloatArray:
+def _trusted(rows: RigRows, step: FloatArray, root: FloatArray, trust: FloatArray) -> FloatArray:
     """Return the trust of landmark pokes by what all others predict for each.
 
     With H = A (root' root)^-1 A' of a poke that counts k, its miss r under the fit has the covariance 1/k - H where all is
     noise: so r' (I - k H)^-1 r is chi-square for a poke that counts fully, and (I + H) takes the place for one that does not.
     """
-    misses = rows.misses + rows.of_rig @ solved.step
-    spread = np.asarray(np.linalg.solve(solved.root.T, rows.of_rig.reshape(-1, rows.of_rig.shape[2]).T), dtype=np.float64)
+    misses = rows.misses + rows.of_rig @ step
+    spread = np.asarray(np.linalg.solve(root.T, rows.of_rig.reshape(-1, rows.of_rig.shape[2]).T), dtype=np.float64)
     spread = spread.T.reshape(*misses.shape, -1)
     leverage = spread @ spread.transpose(0, 2, 1)
     counts = (trust > 0.5)[:, None, None]

@@ -155,7 +155,7 @@ def diagnose(
     some = [len(pokes) * i // count for i in range(count)]
     used = [pokes[i] for i in some]
     asked = _Asked.of(used, [normals[i] for i in some], prior or RigPrior())
-    reported, *wrong = _discrete(asked, _named())
+    reported, *wrong = _discrete(asked)
     wrong = sorted([*wrong, _elsewhere(asked)], key=lambda hypothesis: hypothesis.cost)
     best = reported if reported.cost - RIGHT <= wrong[0].cost else wrong[0]
     first, second = sorted([reported.cost - RIGHT, *(hypothesis.cost for hypothesis in wrong)])[:2]
@@ -176,28 +176,12 @@ def diagnose(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Named:
-    """The h mistakes of axes and units; the first is none."""
-
-    corrections: tuple[FrameCorrection, ...]
-    axes: FloatArray
-    """(h, 3, 3) float."""
-    scales: FloatArray
-    """(2, h) float: of force and moment."""
-
-
 @lru_cache(maxsize=1)
-def _named() -> _Named:
-    """Return every order of the axes with signs, in every unit."""
-    corrections = tuple(
+def _named() -> tuple[FrameCorrection, ...]:
+    """Return every order of the axes with signs, in every unit; the first is no mistake."""
+    return tuple(
         FrameCorrection(np.array(signs)[:, None] * np.eye(3)[list(order)], *units)
         for order, signs, units in product(permutations(range(3)), product((1.0, -1.0), repeat=3), UNITS)
-    )
-    return _Named(
-        corrections,
-        np.array([correction.axes for correction in corrections]),
-        np.array([[correction.force_scale, correction.moment_scale] for correction in corrections]).T,
     )
 
 
@@ -284,16 +268,17 @@ class _Rows:
     """(h, n) float, metres."""
 
 
-def _discrete(asked: _Asked, named: _Named) -> list[_Hypothesis]:
-    """Weigh every order of the axes with signs, and every unit, in the order of `named`."""
-    turned = named.axes.transpose(0, 2, 1)
-    force = named.scales[0][:, None, None] * (asked.force @ turned)
-    moment = named.scales[1][:, None, None] * (asked.moment @ turned)
+def _discrete(asked: _Asked) -> list[_Hypothesis]:
+    """Weigh every order of the axes with signs, and every unit, in the order of `_named`."""
+    turned = np.array([mistake.axes for mistake in _named()]).transpose(0, 2, 1)
+    force_scales, moment_scales = np.array([[mistake.force_scale, mistake.moment_scale] for mistake in _named()]).T
+    force = force_scales[:, None, None] * (asked.force @ turned)
+    moment = moment_scales[:, None, None] * (asked.moment @ turned)
     rows = asked.rows(force, moment, RigState.at_prior(1))
     sides = asked.cost_of_sides(force, asked.reported[:, :3, :3])
     costs, besides = _least(_costs(rows.misses, rows.covariances), sides)
     costs += _cost_of_size(force)
-    return [_Hypothesis(*row) for row in zip(named.corrections, costs.tolist(), rows.distances, besides, strict=True)]
+    return [_Hypothesis(*row) for row in zip(_named(), costs.tolist(), rows.distances, besides, strict=True)]
 
 
 def _costs(misses: FloatArray, covariances: FloatArray) -> FloatArray:

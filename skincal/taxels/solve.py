@@ -179,13 +179,11 @@ def _on_surface(answer: NDArray[Any]) -> SurfacePoints:
     )
 
 
-def estimate_free(solution: Solution, uncertain: Uncertainty) -> list[Estimate]:
-    """Return each taxel's estimate by the free method; blind where its axes do not fix a point or pass it far off.
-
-    Parameters
-    ----------
-    uncertain : `solution.free`
-    """
+def estimate_free(solution: Solution) -> list[Estimate]:
+    """Return each taxel's estimate by the free method; blind where its axes do not fix a point or pass it far off."""
+    uncertain = solution.free
+    if uncertain is None:
+        return []
     evidence, points, ranks = solution.evidence, solution.factors.solutions, solution.factors.ranks
     normals, doubted = solution.outward, solution.doubted
     # Lists, since numbers of arrays one by one take ten times as long.
@@ -221,15 +219,14 @@ def _why_blind_free(evidence: Evidence, axis: FloatArray, sd: float) -> StateRea
     return StateReason(Cause.ALIKE_AXES, len(directions), size=sd if np.isfinite(sd) else None, angle=angle)
 
 
-def estimate_surface(solution: Solution, found: SurfacePoints, surface: Surface) -> list[Estimate]:
+def estimate_surface(solution: Solution, surface: Surface | None) -> list[Estimate]:
     """Return each taxel's estimate by the surface method.
 
     Blind where no triangle faces the pokes, where they graze the surface and where their axes miss it.
-
-    Parameters
-    ----------
-    found : `solution.surface`
     """
+    found = solution.surface
+    if found is None or surface is None:
+        return []
     evidence, uncertain, doubted = solution.evidence, found.uncertain, solution.doubted
     normals = surface.normals[found.triangles]
     rivals = {
