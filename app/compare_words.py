@@ -9,6 +9,7 @@ from app.comparing import Origin, Pair, Source
 from app.display_units import DASH, TIMES, ChannelNames, count, millimetres, number
 from app.words import METHOD_NAMES
 from skincal.modules.health import LayoutMend
+from skincal.sentences import change_words, left_sentences, misfit_sentence
 from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
 
@@ -119,7 +120,7 @@ def misfit_words(mend: LayoutMend, judged: int, method: Method) -> tuple[str, ..
     if mend.misfits:
         many = count(len(mend.misfits), "module")
         head = f"\N{WARNING SIGN} {many} not as planned ({METHOD_NAMES[method]}). Nothing is changed by itself:"
-        return (head, *(one.words for one in mend.misfits), *mend.left)
+        return (head, *(misfit_sentence(misfit) for misfit in mend.misfits), *left_sentences(mend))
     if not judged:
         return ()
     return (f"{_none_of(judged)} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
@@ -127,7 +128,7 @@ def misfit_words(mend: LayoutMend, judged: int, method: Method) -> tuple[str, ..
 
 def save_hint(mend: LayoutMend) -> str:
     """Return what the button that saves the corrected layout does."""
-    changes = "; ".join(change.words for change in mend.changes)
+    changes = "; ".join(change_words(change) for change in mend.changes)
     return (
         f"Writes the layout as a new file in which it says {changes}. The file that was read stays as it is. (Tab, then Enter)"
     )

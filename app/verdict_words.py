@@ -6,11 +6,12 @@ from collections.abc import Iterable, Sequence
 
 from app.display_units import count, millimetres, minutes
 from app.state.rig_review import Offer
-from app.text.rig import offer_words, used_words
+from app.text.rig import offer_words
 from app.words import METHOD_NAMES
 from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import Left, Verdict
 from skincal.rig.correction import UsedCorrection
+from skincal.sentences import correction_sentence, rig_sentences
 from skincal.session.review import Review
 from skincal.taxels.result import Method
 
@@ -92,11 +93,11 @@ def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: R
     """
     if offers:
         return f"{offer_words(offers[0])} C uses that, the Rig tab says more."
-    in_use = " ".join(used_words(one) for one in used)
+    in_use = " ".join(correction_sentence(correction) for correction in used)
     if in_use:
         return in_use
     if review is not None and review.pokes:
-        return review.rig.sentences[0]
+        return rig_sentences(review.rig)[0]
     return "not checked, since landmarks were not poked: an error of the sensor's matrix or of the arm moves all taxels alike"
 
 

@@ -18,6 +18,7 @@ from app.state.view_state import LinkLook, ViewState, link_look
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.geometry.wrench import move_wrench, pitch
 from skincal.model.readings import LinkHealth
+from skincal.sentences import state_sentence
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 
@@ -127,8 +128,8 @@ def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: 
     if estimate is not None and peak is not None and estimate.state is State.ESTIMATED:
         contacts = count(estimate.contacts, "contact")
         parts.append(f"{names.short(peak)} is known to {millimetres(estimate.rms)} from {contacts}")
-    elif estimate is not None and estimate.reason:
-        parts.append(estimate.reason)
+    elif estimate is not None and estimate.reason is not None:
+        parts.append(state_sentence(estimate.reason))
     return "  \N{MIDDLE DOT}  ".join(parts)
 
 

@@ -1,4 +1,4 @@
-"""Estimates of many taxels: pooled over all contacts, or per arm pose and averaged as the paper does (IV-B)."""
+"""Estimates of many taxels by all methods: pooled over all contacts, or per arm pose and averaged as in the paper (IV-B)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
-from skincal.taxels.result import PER_TAXEL, Estimate, Method, State
-from skincal.taxels.solve import Solution, estimate_free, solve
+from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
+from skincal.taxels.solve import estimate_free, estimate_surface, solve
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _NONE_DEAD: Mapping[int, str] = {}
 _NONE_BEFORE: Mapping[int, Estimate] = {}
 _AT_ONCE = 40_000
-"""Answers solved at once: what is made of them, some 20 MB, stays near the processor."""
+"""Answers solved at once: what is made of them, some 20 MB, stays in the processor's cache."""
 
 Estimates: TypeAlias = dict[Method, dict[int, Estimate]]
 """Of each method, of each channel."""
@@ -37,7 +37,7 @@ def estimate_taxels(
     surface: Surface | None,
     dead: Mapping[int, str] = _NONE_DEAD,
     doubting: bool = True,
-    boards: ModuleModel | None = None,
+    model: ModuleModel | None = None,
 ) -> Estimates:
     """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
 
@@ -48,23 +48,23 @@ def estimate_taxels(
     contacts : accepted and not excluded; those without one of `channels` do not matter
     dead : channels that are not used, with the reason
     doubting : whether contacts far off what a taxel's others say count less for it
-    boards : needed by the modules method, which takes the contacts of all taxels of a module
+    model : needed by the modules method, which takes the contacts of all taxels of a module
 
     Raises
     ------
     ValueError
-        A contact has a number that is not finite, or a method lacks its surface or its boards.
+        A contact has a number that is not finite, or a method lacks its surface or its model.
     """
-    ledger, channels = ContactTable(contacts), [int(channel) for channel in channels]
+    table, channels = ContactTable(contacts), [int(channel) for channel in channels]
     alone = [method for method in methods if method in PER_TAXEL]
-    solved = estimate_from(ledger, channels, alone, noise, surface, dead, doubting=doubting)
+    solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting)
     if Method.MODULES in methods:
-        if boards is None:
-            raise ValueError("the modules method needs the boards of a layout")
-        modules = boards.modules_of(channels)
+        if model is None:
+            raise ValueError("the modules method needs the modules of a layout")
+        modules = model.modules_of(channels)
         begin = Method.FREE if surface is None else Method.SURFACE
-        others = estimate_from(ledger, boards.channels_of(modules), [begin], noise, surface, dead, doubting=doubting)
-        found = estimate_modules(ledger, boards, modules, noise, [others[begin]], dead, doubting)
+        others = estimate_from(table, model.channels_of(modules), [begin], noise, surface, dead, doubting=doubting)
+        found = estimate_modules(table, model, modules, noise, [others[begin]], dead, doubting)
         solved[Method.MODULES] = {
             channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
         }
@@ -72,7 +72,7 @@ def estimate_taxels(
 
 
 def estimate_from(
-    ledger: ContactTable,
+    table: ContactTable,
     channels: Iterable[int],
     methods: Sequence[Method],
     noise: NoiseSettings,
@@ -81,7 +81,7 @@ def estimate_from(
     last: Mapping[int, Estimate] = _NONE_BEFORE,
     doubting: bool = True,
 ) -> Estimates:
-    """Estimate each of `channels` from the contacts of a ledger, by methods of `PER_TAXEL`; else as `estimate_taxels`.
+    """Estimate each of `channels` from the contacts of a table, by methods of `PER_TAXEL`; else as `estimate_taxels`.
 
     Parameters
     ----------
@@ -90,13 +90,13 @@ def estimate_from(
     if Method.SURFACE in methods and surface is None:
         raise ValueError("the surface method needs a surface")
     channels = [int(channel) for channel in channels]
-    evidence = ledger.evidence([channel for channel in channels if channel not in dead])
+    evidence = table.evidence([channel for channel in channels if channel not in dead])
     solved: Estimates = {method: {} for method in methods}
     for first, after in _blocks(evidence):
         part = evidence.part(first, after)
         solution = solve(part, methods, noise, surface, _triangles(part, last), doubting)
-        for method, estimates in _estimates(solution, surface).items():
-            solved[method].update((one.channel, one) for one in estimates)
+        for estimate in (*estimate_free(solution), *estimate_surface(solution, surface)):
+            solved[estimate.method][estimate.channel] = estimate
     return {
         method: {channel: found.get(channel) or _without(channel, method, dead) for channel in channels}
         for method, found in solved.items()
@@ -111,29 +111,17 @@ def _blocks(evidence: Evidence) -> list[tuple[int, int]]:
     return [(a, b) for a, b in pairwise(cuts) if b > a]
 
 
-def _estimates(solution: Solution, surface: Surface | None) -> dict[Method, list[Estimate]]:
-    estimates: dict[Method, list[Estimate]] = {}
-    if solution.free is not None:
-        estimates[Method.FREE] = estimate_free(solution, solution.free)
-    if solution.surface is not None and surface is not None:
-        # Only now: a scene without a mesh loads nothing of it.
-        from skincal.taxels.solve import estimate_surface
-
-        estimates[Method.SURFACE] = estimate_surface(solution, solution.surface, surface)
-    return estimates
-
-
 def _triangles(evidence: Evidence, last: Mapping[int, Estimate]) -> IntArray:
     """Return (t,) the triangles of the last answers, -1 where there was none."""
     before = [last.get(channel) for channel in evidence.channels.tolist()]
-    return np.array([-1 if one is None or one.triangle is None else one.triangle for one in before], dtype=np.int64)
+    return np.array([-1 if est is None or est.triangle is None else est.triangle for est in before], dtype=np.int64)
 
 
 def _without(channel: int, method: Method, dead: Mapping[int, str]) -> Estimate:
-    """Return what is said of a channel without evidence."""
+    """Return the estimate of a channel without evidence."""
     if channel in dead:
-        return Estimate(channel, method, State.DEAD, 0, reason=dead[channel])
-    return Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel.")
+        return Estimate(channel, method, State.DEAD, 0, reason=StateReason(Cause.GIVEN, text=dead[channel]))
+    return Estimate(channel, method, State.UNSEEN, 0, reason=StateReason(Cause.UNPOKED))
 
 
 def average_over_poses(
@@ -142,8 +130,7 @@ def average_over_poses(
     method: Method,
     noise: NoiseSettings,
     surface: Surface | None,
-    dead: Mapping[int, str] = _NONE_DEAD,
-    boards: ModuleModel | None = None,
+    model: ModuleModel | None = None,
 ) -> dict[int, Estimate]:
     """Estimate each pose's contacts alone and average the positions with equal weights, the paper's IV-B.
 
@@ -152,49 +139,46 @@ def average_over_poses(
 
     Parameters
     ----------
-    contacts, channels, method, noise, surface, dead, boards
-        As for `estimate_taxels`; poses are told apart by `Contact.pose`.
+    contacts, channels, method, noise, surface, model
+        As for `estimate_taxels`; poses are distinguished by `Contact.pose`.
     """
     poses: dict[str, list[Contact]] = {}
     for contact in contacts:
         poses.setdefault(contact.pose, []).append(contact)
-    # By name, so that the order in which the poses came does not matter.
-    solved = [
-        estimate_taxels(poses[pose], channels, [method], noise, surface, dead, boards=boards)[method] for pose in sorted(poses)
-    ]
-    if not solved:
-        return estimate_taxels([], channels, [method], noise, surface, dead, boards=boards)[method]
-    return {int(channel): _average([one[int(channel)] for one in solved]) for channel in channels}
+    # By name, so that the order in which the poses came does not matter. Without contacts every taxel is unseen.
+    each = [poses[pose] for pose in sorted(poses)] or [[]]
+    solved = [estimate_taxels(own, channels, [method], noise, surface, model=model)[method] for own in each]
+    return {int(channel): _average([found[int(channel)] for found in solved]) for channel in channels}
 
 
 def _average(of_poses: list[Estimate]) -> Estimate:
     """Average one taxel's estimates, one a pose."""
-    seen = [one for one in of_poses if one.state not in (State.UNSEEN, State.DEAD)]
+    seen = [estimate for estimate in of_poses if estimate.state not in (State.UNSEEN, State.DEAD)]
     if not seen:
         return of_poses[0]
-    contacts = sum(one.contacts for one in seen)
+    contacts = sum(estimate.contacts for estimate in seen)
     channel, method = seen[0].channel, seen[0].method
-    good = [one for one in seen if one.position is not None and one.covariance is not None]
+    good = [estimate for estimate in seen if estimate.position is not None and estimate.covariance is not None]
     if not good:
-        best = max(seen, key=lambda one: one.contacts)
-        reason = f"Blind in each of its {len(seen)} poses. In the one with most pokes: {best.reason}"
+        best = max(seen, key=lambda estimate: estimate.contacts)
+        reason = StateReason(Cause.BLIND_IN_POSES, len(seen), inner=best.reason)
         return Estimate(
             channel, method, State.BLIND, contacts, normal=best.normal, weakest=best.weakest, sd=best.sd, reason=reason
         )
     position, covariance = np.zeros(3), np.zeros((3, 3))
-    for count, one in enumerate(good, start=1):
-        position = position + (np.asarray(one.position) - position) / count
-        covariance = covariance + np.asarray(one.covariance)
+    for count, estimate in enumerate(good, start=1):
+        # A running mean: of equal positions it is that position, to the last bit.
+        position = position + (np.asarray(estimate.position) - position) / count
+        covariance = covariance + np.asarray(estimate.covariance)
     covariance = covariance / len(good) ** 2
     values, axes = np.linalg.eigh(covariance)
-    normals = np.sum([one.normal for one in good if one.normal is not None] or [np.zeros(3)], axis=0)
+    normals = np.sum([estimate.normal for estimate in good if estimate.normal is not None] or [np.zeros(3)], axis=0)
     length = float(np.linalg.norm(normals))
-    blind = len(seen) - len(good)
     return Estimate(
         channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
         covariance=covariance, weakest=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
         rms=float(np.sqrt(np.trace(covariance))),
-        reason=f"Mean of {len(good)} poses" + (f"; {blind} are blind and left out." if blind else "."),
+        reason=StateReason(Cause.MEAN_OF_POSES, len(good), blind=len(seen) - len(good)),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Build the compiled solver from its source: `python -m tools.solver`.
 
 The compiler comes from the package index like any other tool, and the result has the same bytes on every machine;
-`tests/skincal/test_solver_program.py` builds it anew and compares.
+`tests/skincal/solver/test_machine.py` builds it anew and compares.
 """
 
 import subprocess

@@ -27,6 +27,7 @@ from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
 from app.theme import GAP, Colours
 from app.words import MARK_WORDS, METHOD_NAMES, find_estimate
+from skincal.sentences import state_sentence
 from skincal.taxels.result import Estimate, Method, State
 
 ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
@@ -160,7 +161,7 @@ class InspectPanel(QScrollArea):
                 put(label, text)
         self._dead = channel in state.snapshot.dead
         shown = found.get(state.method)
-        reason = state.snapshot.dead.get(channel) or (shown.reason if shown is not None else "")
+        reason = state.snapshot.dead.get(channel) or state_sentence(None if shown is None else shown.reason)
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
         needs = "" if state.guidance is None else needs_words(state.guidance, channel)
         sentences = (reason, distance_words(pair[0], pair[1]), needs and f"It {needs}.")

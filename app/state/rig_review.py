@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from skincal.rig.correction import FRAME, RIG
 from skincal.rig.frame_check import FrameDiagnosis
+from skincal.sentences import frame_sentence
 from skincal.session.actions import Correct
 from skincal.session.corrections import offered
 from skincal.session.review import Review
@@ -69,7 +70,7 @@ class RigReview:
             return None
         frame = offer.frame
         # Another number in the same words is no news.
-        words = "" if frame is None else re.sub(r"[\d.]+", "", frame.words)
+        words = "" if frame is None else re.sub(r"[\d.]+", "", frame_sentence(frame))
         kind = offer.action.of, offer.anew, frame is not None and frame.sure, words
         if kind in self._announced:
             return None

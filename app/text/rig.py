@@ -11,7 +11,8 @@ import numpy as np
 from app.display_units import DASH, in_millimetres, millimetres, number
 from app.state.rig_review import Offer
 from skincal.contacts.outcome import Outcome
-from skincal.rig.correction import RIG, UsedCorrection
+from skincal.rig.correction import RIG
+from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 from skincal.session.actions import Correct
 from skincal.session.corrections import used_of
 from skincal.session.review import Review
@@ -31,7 +32,7 @@ def offer_words(offer: Offer) -> str:
     if offer.frame is None:
         return rig_words(offer.action.before, offer.action.after)
     perhaps = "" if offer.frame.sure else " Another mistake would be nearly as likely: poke another landmark."
-    return offer.frame.words + perhaps
+    return frame_sentence(offer.frame) + perhaps
 
 
 def offer_news(offer: Offer) -> str:
@@ -41,18 +42,13 @@ def offer_news(offer: Offer) -> str:
 
 def corrected_words(action: Correct) -> str:
     """Return what is said when a correction is used."""
-    return f"{used_words(used_of(action))} Backspace takes it back until the next poke, the Rig tab at any time."
+    return f"{correction_sentence(used_of(action))} Backspace takes it back until the next poke, the Rig tab at any time."
 
 
 def rig_words(before: float, after: float) -> str:
     """Return what a correction of the rig would do, with the misses of held-out pokes, metres."""
     then, now = millimetres(after), millimetres(before)
     return f"The rig can be corrected: held-out pokes then pass their landmarks at {then}, now at {now}."
-
-
-def used_words(used: UsedCorrection) -> str:
-    """Return what is in use, with the misses, as a sentence."""
-    return f"{used.words[0].upper()}{used.words[1:]}."
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
@@ -75,15 +71,15 @@ def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -
 
 def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: Sequence[Estimate]) -> tuple[str, ...]:
     """Return what is said of the rig, most important first."""
-    frame, rig = review.frame, review.rig
-    said = [] if frame is None else [frame.words]
-    said += [used_words(used) for used in snapshot.corrections.values()]
+    frame, rig, found = review.frame, review.rig, rig_sentences(review.rig)
+    said = [] if frame is None else [frame_sentence(frame)]
+    said += [correction_sentence(used) for used in snapshot.corrections.values()]
     if RIG not in snapshot.corrections:
-        said += rig.sentences[:1]
+        said += found[:1]
     elif not rig.used:
-        said.append(f"The landmark pokes that count now do not speak for it any more. {rig.sentences[0]}")
+        said.append(f"The landmark pokes that count now do not speak for it any more. {found[0]}")
     moved = moved_words(review, method, estimates)
-    return tuple(filter(None, (*said, moved, *rig.sentences[1:])))
+    return tuple(filter(None, (*said, moved, *found[1:])))
 
 
 @dataclass(frozen=True, slots=True)

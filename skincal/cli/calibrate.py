@@ -150,7 +150,7 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
     summaries: dict[str, Any] = {}
     for method in session.snapshot().estimates:
         averaged = average_over_poses(
-            session.contacts, session.channels, method, session.scene.noise, session.surface, boards=session.boards
+            session.contacts, session.channels, method, session.scene.noise, session.surface, model=session.boards
         )
         summaries[f"{method.value}-per-pose"] = report.method_summary(
             tuple(averaged.values()), known, session.scene.skin.layout
@@ -158,7 +158,7 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
     return summaries
 
 
-def _told_by_landmarks(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
+def _from_landmarks(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
     from skincal.rig.correction_fit import correct_rig
     from skincal.rig.frame_check import diagnose
     from skincal.session.known_points import landmark_normals
@@ -178,20 +178,21 @@ def _correct(session: Session) -> None:
         They offer nothing that is sure.
     """
     from skincal.rig.correction import FRAME
+    from skincal.sentences import frame_sentence, rig_sentences
     from skincal.session.corrections import offered
 
     if not session.landmark_pokes:
         raise InputError("--correct needs pokes at landmarks; this session has none.")
-    frame, rig = _told_by_landmarks(session)
+    frame, rig = _from_landmarks(session)
     while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
         if action.of in session.corrections:
             break
         if action.of == FRAME and frame is not None and not frame.sure:
-            raise InputError(f"{frame.words} Another mistake is nearly as likely; expected pokes at more landmarks.")
+            raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
         session.act(action)
-        frame, rig = _told_by_landmarks(session)
+        frame, rig = _from_landmarks(session)
     if not session.corrections:
-        raise InputError(f"{rig.sentences[0]} Leave out --correct.")
+        raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
 
 def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
@@ -205,28 +206,30 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
     from skincal.cli import report
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG
+    from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 
-    frame, answer = _told_by_landmarks(session)
+    frame, answer = _from_landmarks(session)
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
     rig["corrections"] = [
         {"of": one.of, "before_mm": one.before * 1e3, "after_mm": one.after * 1e3} for one in session.corrections.values()
     ]
     if frame is not None:
-        rig["frame"] = {"right": frame.right, "sure": frame.sure, "miss_mm": frame.miss * 1e3, "words": frame.words}
+        words = frame_sentence(frame)
+        rig["frame"] = {"right": frame.right, "sure": frame.sure, "miss_mm": frame.miss * 1e3, "words": words}
     if answer.correction is not None:
         rig |= {"held_out_before_mm": answer.before * 1e3, "held_out_after_mm": answer.after * 1e3}
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
     if answer.used and answer.correction is not None and RIG not in session.corrections:
         contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
-        noise, surface, boards = session.scene.noise, session.surface, session.boards
-        solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, boards=boards)
+        noise, surface, model = session.scene.noise, session.surface, session.boards
+        solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, model=model)
         rig["methods"] = {
             f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)
             for method, found in solved.items()
         }
-    in_use = [f"{one.words[0].upper()}{one.words[1:]}." for one in session.corrections.values()]
-    found = answer.sentences if RIG not in session.corrections else answer.sentences[1:]
-    return rig, [*(() if frame is None else (frame.words,)), *in_use, *found]
+    in_use = [correction_sentence(used) for used in session.corrections.values()]
+    found = rig_sentences(answer)[1 if RIG in session.corrections else 0 :]
+    return rig, [*(() if frame is None else (frame_sentence(frame),)), *in_use, *found]
 
 
 def _calibration(session: Session) -> Calibration:

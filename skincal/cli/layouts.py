@@ -7,6 +7,7 @@ from typing import Any
 
 from skincal.model.errors import InputError
 from skincal.modules.health import LayoutMend, judged_modules, mend_modules
+from skincal.sentences import change_words, left_sentences, misfit_sentence
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 
@@ -42,25 +43,25 @@ def layout_result(session: Session, used: Path | None, out: Path | None) -> tupl
         from skincal.files.layout_file import write_layout
 
         write_layout(session.boards.layout, mend, written)
-    misfits = [misfit.words for misfit in mend.misfits]
+    misfits = [misfit_sentence(misfit) for misfit in mend.misfits]
     changes = [{"module": change.module, **change.keys} for change in mend.changes]
-    layout = {"used": _name(used), "changes": changes, "left": list(mend.left), "written": _name(written)}
+    layout = {"used": _name(used), "changes": changes, "left": left_sentences(mend), "written": _name(written)}
     lines += [*misfits, *_lines(mend, out, judged_modules(session.boards, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
 
 
 def _lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
     """Return what is said of the correction, without the misfits themselves."""
-    changes = "; ".join(change.words for change in mend.changes)
+    changes, left = "; ".join(change_words(change) for change in mend.changes), left_sentences(mend)
     if mend.changes and out is not None:
-        return [*mend.left, f"corrected {changes}", f"wrote {out}; `skincal solve SESSION --layout {out}` solves with it"]
+        return [*left, f"corrected {changes}", f"wrote {out}; `skincal solve SESSION --layout {out}` solves with it"]
     if mend.changes:
-        return [*mend.left, f"the corrected layout says {changes}; --layout-out FILE writes it"]
+        return [*left, f"the corrected layout says {changes}; --layout-out FILE writes it"]
     if out is None:
-        return list(mend.left)
+        return left
     found = f"none of {judged} modules looks mirrored, turned or swapped" if judged else "too little is known of every module"
     why = "nothing that was found can be put right by it" if mend.misfits else found
-    return [*mend.left, f"{out} is not written: {why}"]
+    return [*left, f"{out} is not written: {why}"]
 
 
 def _name(path: Path | None) -> str | None:

@@ -29,6 +29,7 @@ from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
+from skincal.sentences import correction_words
 from skincal.taxels.result import Estimate, Method, State
 
 COLUMNS = ("channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm")
@@ -90,7 +91,7 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "format ascii 1.0",
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {_one_line(calibration.scene.link)}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
-        *(f"comment {one.words}" for one in calibration.corrections),
+        *(f"comment {correction_words(one)}" for one in calibration.corrections),
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
         "property int channel",
@@ -160,7 +161,7 @@ def write_calibration(
     shape = _part(calibration)
     text = _text(calibration, format, method, part, shape)
     methods = (method,) if format in ("icub", "ply") else tuple(calibration.estimates)
-    sentences = [*(f"{one.words}." for one in calibration.corrections), *shape.troubles]
+    sentences = [*(f"{correction_words(one)}." for one in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
         sentences += _left_out(calibration.of(each), each, format)

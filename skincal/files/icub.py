@@ -36,6 +36,7 @@ from skincal.files.calibration import Calibration, placed_taxels
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.model.errors import InputError, list_channels
 from skincal.model.skin import Layout
+from skincal.sentences import correction_words
 from skincal.taxels.result import Estimate, Method, State
 
 DECIMALS = 6
@@ -142,7 +143,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
     lines = [
         f"skincal {calibration.version}, {method.value} method, metres in {_word(calibration.scene.link)}",
         f"{placed} of {len(estimates)} taxels have a position; rows of six zeros are no positions",
-        *(one.words for one in calibration.corrections),
+        *(correction_words(one) for one in calibration.corrections),
     ]
     for state in State:
         channels = [estimate.channel for estimate in estimates if estimate.state is state and estimate.position is None]

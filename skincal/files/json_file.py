@@ -22,7 +22,8 @@ from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.rig.correction import Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke
-from skincal.taxels.result import Estimate, Method, Rival, State
+from skincal.sentences import state_sentence
+from skincal.taxels.result import Cause, Estimate, Method, Rival, State, StateReason
 
 FORMAT = "skincal-calibration/3"
 OLDER = "skincal-calibration/2"
@@ -225,7 +226,7 @@ def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
         "sd_m": _number(estimate.sd),
         "rms_m": _number(estimate.rms),
         "triangle": None if estimate.triangle is None else int(estimate.triangle),
-        "reason": estimate.reason,
+        "reason": state_sentence(estimate.reason),
         "foot_m": _array(estimate.foot),
         "rival": None if rival is None else {
             "position_m": _array(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
@@ -360,7 +361,7 @@ def _read_estimate(values: dict[str, Any], method: Method) -> Estimate:
         sd=values["sd_m"],
         rms=values["rms_m"],
         triangle=values["triangle"],
-        reason=values["reason"],
+        reason=StateReason(Cause.GIVEN, text=values["reason"]) if values["reason"] else None,
         foot=_read_optional(values["foot_m"]),
         rival=None if rival is None else Rival(_read_array(rival["position_m"]), rival["triangle"], rival["odds"]),
         doubted={int(poke): trust for poke, trust in values["doubted"].items()},

@@ -5,7 +5,7 @@ it most is solved without it; the poke's axis passes it at r = E (p - a), two nu
 E S E' + D, with S that of the taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a
 chi-squared of two degrees of freedom, at most 5.99 in 95 of 100 pokes.
 
-By the modules method the module that the poke touched is solved without it (`estimate/board_check.py`), and the axis passes the
+By the modules method the module that the poke touched is solved without it (`predicted_squares`), and the axis passes the
 middle of the pads that answered; the rest is the same.
 
 That tells errors of which the prediction knows nothing: a wrong frame, a slipped sensor, a part that moved. It does not tell
@@ -30,8 +30,8 @@ from skincal.guide.knowledge import offset_square, row_precision
 from skincal.guide.progress import GuideSettings, Need, Why, worked
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_squares
-from skincal.modules.pose import ModuleModel, joined
-from skincal.modules.pose_fit import find_touches, fit_modules, start_of
+from skincal.modules.pose import ModuleModel
+from skincal.modules.pose_fit import fit_poked
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
 from skincal.taxels.solve import Solution, solve
@@ -142,14 +142,12 @@ def _check_modules(
     width, module_of = boards.layout.width, boards.layout.module_of
     told = evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
     by_channel = {one.channel: one for one in estimates}
-    begun = {module: start_of(boards, module, [by_channel]) for module in boards.modules_of(told.channels.tolist())}
-    ready = {module: start for module, start in begun.items() if start is not None}
     weights = {one.poke: float(one.responses.sum() / one.responses.max()) for one in contacts}
     totals = np.array([weights[poke] for poke in told.pokes.tolist()])
-    touches = find_touches(told, totals, boards, noise, ready)
-    if not len(touches.boards):
+    fit = fit_poked(told, totals, boards, noise, [by_channel])
+    if fit is None:
         return Check(0, 0)
-    fitted = fit_modules(touches, boards, joined([ready[module] for module in touches.boards.tolist()]), noise)
+    touches, fitted = fit
     out = [poke for poke, _ in held_out(contacts)]
     at = np.flatnonzero(np.isin(told.pokes[touches.rows], out) & (fitted.misses[touches.of] <= MISS_MAX))
     return _counted(predicted_squares(touches, fitted, noise, at))

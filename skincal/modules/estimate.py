@@ -1,20 +1,21 @@
-"""A taxel's position as part of its module, a rigid board: one pose a module from the pokes of all its taxels.
+"""A taxel's position as part of its module, a rigid body: one pose a module from the pokes of all its taxels.
 
-Six unknowns a module; three where there is a surface, onto which the board is bent (`boards.py`). What a poke tells is the
-place of the middle of the pads that answered (`touches.py`), and the poses are found by least squares (`board_fit.py`).
+Six unknowns a module; three where there is a surface, onto which the module is bent (`skincal.modules.pose`). What a poke
+says is the place of the middle of the pads that answered, and the poses are found by least squares
+(`skincal.modules.pose_fit`).
 
 A search begins at the pose that fits the module's own estimates by the surface method, or else the free one, each weighed by
-how well it is known; where these do not tell the turn, at the plan's. So the answer depends on the contacts alone.
+how well it is known; where these do not determine the turn, at the plan's. So the answer depends on the contacts alone.
 
-How far a poke lies from where its module's other pokes foretell it: each poke left out in turn, without a new search.
-
-At the minimum the rows' gradients cancel, sum t A'r = 0 with A and r the slopes and misses of a poke in standard deviations of
-its own noise and t its trust. Without poke i the information is N_i = sum t A'A - t_i A_i'A_i, and the minimum moves so that
+**Left out in turn** (`predicted_squares`): how far a poke lies from where its module's other pokes predict it, each poke left
+out without a new search. At the minimum the rows' gradients cancel, sum t A'r = 0 with A and r the slopes and misses of a poke
+in standard deviations of its own noise and t its trust. Without poke i the information is N_i = sum t A'A - t_i A_i'A_i, and
+the minimum moves so that
 
     r_i becomes r_i + t_i A_i N_i^-1 A_i' r_i,   with the covariance I + A_i N_i^-1 A_i',
 
-exactly where the middle moves straight with the board's unknowns, as it nearly does over a millimetre. How far the
-contact lies beside the middle of its pads is in the noise (`board_fit.py`). The others' trust is what it is with the poke.
+exactly where the middle is linear in the module's unknowns, as it nearly is over a millimetre. How far the contact lies
+beside the middle of its pads is in the noise. The others' trust is what it is with the poke.
 """
 
 from __future__ import annotations
@@ -25,21 +26,23 @@ import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import ModuleModel, joined
-from skincal.modules.pose_fit import NO_RANK, Fitted, Touches, find_touches, fit_modules, start_of, whitened
+from skincal.modules.pose import ModuleModel
+from skincal.modules.pose_fit import NO_RANK, Fitted, Touches, fit_poked, whitened
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
+from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
 
 MOVING_MAX = 2e-4
 """m: a pose whose search still takes longer steps after its last is not known. Over an edge of a mesh it goes to and fro by
 micrometres; without a surface, from few pokes, by up to centimetres."""
-UNTOLD = 1e-6
+UNDETERMINED = 1e-6
 """Share of a direction that pokes do not determine above which a pad's place moves with it; below it is rounding."""
+OTHERS = 2
+"""Other pokes of its module that a poke needs: one predicts nothing of how a module is turned."""
 
 
 def estimate_modules(
-    ledger: ContactTable,
-    boards: ModuleModel,
+    table: ContactTable,
+    model: ModuleModel,
     modules: Collection[int],
     noise: NoiseSettings,
     others: Sequence[Mapping[int, Estimate]],
@@ -59,51 +62,47 @@ def estimate_modules(
     -------
     Of each channel of the modules, one estimate; its numbers depend on the pokes of the module's own taxels alone.
     """
-    channels = boards.channels_of(sorted(modules))
-    evidence = ledger.evidence([channel for channel in channels if channel not in dead])
+    channels = model.channels_of(sorted(modules))
+    evidence = table.evidence([channel for channel in channels if channel not in dead])
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
     found = {channel: _without(channel, counts.get(channel, 0), dead) for channel in channels}
-    begun = {module: start_of(boards, module, others) for module in boards.modules_of(counts)}
-    ready = {module: start for module, start in begun.items() if start is not None}
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, noise, ready)
-    if len(touches.boards):
-        fitted = fit_modules(touches, boards, joined([ready[module] for module in touches.boards.tolist()]), noise, doubting)
-        found.update((one.channel, one) for one in _estimates(touches, fitted, counts, dead))
+    fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, others, doubting)
+    if fit is not None:
+        found.update((estimate.channel, estimate) for estimate in _estimates(*fit, counts, dead))
     return found
 
 
 def _without(channel: int, contacts: int, dead: Mapping[int, str]) -> Estimate:
-    """Return what is said of a taxel whose module has no pose."""
+    """Return the estimate of a taxel whose module has no pose."""
     if channel in dead:
-        return Estimate(channel, Method.MODULES, State.DEAD, 0, reason=dead[channel])
+        return Estimate(channel, Method.MODULES, State.DEAD, 0, reason=StateReason(Cause.GIVEN, text=dead[channel]))
     if contacts:
-        reason = "Its module answered only beside others, or the plan does not say where it is: poke its own taxels."
-        return Estimate(channel, Method.MODULES, State.BLIND, contacts, reason=reason)
-    return Estimate(channel, Method.MODULES, State.UNSEEN, 0, reason="No accepted poke touched its module.")
+        return Estimate(channel, Method.MODULES, State.BLIND, contacts, reason=StateReason(Cause.MODULE_UNPLACED))
+    return Estimate(channel, Method.MODULES, State.UNSEEN, 0, reason=StateReason(Cause.MODULE_UNPOKED))
 
 
 def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead: Mapping[int, str]) -> Iterator[Estimate]:
-    """Yield the estimates of the taxels of the boards that have a pose."""
+    """Yield the estimates of the taxels of the modules that have a pose."""
     gradients = fitted.pads.gradients
     covariances = gradients @ fitted.covariances[fitted.of] @ gradients.transpose(0, 2, 1)
     values, axes = np.linalg.eigh(covariances)
     sds, rms = np.sqrt(values[:, 2]), np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    troubles = [_trouble(touches, fitted, board) for board in range(len(touches.boards))]
+    troubles = [_trouble(touches, fitted, module) for module in range(len(touches.modules))]
     doubted, none = _doubted(touches, fitted), dict[int, float]()
-    channels: list[int] = touches.channels.tolist()
-    of: list[int] = fitted.of.tolist()
-    for pad, (channel, board) in enumerate(zip(channels, of, strict=True)):
+    pads: list[tuple[int, int]] = list(zip(touches.channels.tolist(), fitted.of.tolist(), strict=True))
+    for pad, (channel, module) in enumerate(pads):
         contacts = counts.get(channel, 0)
         if channel in dead:
             continue
-        dark = fitted.blind[board] @ gradients[pad].T
-        unknown = bool((np.sum(dark * dark, axis=1) > UNTOLD**2).any())
-        reason = troubles[board] or ("" if sds[pad] <= SD_MAX and not unknown else _why_blind(touches, board, unknown))
-        if reason:
+        dark = fitted.blind[module] @ gradients[pad].T
+        unknown = bool((np.sum(dark * dark, axis=1) > UNDETERMINED**2).any())
+        known = sds[pad] <= SD_MAX and not unknown
+        reason = troubles[module] or (None if known else _why_blind(touches, module, float(sds[pad]), unknown))
+        if reason is not None:
             yield Estimate(
                 channel, Method.MODULES, State.BLIND, contacts, normal=fitted.pads.normals[pad],
                 weakest=_worst(dark) if unknown else axes[pad, :, 2], sd=None if unknown else float(sds[pad]),
-                reason=reason, doubted=doubted[board].get(channel, none),
+                reason=reason, doubted=doubted[module].get(channel, none),
             )  # fmt: skip
         else:
             triangle = int(fitted.pads.triangles[pad])
@@ -111,7 +110,7 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
                 channel, Method.MODULES, State.ESTIMATED, contacts, position=fitted.pads.points[pad],
                 normal=fitted.pads.normals[pad], covariance=covariances[pad], weakest=axes[pad, :, 2], sd=float(sds[pad]),
                 rms=float(rms[pad]), triangle=None if triangle < 0 else triangle,
-                reason="" if contacts else "Not poked itself; known by its module.", doubted=doubted[board].get(channel, none),
+                reason=None if contacts else StateReason(Cause.BY_MODULE), doubted=doubted[module].get(channel, none),
             )  # fmt: skip
 
 
@@ -120,36 +119,27 @@ def _worst(dark: FloatArray) -> FloatArray:
     return np.linalg.svd(dark)[2][0]
 
 
-def _trouble(touches: Touches, fitted: Fitted, board: int) -> str:
-    """Return why a board has no pose at all; empty if it has one."""
-    if fitted.misses[board] > MISS_MAX:
-        return (
-            f"The axes pass its module at {fitted.misses[board] * 1e3:.0f} mm (limit {MISS_MAX * 1e3:.0f} mm): check the "
-            "mesh's unit and pose, the arm poses, and which channels the module has."
-        )
-    if fitted.moving[board] > MOVING_MAX:
-        return (
-            f"Where its module lies does not settle (to {fitted.moving[board] * 1e3:.1f} mm): poke taxels farther apart, with "
-            "other tilts."
-        )
-    own = touches.of == board
+def _trouble(touches: Touches, fitted: Fitted, module: int) -> StateReason | None:
+    """Return why a module has no pose at all; None if it has one."""
+    if fitted.misses[module] > MISS_MAX:
+        return StateReason(Cause.MODULE_OFF, size=float(fitted.misses[module]))
+    if fitted.moving[module] > MOVING_MAX:
+        return StateReason(Cause.MODULE_MOVING, size=float(fitted.moving[module]))
+    own = touches.of == module
     push = np.sum(fitted.trust[own, None] * touches.evidence.directions[touches.rows[own]], axis=0)
-    if push @ fitted.poses.normals[board] >= 0:
-        return "The pokes push its module from behind: check the wrench's sign and the surface's normals."
-    return ""
+    return StateReason(Cause.MODULE_BEHIND) if push @ fitted.poses.normals[module] >= 0 else None
 
 
-def _why_blind(touches: Touches, board: int, unknown: bool) -> str:
-    count = int(np.sum(touches.of == board))
+def _why_blind(touches: Touches, module: int, sd: float, unknown: bool) -> StateReason:
+    count = int(np.sum(touches.of == module))
     if count == 1:
-        return "One poke on its module does not tell how that is turned. Poke another of its taxels."
-    known = "do not tell" if unknown else f"tell it to worse than {SD_MAX * 1e3:.0f} mm"
-    return f"The {count} pokes on its module {known} how that lies: poke taxels farther apart, with other tilts."
+        return StateReason(Cause.MODULE_ONE_POKE)
+    return StateReason(Cause.MODULE_LOOSE, count, size=None if unknown else sd)
 
 
 def _doubted(touches: Touches, fitted: Fitted) -> list[dict[int, dict[int, float]]]:
-    """Return for each board, of each channel, the pokes whose trust is below 1: number to trust."""
-    doubted: list[dict[int, dict[int, float]]] = [{} for _ in touches.boards]
+    """Return for each module, of each channel, the pokes whose trust is below 1: number to trust."""
+    doubted: list[dict[int, dict[int, float]]] = [{} for _ in touches.modules]
     evidence = touches.evidence
     for at in np.flatnonzero(fitted.trust < 1.0).tolist():
         poke = int(evidence.pokes[touches.rows[at]])
@@ -158,19 +148,15 @@ def _doubted(touches: Touches, fitted: Fitted) -> list[dict[int, dict[int, float
     return doubted
 
 
-OTHERS = 2
-"""Other pokes of its module that a poke needs: from one nothing is foretold of how a board is turned."""
-
-
 def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> FloatArray:
-    """Return (n,) the squared distance of pokes from where the others of their module foretell them, in standard deviations.
+    """Return (n,) the squared distance of pokes from where the others of their module predict them, in standard deviations.
 
-    NaN where the others do not tell: too few, or the place worse than `SD_MAX`. Where the predicted errors are true it is a
+    NaN where the others do not predict: too few, or the place worse than `SD_MAX`. Where the predicted errors are true it is a
     chi-squared of two degrees of freedom.
 
     Parameters
     ----------
-    touches, fitted : all pokes, and the boards as these put them
+    touches, fitted : all pokes, and the modules as these put them
     at : (n,) indices of the touches
     """
     if not len(at):
@@ -178,10 +164,10 @@ def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at
     rows, gradients = whitened(touches, fitted.pads, noise), touches.middles(fitted.pads)[1][at]
     slopes, misses, trust = rows.slopes[at], rows.misses[at], fitted.trust[at, None, None]
     every = fitted.trust[:, None, None] * (rows.slopes.transpose(0, 2, 1) @ rows.slopes)
-    whole = np.add.reduceat(every, np.searchsorted(touches.of, np.arange(len(touches.boards))), axis=0)
+    whole = np.add.reduceat(every, np.searchsorted(touches.of, np.arange(len(touches.modules))), axis=0)
     others = whole[touches.of[at]] - trust * (slopes.transpose(0, 2, 1) @ slopes)
     values, axes = np.linalg.eigh(others)
-    # A direction that the others do not tell is nothing but rounding, of either sign.
+    # A direction that the others do not determine is nothing but rounding, of either sign.
     known = (values[:, 0] > NO_RANK * values[:, -1]) & (np.bincount(touches.of)[touches.of[at]] > OTHERS)
     values = np.where(known[:, None], values, 1.0)
     roots = axes / np.sqrt(values)[:, None]

@@ -1,16 +1,18 @@
-"""Whether modules lie as the layout plans them: mirrored, turned and swapped ones named, and how far taxels lie apart.
+"""Health of modules: whether they lie as the layout plans them, and the layout put right where they do not.
 
-All of it follows from the estimates of single taxels, which know nothing of modules. A module's estimates, seen along their
-mean normal, are fitted by its pads, as planned and mirrored, moved and turned as may be; that pose is compared with the plan's,
-less the rigid motion that most modules share. Modules are wrong by ten millimetres where one of these mistakes was made, and by
-two where none was. What it says is an offer (`board_mend` makes a layout of it); nothing is changed by it.
+**Misfits.** Mirrored, turned and swapped modules follow from the estimates of single taxels, which know nothing of modules. A
+module's estimates, seen along their mean normal, are fitted by its pads, as planned and mirrored, moved and turned freely;
+that pose is compared with the plan's, less the rigid motion that most modules share. Modules are wrong by ten millimetres
+where one of these mistakes was made, and by two where none was.
 
-The layout put right: what `board_health` finds wrong with modules, as changes of the layout.
+**Mending.** A mirrored or turned module gets its mirror and angle changed. A swapped one is right in all but whose channels it
+has, so the place where it was found gets its channels; that takes modules that lie in each other's places all around. How a
+module lies in another's place is seen only once it is planned there, so the corrected layout is judged again by the same
+estimates, until nothing is left. A correction whose plan does not lie nearer to the estimates is none.
 
-A mirrored or turned module gets its mirror and angle changed. A swapped one is right in all but whose channels it has, so the
-place where it was found gets its channels; that takes modules that lie in each other's places all around. What a module looks
-like in another's place is told only once it is planned there, so the corrected layout is judged again by the same estimates,
-until nothing is left. A correction whose plan does not lie nearer to the estimates is none.
+**Spacing**: how far neighbouring taxels lie apart over how far the layout plans it.
+
+What it finds is an offer; nothing is changed by it. The sentences on it are made by `skincal.sentences`.
 """
 
 from __future__ import annotations
@@ -35,9 +37,9 @@ MIRRORED = 0.6
 TURN_MIN = float(np.radians(30.0))
 """rad: a module that is turned by less against most others is laid badly, not mounted wrongly."""
 TURN_ABOUT = float(np.radians(25.0))
-"""rad: a turn that lays the board on itself is meant by turns that are seen so near to it."""
+"""rad: a turn that lays the module on its own outline is meant by turns that are seen this near to it."""
 TURN_STEP, TURN_NEAR = float(np.radians(30.0)), float(np.radians(8.0))
-"""rad: other mistakes are made in such steps, and are seen so near to them: a board's turn is seen to 3 degrees (sd)."""
+"""rad: other mistakes are made in such steps, and are seen this near to them: a module's turn is seen to 3 degrees (sd)."""
 TURNED = 0.6
 """The turned pads must fit this much better than the planned ones, moved alone: few estimates that lie close together fit any
 turn."""
@@ -46,12 +48,15 @@ SWAP_SHARE = 0.3
 FAR = 0.008
 """m: modules farther than this from where the others put them count less for what all are moved by alike."""
 ARM = 0.02
-"""m: a module's normal counts as a point so far above it, lest a flat skin be turned upside down."""
+"""m: a module's normal counts as a point this far above it, so that a flat skin is not turned upside down."""
 ROUNDS = 5
+"""Of weighing the modules anew, for the motion that most of them share."""
 ALIKE = 1e-3
 """m: corners of an outline that lie nearer than this are the same."""
 NEIGHBOUR = 1.3
 """Taxels of one module within this many spacings are neighbours: 1.0 apart, the next ring is 1.7."""
+MEND_ROUNDS = 3
+"""Corrections one after another: that a swapped module is mirrored, too, is seen after the exchange; the third is spare."""
 
 
 class MisfitKind(Enum):
@@ -78,20 +83,6 @@ class Misfit:
     other: int | None = None
     """Id of the module in whose place it lies."""
 
-    @property
-    def words(self) -> str:
-        """A sentence for the operator."""
-        turn = f"{np.degrees(self.turn):.0f}"
-        too = f", and its angle_deg by {turn} degrees" if self.turn else ""
-        what = {
-            MisfitKind.MIRRORED: f"is mirrored against the layout: change its mirror{too}",
-            MisfitKind.TURNED: f"is turned by {turn} degrees: change its angle_deg by that",
-            MisfitKind.SWAPPED: f"lies where module {self.other} is planned: give that one its first_channel",
-        }[self.kind]
-        return (
-            f"Module {self.module} {what}. Its taxels then lie {self.after * 1e3:.0f} mm off, not {self.before * 1e3:.0f} mm."
-        )
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
@@ -102,50 +93,49 @@ class _Seen:
     planned: FloatArray
     """(n, 3) float, metres: where the plan puts them."""
     straight: float
+    """m, rms from the pads as planned, moved and turned freely."""
     mirrored: float
-    """m, rms from the pads as planned and mirrored, moved and turned as may be."""
+    """m, rms from the mirrored pads, likewise."""
     turn: float
     """rad, of the better one against the plan."""
     normals: FloatArray
     """(2, 3) float, unit: of the plan, and of the estimates."""
 
-    def replanned(self, motion: FloatArray) -> _Seen:
-        """Return it with the plan moved by `motion` (4, 4)."""
-        return replace(self, planned=self.planned @ motion[:3, :3].T + motion[:3, 3])
 
-
-def judged_modules(boards: ModuleModel, estimates: Mapping[int, Estimate]) -> int:
+def judged_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> int:
     """Return of how many modules enough is known for `find_misfits` to judge them; parameters as there."""
-    return sum(_known(boards, index, estimates) is not None for index in range(len(boards.pads)))
+    return sum(_known(model, index, estimates) is not None for index in range(len(model.pads)))
 
 
-def find_misfits(boards: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[Misfit, ...]:
+def find_misfits(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[Misfit, ...]:
     """Return the modules that are mirrored, turned or swapped, in the layout's order.
 
     Parameters
     ----------
     estimates : of single taxels by channel, of the surface method where there is a surface
     """
-    seen, motion = _all_seen(boards, estimates)
-    elsewhere = _in_place_of(boards, seen, motion)
-    usual = _usual([one.turn for index, one in seen.items() if index not in elsewhere])
-    found = (_misfit(boards, index, one, elsewhere.get(index), usual) for index, one in seen.items())
-    return tuple(one for one in found if one is not None)
+    seen, motion = _all_seen(model, estimates)
+    elsewhere = _in_place_of(model, seen, motion)
+    usual = _usual([module.turn for index, module in seen.items() if index not in elsewhere])
+    found = (_misfit(model, index, module, elsewhere.get(index), usual) for index, module in seen.items())
+    return tuple(misfit for misfit in found if misfit is not None)
 
 
-def miss_of(boards: ModuleModel, estimates: Mapping[int, Estimate]) -> float:
+def miss_of(model: ModuleModel, estimates: Mapping[int, Estimate]) -> float:
     """Return how far taxels lie from the plan, less what most modules are moved by alike: rms, m; 0 where nothing is known."""
-    seen, _ = _all_seen(boards, estimates)
-    return _rms(np.concatenate([one.places - one.planned for one in seen.values()])) if seen else 0.0
+    seen, _ = _all_seen(model, estimates)
+    return _rms(np.concatenate([module.places - module.planned for module in seen.values()])) if seen else 0.0
 
 
-def _all_seen(boards: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[dict[int, _Seen], FloatArray]:
+def _all_seen(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[dict[int, _Seen], FloatArray]:
     """Return the modules of which enough is known, their plans moved by what most are moved by, and that motion (4, 4)."""
-    seen = {index: one for index in range(len(boards.pads)) if (one := _seen(boards, index, estimates)) is not None}
+    each = {index: _seen(model, index, estimates) for index in range(len(model.pads))}
+    seen = {index: module for index, module in each.items() if module is not None}
     if not seen:
         return {}, np.eye(4)
     motion = _common(list(seen.values()))
-    return {index: one.replanned(motion) for index, one in seen.items()}, motion
+    turn, shift = motion[:3, :3], motion[:3, 3]
+    return {index: replace(module, planned=module.planned @ turn.T + shift) for index, module in seen.items()}, motion
 
 
 def _usual(turns: Sequence[float]) -> float:
@@ -157,9 +147,10 @@ def _usual(turns: Sequence[float]) -> float:
 
 
 def _common(seen: Sequence[_Seen]) -> FloatArray:
-    """Return the rigid motion (4, 4) from the plan to the places that most modules share; a shift where they are two or one."""
-    here, there = np.array([one.planned.mean(axis=0) for one in seen]), np.array([one.places.mean(axis=0) for one in seen])
-    up, outward = (ARM * np.array([one.normals[row] for one in seen]) for row in range(2))
+    """Return the rigid motion (4, 4) from plan to places that most modules share; of one or two modules a shift alone."""
+    here = np.array([module.planned.mean(axis=0) for module in seen])
+    there = np.array([module.places.mean(axis=0) for module in seen])
+    up, outward = (ARM * np.array([module.normals[row] for module in seen]) for row in range(2))
     weights, motion = np.ones(len(here)), np.eye(4)
     motion[:3, 3] = np.median(there - here, axis=0)
     for _ in range(ROUNDS if len(here) > 2 else 0):
@@ -173,22 +164,22 @@ def _common(seen: Sequence[_Seen]) -> FloatArray:
     return motion
 
 
-def _known(boards: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> dict[int, Estimate] | None:
-    """Return the estimates of a module's pads that have a position and a normal; None where they or the plan do not tell."""
-    told = {row: estimates[channel] for row, channel in enumerate(boards.channels_of([module])) if channel in estimates}
-    known = {row: one for row, one in told.items() if one.position is not None and one.normal is not None}
-    return None if len(known) < FEWEST or boards.plan(module) is None else known
+def _known(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> dict[int, Estimate] | None:
+    """Return the estimates of a module's pads that have a position and a normal; None where these or the plan do not say."""
+    own = {row: estimates[channel] for row, channel in enumerate(model.channels_of([module])) if channel in estimates}
+    known = {row: estimate for row, estimate in own.items() if estimate.position is not None and estimate.normal is not None}
+    return None if len(known) < FEWEST or model.plan(module) is None else known
 
 
-def _seen(boards: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
-    plan, planned = boards.plan(module), boards.planned(module)
-    known = _known(boards, module, estimates)
+def _seen(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
+    plan, planned = model.plan(module), model.planned(module)
+    known = _known(model, module, estimates)
     if plan is None or planned is None or known is None:
         return None
-    rows, points = list(known), np.array([one.position for one in known.values()], dtype=np.float64)
-    normal: FloatArray = np.sum(np.array([one.normal for one in known.values()], dtype=np.float64), axis=0)
+    rows, points = list(known), np.array([estimate.position for estimate in known.values()], dtype=np.float64)
+    normal: FloatArray = np.sum(np.array([estimate.normal for estimate in known.values()], dtype=np.float64), axis=0)
     normal = normal / np.sqrt(normal @ normal)
-    pads = boards.pads[module][rows]
+    pads = model.pads[module][rows]
     x = plan.x[0] - (plan.x[0] @ normal) * normal
     length = float(np.sqrt(x @ x))
     x = x / length if length > 0.1 else across(normal[None])[0, 0]
@@ -196,8 +187,8 @@ def _seen(boards: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -
     flat = np.stack([points @ x, points @ y], axis=1)
     straight, turn = _fit(pads, flat)
     mirrored, other = _fit(pads * np.array([-1.0, 1.0]), flat)
-    return _Seen(points, planned[rows], straight, mirrored, turn if straight <= mirrored else other,
-                 np.array([plan.normals[0], normal]))  # fmt: skip
+    better = turn if straight <= mirrored else other
+    return _Seen(points, planned[rows], straight, mirrored, better, np.array([plan.normals[0], normal]))
 
 
 def _fit(pads: FloatArray, flat: FloatArray) -> tuple[float, float]:
@@ -213,7 +204,7 @@ def _rms(off: FloatArray) -> float:
     return float(np.sqrt(np.sum(off * off) / len(off)))
 
 
-def _misfit(boards: ModuleModel, index: int, one: _Seen, elsewhere: tuple[int, float] | None, usual: float) -> Misfit | None:
+def _misfit(model: ModuleModel, index: int, seen: _Seen, elsewhere: tuple[int, float] | None, usual: float) -> Misfit | None:
     """Return what is wrong with a module; the largest mistake first.
 
     Parameters
@@ -221,54 +212,51 @@ def _misfit(boards: ModuleModel, index: int, one: _Seen, elsewhere: tuple[int, f
     elsewhere : the module in whose place it lies and how far from it; None for its own place
     usual : the turn that most have
     """
-    number = boards.layout.modules[index].id
-    before = _rms(one.places - one.planned)
+    module = model.layout.modules[index]
+    before = _rms(seen.places - seen.planned)
     if elsewhere is not None:
         other, way = elsewhere
-        return Misfit(number, MisfitKind.SWAPPED, before, float(np.hypot(way, one.straight)),
-                      other=boards.layout.modules[other].id)  # fmt: skip
-    beside = float(np.linalg.norm(one.places.mean(axis=0) - one.planned.mean(axis=0)))
-    turn = float(np.angle(np.exp(1j * (one.turn - usual))))
-    if one.mirrored < MIRRORED * one.straight:
-        turn = _meant(turn, boards.layout.modules[index], mirrored=True)
-        return Misfit(number, MisfitKind.MIRRORED, before, float(np.hypot(beside, one.mirrored)), turn=turn)
-    if abs(turn) > TURN_MIN and one.straight < TURNED * _unturned(one):
-        turn = _meant(turn, boards.layout.modules[index], mirrored=False)
-        return Misfit(number, MisfitKind.TURNED, before, float(np.hypot(beside, one.straight)), turn=turn)
+        after = float(np.hypot(way, seen.straight))
+        return Misfit(module.id, MisfitKind.SWAPPED, before, after, other=model.layout.modules[other].id)
+    beside = _apart(seen.places.mean(axis=0), seen.planned.mean(axis=0))
+    turn = float(np.angle(np.exp(1j * (seen.turn - usual))))
+    if seen.mirrored < MIRRORED * seen.straight:
+        turn = _meant(turn, module, mirrored=True)
+        return Misfit(module.id, MisfitKind.MIRRORED, before, float(np.hypot(beside, seen.mirrored)), turn=turn)
+    # Moved to the estimates, and not turned.
+    unturned = _rms((seen.places - seen.places.mean(axis=0)) - (seen.planned - seen.planned.mean(axis=0)))
+    if abs(turn) > TURN_MIN and seen.straight < TURNED * unturned:
+        turn = _meant(turn, module, mirrored=False)
+        return Misfit(module.id, MisfitKind.TURNED, before, float(np.hypot(beside, seen.straight)), turn=turn)
     return None
 
 
-def _unturned(one: _Seen) -> float:
-    """Return how far a module's estimates lie from its plan that is moved to them and not turned, metres, rms."""
-    return _rms((one.places - one.places.mean(axis=0)) - (one.planned - one.planned.mean(axis=0)))
-
-
-def _in_place_of(boards: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArray) -> dict[int, tuple[int, float]]:
+def _in_place_of(model: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArray) -> dict[int, tuple[int, float]]:
     """Return the modules that lie in another's planned place: that one, and how far from it.
 
     Modules of which too little is known are looked at, too, but only where one lies so far off that it may be in their place:
     on a large skin their plans cost more than all else.
     """
-    here = {index: one.places.mean(axis=0) for index, one in seen.items()}
-    there = {index: one.planned.mean(axis=0) for index, one in seen.items()}
-    far = any(_apart(here[index], there[index]) > _rms(one.planned - there[index]) for index, one in seen.items())
+    here = {index: module.places.mean(axis=0) for index, module in seen.items()}
+    there = {index: module.planned.mean(axis=0) for index, module in seen.items()}
+    far = any(_apart(here[index], there[index]) > _rms(module.planned - there[index]) for index, module in seen.items())
     if far:
         there |= {
             index: planned.mean(axis=0) @ motion[:3, :3].T + motion[:3, 3]
-            for index in range(len(boards.pads))
-            if index not in seen and (planned := boards.planned(index)) is not None
+            for index in range(len(model.pads))
+            if index not in seen and (planned := model.planned(index)) is not None
         }
     nearest = {index: _nearest(place, there) for index, place in here.items()} if far else {}
-    astray = {index: one for index, one in nearest.items() if one[0] != index}
-    found = {index: one for index, one in astray.items() if one[1] < SWAP_SHARE * _apart(here[index], there[index])}
-    # Who has another in its place lies in the place of one that is astray, too, if less surely so.
+    astray = {index: place for index, place in nearest.items() if place[0] != index}
+    found = {index: place for index, place in astray.items() if place[1] < SWAP_SHARE * _apart(here[index], there[index])}
+    # A module with another in its place lies in the place of one that is astray, too, if less surely so.
     while more := [other for other, _ in found.values() if other in astray and other not in found]:
-        found |= {one: _nearest(here[one], {index: there[index] for index in astray if index != one}) for one in more}
+        found |= {index: _nearest(here[index], {k: there[k] for k in astray if k != index}) for index in more}
     return found
 
 
 def _nearest(place: FloatArray, centres: Mapping[int, FloatArray]) -> tuple[int, float]:
-    """Return which of some places is nearest to one, and how far from it."""
+    """Return which of some places is nearest to a place, and how far from it."""
     apart = np.sqrt(np.sum((np.array(list(centres.values())) - place) ** 2, axis=1))
     row = int(np.argmin(apart))
     return list(centres)[row], float(apart[row])
@@ -279,10 +267,10 @@ def _apart(place: FloatArray, other: FloatArray) -> float:
 
 
 def _meant(turn: float, module: Module, *, mirrored: bool) -> float:
-    """Return the turn that is meant by one that is seen.
+    """Return the turn that is meant by the one that is seen.
 
-    That is one that lays the board, mirrored or not, on its own outline, else one in steps of `TURN_STEP`, else whole degrees.
-    Of a mirrored board a turn that none would be told of alone counts for none.
+    That is a turn that lays the module, mirrored or not, on its own outline, else one in steps of `TURN_STEP`, else whole
+    degrees. Of a mirrored module, a turn too small to be reported by itself counts as none.
     """
     outline = module.kind.outline @ np.array([-1.0 if module.mirror else 1.0, 1j])
     before = outline - outline.mean()
@@ -295,6 +283,165 @@ def _meant(turn: float, module: Module, *, mirrored: bool) -> float:
         return 0.0
     step = TURN_STEP * round(turn / TURN_STEP)
     return step if abs(turn - step) < TURN_NEAR else float(np.radians(round(np.degrees(turn))))
+
+
+class UnmendedKind(Enum):
+    """Why a change of the layout does not put modules right."""
+
+    STILL_OFF = "off its place all the same"
+    NO_RING = "in another's place, with no exchange that leads around"
+    UNLIKE = "in each other's places, with other pads"
+    NO_NEARER = "no change lies nearer to the taxels"
+
+
+@dataclass(frozen=True, slots=True)
+class Unmended:
+    """Modules that cannot be put right, and why."""
+
+    kind: UnmendedKind
+    modules: tuple[int, ...]
+    """Their ids; for `NO_RING` the module and the one in whose place it lies."""
+    off: float = 0.0
+    """m, rms, `STILL_OFF`: how far the taxels would lie off with the correction."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModuleChange:
+    """What the layout is to say of one module; None where it is right."""
+
+    module: int
+    """Its id."""
+    angle: float | None = None
+    """rad, in (-pi, pi]."""
+    mirror: bool | None = None
+    first_channel: int | None = None
+
+    @property
+    def keys(self) -> dict[str, float | bool | int]:
+        """What is to stand in the layout's file, by its keys."""
+        degrees = None if self.angle is None else round(float(np.degrees(self.angle)), 6)
+        whole = int(degrees) if degrees is not None and degrees == int(degrees) else degrees
+        given = {"first_channel": self.first_channel, "angle_deg": whole, "mirror": self.mirror}
+        return {key: value for key, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LayoutMend:
+    """How a layout is put right."""
+
+    misfits: tuple[Misfit, ...]
+    """What is wrong with it, by `find_misfits`."""
+    layout: Layout
+    """The corrected one; as it was where nothing can be put right."""
+    changes: tuple[ModuleChange, ...]
+    """Where it differs, in its order."""
+    left: tuple[Unmended, ...]
+    """What cannot be put right so."""
+
+
+def mend_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> LayoutMend:
+    """Return how the layout of a model is put right so that `find_misfits` finds nothing more.
+
+    Parameters
+    ----------
+    model, estimates : as for `find_misfits`
+    """
+    given, first, left = model.layout, None, ()
+    for more in reversed(range(MEND_ROUNDS + 1)):
+        misfits = find_misfits(model, estimates)
+        first = misfits if first is None else first
+        layout, left = mend_layout(model.layout, misfits)
+        if not changes_of(model.layout, layout):
+            break
+        mended = model.replanned(layout)
+        if not more or miss_of(mended, estimates) >= miss_of(model, estimates):
+            left = (*left, Unmended(UnmendedKind.NO_NEARER, tuple(misfit.module for misfit in misfits)))
+            break
+        model = mended
+    return LayoutMend(first or (), model.layout, changes_of(given, model.layout), left)
+
+
+def mend_layout(layout: Layout, misfits: Sequence[Misfit]) -> tuple[Layout, tuple[Unmended, ...]]:
+    """Return a layout with its misfits put right, and those that cannot be; the same layout where none can.
+
+    Parameters
+    ----------
+    misfits : of this layout
+    """
+    modules = {module.id: module for module in layout.modules}
+    swapped = [misfit for misfit in misfits if misfit.kind is MisfitKind.SWAPPED]
+    channels, left = _exchanged(layout, swapped)
+    # What lies in a place that another was found in is not understood, be it turned or mirrored there.
+    unclear = {misfit.other for misfit in swapped} - channels.keys()
+    for misfit in misfits:
+        if misfit.kind is MisfitKind.SWAPPED or misfit.module in unclear:
+            continue
+        if misfit.after > _radius(modules[misfit.module]):
+            left.append(Unmended(UnmendedKind.STILL_OFF, (misfit.module,), misfit.after))
+        else:
+            modules[misfit.module] = _turned(modules[misfit.module], misfit)
+    changed = (replace(module, first_channel=channels.get(module.id, module.first_channel)) for module in modules.values())
+    mended = Layout(tuple(changed), layout.width, layout.path, layout.text)
+    return (mended if changes_of(layout, mended) else layout), tuple(left)
+
+
+def changes_of(before: Layout, after: Layout) -> tuple[ModuleChange, ...]:
+    """Return where a layout of the same modules differs, in its order."""
+    found = [_change(module, other) for module, other in zip(before.modules, after.modules, strict=True)]
+    return tuple(change for change in found if change.keys)
+
+
+def _change(module: Module, other: Module) -> ModuleChange:
+    return ModuleChange(
+        module.id,
+        None if other.angle == module.angle else other.angle,
+        None if other.mirror == module.mirror else other.mirror,
+        None if other.first_channel == module.first_channel else other.first_channel,
+    )
+
+
+def _turned(module: Module, misfit: Misfit) -> Module:
+    angle = module.angle
+    if misfit.turn:
+        angle = np.pi - (np.pi - angle - misfit.turn) % (2.0 * np.pi)
+    return replace(module, angle=float(angle), mirror=module.mirror != (misfit.kind is MisfitKind.MIRRORED))
+
+
+def _radius(module: Module) -> float:
+    """Return how far a module reaches from its middle, metres: one that lies farther from its place is not there."""
+    outline = module.kind.outline - module.kind.outline.mean(axis=0)
+    return float(np.sqrt(np.sum(outline * outline, axis=1)).max())
+
+
+def _exchanged(layout: Layout, swapped: Sequence[Misfit]) -> tuple[dict[int, int], list[Unmended]]:
+    """Return which module gets which first channel, by ids, and what is left."""
+    goes = {misfit.module: misfit.other for misfit in swapped if misfit.other is not None}
+    modules = {module.id: module for module in layout.modules}
+    channels: dict[int, int] = {}
+    left: list[Unmended] = []
+    for start in goes:
+        ring = _ring(start, goes)
+        if not ring:
+            left.append(Unmended(UnmendedKind.NO_RING, (start, goes[start])))
+        elif _alike([modules[number] for number in ring]):
+            channels[goes[start]] = modules[start].first_channel
+        elif start == min(ring):
+            left.append(Unmended(UnmendedKind.UNLIKE, ring))
+    return channels, left
+
+
+def _ring(start: int, goes: Mapping[int, int]) -> tuple[int, ...]:
+    """Return the modules from `start` on, each in the place of the next, around; empty where there is an end."""
+    ring = [start]
+    while (after := goes.get(ring[-1])) is not None and after not in ring:
+        ring.append(after)
+    return tuple(ring) if after == start else ()
+
+
+def _alike(modules: Sequence[Module]) -> bool:
+    """Return whether modules have the same pads, so that the channels of each fit the others."""
+    first = modules[0].kind.pads
+    return all(np.array_equal(first, module.kind.pads, equal_nan=True) for module in modules)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,7 +462,7 @@ class PlannedNeighbours:
     def ratios(self, channels: IntArray, places: FloatArray) -> FloatArray:
         """Return how far neighbours lie apart over how far the layout plans it, module by module.
 
-        Least squares draws taxels together to where they are poked: below 1 tells of it; scatter widens, above 1.
+        Least squares draws taxels together to where they are poked: below 1 shows it; scatter widens, above 1.
 
         Parameters
         ----------
@@ -351,183 +498,6 @@ def neighbours_of(layout: Layout) -> PlannedNeighbours:
 
 def spacing_ratio(layout: Layout, estimates: Sequence[Estimate]) -> float | None:
     """Return how far neighbours lie apart over how far the layout plans it, over all modules; None where no pair is known."""
-    channels = np.array([one.channel for one in estimates], dtype=np.int64)
+    channels = np.array([estimate.channel for estimate in estimates], dtype=np.int64)
     ratio = float(neighbours_of(layout).ratios(channels, places_of(estimates))[-1])
     return ratio if ratio == ratio else None
-
-
-MEND_ROUNDS = 3
-"""Corrections one after another: that a swapped module is mirrored, too, is seen after the exchange; the third is spare."""
-MOST_NAMED = 4
-"""Modules of one sentence that are named; of more the first."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModuleChange:
-    """What the layout is to say of one module; None where it is right."""
-
-    module: int
-    """Its id."""
-    angle: float | None = None
-    """rad, in (-pi, pi]."""
-    mirror: bool | None = None
-    first_channel: int | None = None
-
-    @property
-    def keys(self) -> dict[str, float | bool | int]:
-        """What is to stand in the layout's file, by its keys."""
-        degrees = None if self.angle is None else round(float(np.degrees(self.angle)), 6)
-        whole = int(degrees) if degrees is not None and degrees == int(degrees) else degrees
-        given = {"first_channel": self.first_channel, "angle_deg": whole, "mirror": self.mirror}
-        return {key: value for key, value in given.items() if value is not None}
-
-    @property
-    def words(self) -> str:
-        """A line for the operator: `"module 17: angle_deg = -60, mirror = true"`."""
-        said = ", ".join(f"{key} = {str(value).lower()}" for key, value in self.keys.items())
-        return f"module {self.module}: {said}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LayoutMend:
-    """How a layout is put right."""
-
-    misfits: tuple[Misfit, ...]
-    """What is wrong with it, as `find_misfits` says it."""
-    layout: Layout
-    """The corrected one; as it was where nothing can be put right."""
-    changes: tuple[ModuleChange, ...]
-    """What it says otherwise, in its order."""
-    left: tuple[str, ...]
-    """Sentences on what cannot be put right so, and why."""
-
-
-def mend_modules(boards: ModuleModel, estimates: Mapping[int, Estimate]) -> LayoutMend:
-    """Return how the layout of boards is put right so that `find_misfits` finds nothing more.
-
-    Parameters
-    ----------
-    boards, estimates : as for `find_misfits`
-    """
-    given, first, left = boards.layout, None, ()
-    for more in reversed(range(MEND_ROUNDS + 1)):
-        misfits = find_misfits(boards, estimates)
-        first = misfits if first is None else first
-        layout, left = mend_layout(boards.layout, misfits)
-        if not changes_of(boards.layout, layout):
-            break
-        mended = boards.replanned(layout)
-        if not more or miss_of(mended, estimates) >= miss_of(boards, estimates):
-            left = (*left, _no_nearer(misfits))
-            break
-        boards = mended
-    return LayoutMend(first or (), boards.layout, changes_of(given, boards.layout), left)
-
-
-def mend_layout(layout: Layout, misfits: Sequence[Misfit]) -> tuple[Layout, tuple[str, ...]]:
-    """Return a layout with its misfits put right, and sentences on those that cannot be; the same layout where none can.
-
-    Parameters
-    ----------
-    misfits : of this layout
-    """
-    modules = {module.id: module for module in layout.modules}
-    swapped = [one for one in misfits if one.kind is MisfitKind.SWAPPED]
-    channels, left = _exchanged(layout, swapped)
-    # What lies in a place that another was found in is not understood, be it turned or mirrored there.
-    unclear = {one.other for one in swapped} - channels.keys()
-    for one in misfits:
-        if one.kind is MisfitKind.SWAPPED or one.module in unclear:
-            continue
-        if one.after > _radius(modules[one.module]):
-            left = (
-                *left,
-                f"Module {one.module} lies {one.after * 1e3:.0f} mm off its place even so: poke the modules beside it.",
-            )
-        else:
-            modules[one.module] = _turned(modules[one.module], one)
-    changed = tuple(replace(one, first_channel=channels.get(one.id, one.first_channel)) for one in modules.values())
-    mended = Layout(changed, layout.width, layout.path, layout.text)
-    return (mended if changes_of(layout, mended) else layout), left
-
-
-def changes_of(before: Layout, after: Layout) -> tuple[ModuleChange, ...]:
-    """Return what a layout of the same modules says otherwise, in its order."""
-    found = [_change(one, other) for one, other in zip(before.modules, after.modules, strict=True)]
-    return tuple(one for one in found if one.keys)
-
-
-def _change(one: Module, other: Module) -> ModuleChange:
-    return ModuleChange(
-        one.id,
-        None if other.angle == one.angle else other.angle,
-        None if other.mirror == one.mirror else other.mirror,
-        None if other.first_channel == one.first_channel else other.first_channel,
-    )
-
-
-def _turned(module: Module, misfit: Misfit) -> Module:
-    angle = module.angle
-    if misfit.turn:
-        angle = np.pi - (np.pi - angle - misfit.turn) % (2.0 * np.pi)
-    return replace(module, angle=float(angle), mirror=module.mirror != (misfit.kind is MisfitKind.MIRRORED))
-
-
-def _radius(module: Module) -> float:
-    """Return how far a board reaches from its middle, metres: one that lies farther from its place is not there."""
-    outline = module.kind.outline - module.kind.outline.mean(axis=0)
-    return float(np.sqrt(np.sum(outline * outline, axis=1)).max())
-
-
-def _exchanged(layout: Layout, swapped: Sequence[Misfit]) -> tuple[dict[int, int], tuple[str, ...]]:
-    """Return which module gets which first channel, by ids, and sentences on what is left."""
-    goes = {one.module: one.other for one in swapped if one.other is not None}
-    modules = {module.id: module for module in layout.modules}
-    channels: dict[int, int] = {}
-    left: list[str] = []
-    for start in goes:
-        ring = _ring(start, goes)
-        if not ring:
-            left.append(
-                f"Module {start} lies where module {goes[start]} is planned, but no exchange leads around to it: "
-                f"poke modules {start} and {goes[start]} and those beside them, so that it is seen where each of them lies."
-            )
-        elif _alike([modules[number] for number in ring]):
-            channels[goes[start]] = modules[start].first_channel
-        elif start == min(ring):
-            left.append(
-                f"Modules {_named(ring)} lie in each other's places, but their kinds are different boards: exchange what the "
-                "layout says of their places by hand."
-            )
-    return channels, tuple(left)
-
-
-def _ring(start: int, goes: Mapping[int, int]) -> tuple[int, ...]:
-    """Return the modules from `start` on, each in the place of the next, around; empty where there is an end."""
-    ring = [start]
-    while (after := goes.get(ring[-1])) is not None and after not in ring:
-        ring.append(after)
-    return tuple(ring) if after == start else ()
-
-
-def _alike(modules: Sequence[Module]) -> bool:
-    """Return whether boards have the same pads, so that one's channels fit the other."""
-    first = modules[0].kind.pads
-    return all(np.array_equal(first, one.kind.pads, equal_nan=True) for one in modules)
-
-
-def _no_nearer(misfits: Sequence[Misfit]) -> str:
-    numbers = [one.module for one in misfits]
-    many = len(numbers) > 1
-    return (
-        f"Module{'s' if many else ''} {_named(numbers)} {'do' if many else 'does'} not lie as planned, but no change of the "
-        f"layout lies nearer to {'their' if many else 'its'} taxels: poke {'them' if many else 'it'} more, and look at "
-        f"{'them' if many else 'it'} on the part."
-    )
-
-
-def _named(numbers: Sequence[int]) -> str:
-    named = [str(number) for number in numbers[:MOST_NAMED]]
-    if len(numbers) > MOST_NAMED:
-        return f"{', '.join(named)} and {len(numbers) - MOST_NAMED} more"
-    return " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))

@@ -1,20 +1,21 @@
-"""Modules as boards: where a pose of a board puts its pads, and how that changes with the pose.
+"""Poses of modules: where a pose puts the module's pads, and how that changes with the pose.
 
-A board has three unknowns where there is a surface: it lies on it, bent and not stretched, so its pose is a place on the
-surface and a direction along it, and its pads lie at the ends of straight geodesics (`skincal.mesh.geodesics`). On a mesh
-these unfold into a plane: with x', y' the directions of the board's x and y carried to a pad at (bx, by),
+On a surface a module has three unknowns: it is bent and not stretched, so its pose is a place on the surface and a
+direction along it, and its pads lie at the ends of straight geodesics (`skincal.mesh.geodesics`). On a mesh these unfold
+into a plane: with x', y' the directions of the module's x and y carried to a pad at (bx, by),
 
     dP/da = x',   dP/db = y',   dP/dtheta = bx y' - by x',
 
-exactly, within a triangle. Without a surface a board is flat and has six: a shift t and a turn w about its origin,
-dP/dt = I, dP/dw = -S(P - origin). Turns count as the way of a point `LEVER` from the origin, so all unknowns are metres.
+exactly, within a triangle. Without a surface a module is flat and has six unknowns: a shift t and a turn w about its origin,
+dP/dt = I, dP/dw = -S(P - origin). Turns are counted as the way of a point `LEVER` from the origin, so all unknowns are
+metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -28,17 +29,17 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
 LEVER = 0.010
-"""m: a turn counts as the way of a point so far from the board's origin, about that of its outer pads."""
+"""m: a turn is counted as the way of a point this far from the module's origin, about as far as its outer pads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModulePoses:
-    """Poses of n boards, link frame."""
+    """Poses of n modules, link frame."""
 
     points: FloatArray
-    """(n, 3) float, metres: the boards' origins."""
+    """(n, 3) float, metres: the modules' origins."""
     x: FloatArray
-    """(n, 3) float, unit: where the boards' x axes point there."""
+    """(n, 3) float, unit: where the modules' x axes point there."""
     normals: FloatArray
     """(n, 3) float, unit, outward, there."""
     triangles: IntArray
@@ -56,42 +57,24 @@ class Pads:
     points: FloatArray
     """(n, 3) float, metres, link frame."""
     gradients: FloatArray
-    """(n, 3, d) float: change of a pad's place with the d unknowns of its board."""
+    """(n, 3, d) float: change of a pad's place with the d unknowns of its module."""
     normals: FloatArray
     """(n, 3) float, unit, outward."""
     triangles: IntArray
     """(n,) of the surface; -1 without one."""
 
 
-class ModuleGround(Protocol):
-    """What boards lie on."""
-
-    unknowns: int
-    """d, of each board."""
-
-    def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads at `flat` (n, 2), metres, of boards at `poses` (n,) lie, one a board."""
-        ...
-
-    def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses (n,) moved by `moves` (n, d)."""
-        ...
-
-    def axes(self, normals: FloatArray) -> FloatArray:
-        """Return (n, t, 3) what the last t unknowns turn places with `normals` (n, 3) about."""
-        ...
-
-
 class ModulesOnSurface:
-    """A surface that boards are bent onto."""
+    """A surface that modules are bent onto."""
 
     unknowns = 3
+    """d, of each module."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads lie: at the ends of the ways that lead there in the board's plane."""
+        """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie: at the ends of geodesics."""
         end = _walked(self.surface, poses, flat)
         normals = self.surface.normals[end.triangles]
         x, y = end.x, crossed(normals, end.x)
@@ -99,7 +82,7 @@ class ModulesOnSurface:
         return Pads(end.points, np.stack([x, y, turn], axis=2), normals, end.triangles)
 
     def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses at the ends of the moves' ways, turned there."""
+        """Return the poses (n,) moved by `moves` (n, 3): at the ends of geodesics, turned there."""
         end = _walked(self.surface, poses, moves[:, :2])
         normals = self.surface.normals[end.triangles]
         y = crossed(normals, end.x)
@@ -107,35 +90,39 @@ class ModulesOnSurface:
         return ModulePoses(end.points, c * end.x + s * y, normals, end.triangles)
 
     def axes(self, normals: FloatArray) -> FloatArray:
-        """Return the normals: a board turns in its plane."""
+        """Return (n, 1, 3) the axes that the last unknown turns places about, the normals: a module turns in its plane."""
         return normals[:, None]
 
 
 class ModulesInSpace:
-    """No surface: boards are flat and lie anywhere."""
+    """No surface: modules are flat and lie anywhere."""
 
     unknowns = 6
 
     def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads lie in the planes of their boards."""
+        """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie, in the planes of the modules."""
         arms = flat[:, :1] * poses.x + flat[:, 1:] * crossed(poses.normals, poses.x)
         gradients = np.concatenate([np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / LEVER], axis=2)
         return Pads(poses.points + arms, gradients, poses.normals, poses.triangles)
 
     def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses, shifted and turned."""
+        """Return the poses (n,) moved by `moves` (n, 6): shifted and turned."""
         turn = rotations(moves[:, 3:] / LEVER)
         x, normals = (np.sum(turn * v[:, None], axis=2) for v in (poses.x, poses.normals))
         return ModulePoses(poses.points + moves[:, :3], x, normals, poses.triangles)
 
     def axes(self, normals: FloatArray) -> FloatArray:
-        """Return the three axes, for each."""
+        """Return (n, 3, 3) the axes that the last three unknowns turn places about: those of the link."""
         return np.tile(np.eye(3), (len(normals), 1, 1))
+
+
+ModuleGround: TypeAlias = ModulesOnSurface | ModulesInSpace
+"""What modules lie on."""
 
 
 def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> Footing:
     """Return where straight ways (n, 2) from poses end, metres."""
-    # Only now: a scene without a mesh loads nothing of it.
+    # Imported only now: a scene without a mesh loads nothing of it.
     from skincal.mesh.geodesics import Footing, geodesics_of
 
     return geodesics_of(surface).walk(Footing(poses.triangles, poses.points, poses.x), ways).end
@@ -187,18 +174,14 @@ class ModuleModel:
         self._planned: dict[int, FloatArray] = {}
 
     def replanned(self, layout: Layout) -> ModuleModel:
-        """Return the boards of another layout of these modules on the same part; a plan that is the same is not made anew."""
-        boards = ModuleModel(layout, self._anchor, self._surface)
-        for index, (one, other) in enumerate(zip(self.layout.modules, layout.modules, strict=True)):
-            if (one.angle, one.mirror) == (other.angle, other.mirror) and one.place is other.place and one.kind is other.kind:
-                boards._take_plan(index, self)
-        return boards
-
-    def _take_plan(self, module: int, other: ModuleModel) -> None:
-        if module in other._plans:
-            self._plans[module] = other._plans[module]
-        if module in other._planned:
-            self._planned[module] = other._planned[module]
+        """Return the model of another layout of these modules on the same part."""
+        model = ModuleModel(layout, self._anchor, self._surface)
+        pairs = zip(self.layout.modules, layout.modules, strict=True)
+        # Laying a module out on a mesh costs milliseconds: a plan that is the same is not made anew.
+        same = [index for index, (before, after) in enumerate(pairs) if _same_plan(before, after)]
+        model._plans = {index: self._plans[index] for index in same if index in self._plans}
+        model._planned = {index: self._planned[index] for index in same if index in self._planned}
+        return model
 
     def plan(self, module: int) -> ModulePoses | None:
         """Return where the plan puts a module, one pose; None where it does not say, or is of another part."""
@@ -207,7 +190,7 @@ class ModuleModel:
             try:
                 self._plans[module] = _planned(own, own.anchor or self._anchor, self.ground)
             except InputError:
-                # Whoever lays the layout out says it.
+                # Laying the layout out reports it.
                 self._plans[module] = None
         return self._plans[module]
 
@@ -227,6 +210,11 @@ class ModuleModel:
     def channels_of(self, modules: Iterable[int]) -> list[int]:
         """Return the taxels of modules, module by module."""
         return [channel for module in modules for channel in self.layout.modules[module].channels.tolist()]
+
+
+def _same_plan(module: Module, other: Module) -> bool:
+    same_place = module.place is other.place and module.kind is other.kind
+    return same_place and (module.angle, module.mirror) == (other.angle, other.mirror)
 
 
 def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> ModulePoses | None:
@@ -251,8 +239,8 @@ def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> Mod
 def joined(poses: Sequence[ModulePoses]) -> ModulePoses:
     """Return all poses of several as one."""
     return ModulePoses(
-        np.concatenate([one.points for one in poses]),
-        np.concatenate([one.x for one in poses]),
-        np.concatenate([one.normals for one in poses]),
-        np.concatenate([one.triangles for one in poses]),
+        np.concatenate([pose.points for pose in poses]),
+        np.concatenate([pose.x for pose in poses]),
+        np.concatenate([pose.normals for pose in poses]),
+        np.concatenate([pose.triangles for pose in poses]),
     )

@@ -1,13 +1,11 @@
-"""What pokes say of the boards they touched: one place a poke, the middle of the pads that answered.
+"""The fit of modules' poses: each module's least squares over all its pokes.
 
-A poke lies where the answers say, not at each of the taxels that answered: at the middle c = sum k_j P_j / sum k_j of the
-board's pads, off by a little in the skin (`offset_squares`). Its two rows are those of `evidence.py`, with c in the
-taxel's place: e_1.(c - a), e_2.(c - a). So a board is drawn to places that are poked often no more than to others. A poke
-counts for the board that answers most.
+**A poke's place.** A poke lies where the answers say, not at each of the taxels that answered: at the middle
+c = sum k_j P_j / sum k_j of the module's pads, off by a little in the skin (`offset_squares`). Its two rows are those of
+`skincal.taxels.contact_table`, with c in the taxel's place: e_1.(c - a), e_2.(c - a). So a module is drawn to places that
+are poked often no more than to others. A poke counts for the module that answers most.
 
-What pokes say of a board's unknowns: two rows each, in standard deviations.
-
-A poke's middle c (`touches.py`) has two rows, r = E (a - c), with the covariance
+**Its rows**, r = E (a - c), have the covariance
 
     D = E N E' + s^2 (I - o o'),   o = E n,
 
@@ -18,36 +16,33 @@ normal n. Written as sums, so that nothing cancels where a lever is long or a pu
 
 and its determinant is q^2 + q (|p|^2 + |r|^2) + (p x r)^2. The rows are L^-1 r with D = L L'.
 
-Where the search for a board's pose begins: at the pose that fits the estimates of its taxels, by other methods.
+**The start** of the search is the pose that fits the estimates of the module's taxels, by other methods. With q_j the
+estimates, b_j the pads in the module's plane and w_j = 1/(rms_j^2 + FLOOR^2), the turn that makes sum w |q - R b - t|^2
+least in the plane across the mean normal is that of the complex number sum w conj(b - mean b)(q - mean q). Where its own
+uncertainty, 1/sqrt(sum w |b - mean b|^2), is too large, the plan's turn is taken.
 
-With q_j the estimates, b_j the pads in the board's plane and w_j = 1/(rms_j^2 + FLOOR^2), the turn that makes
-sum w |q - R b - t|^2 least in the plane across the mean normal is that of the complex number sum w conj(b - mean b)(q - mean
-q). Where its own uncertainty, 1/sqrt(sum w |b - mean b|^2), is too large, the plan's turn is taken.
-
-The poses of rigid boards: each module's least squares over all its pokes.
-
-The sum of squares of the whitened rows A, b (`board_rows.py`) is minimised over the board's unknowns, the noise taken as it is
+**The search.** The sum of squares of the whitened rows A, b is minimised over the module's unknowns, the noise taken as it is
 at the pose. Gauss and Newton's step comes from QR of the rows (their condition is never squared), with the singular values of
-the small factor telling which directions the pokes determine. Alone it converges by a constant share each time, and goes to
-and fro by millimetres where the pokes tell little of a board's tilt. So how the rows turn with the board is heeded as well,
-B (`bends_of`), of the misses that the step would leave:
+the small factor giving the directions that the pokes determine. Alone it converges by a constant share each time, and goes to
+and fro by millimetres where the pokes hardly determine a module's tilt. So the change of the rows with the pose is used as
+well, B (`bends_of`), of the misses that the step would leave:
 
     step = R^-1 (I - R'^-1 B R^-1)^-1 Q'b,   A = Q R,
 
-where that matrix is positive, else R^-1 Q'b. Both are nought at the same pose, where A'b is: B has no say in the answer, only
+where that matrix is positive, else R^-1 Q'b. Both are zero at the same pose, where A'b is: B has no say in the answer, only
 in how soon it is found.
 
-Trust is that of `trust.h`, for the whole board: a poke far off what the others say counts less, measured against the board's
-own spread. The others are those of the same arm pose, where they are enough: a pose that is told wrong shifts all its pokes,
-and none of them is to blame.
+**Trust** is that of `trust.h`, for the whole module: a poke far off what the others say counts less, measured against the
+module's own spread. The others are those of the same arm pose, where they are enough: a pose that is reported wrong shifts
+all its pokes, and none of them is to blame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import TypeAlias
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +50,7 @@ from numpy.typing import NDArray
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.geometry.wrench import cross_matrix
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import LEVER, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, crossed
+from skincal.modules.pose import LEVER, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, crossed, joined
 from skincal.taxels.contact_table import Evidence, across
 from skincal.taxels.least_squares import triangle
 from skincal.taxels.result import Estimate
@@ -66,33 +61,33 @@ simulated forearm, 2.4, 1.5, 0.8 and 0.5 mm for one to four pads."""
 ACROSS = 0.001
 """m: by how much more where another module answers too: the tip stands on both."""
 SHARE_MIN = 0.5
-"""A poke counts for a board that has at least this share of the answers."""
+"""A poke counts for a module that has at least this share of the answers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touches:
-    """m pokes on b boards, ordered by board, then by the poke's number."""
+    """m pokes on b modules, ordered by module, then by the poke's number."""
 
-    boards: IntArray
-    """(b,) indices of the modules, ascending."""
+    modules: IntArray
+    """(b,) indices in the layout, ascending."""
     of: IntArray
-    """(m,) which of `boards` was touched, 0 to b - 1."""
+    """(m,) which of `modules` was touched, 0 to b - 1."""
     rows: IntArray
     """(m,) an answer of each poke in `evidence`."""
     evidence: Evidence
     offsets: FloatArray
     """(m,) float, m^2: `offset_squares`."""
     answers: IntArray
-    """(a,) pads that answered, indices into the pads of all `boards`, one board after another."""
+    """(a,) pads that answered, indices into the pads of all `modules`, one module after another."""
     shares: FloatArray
     """(a,) float: of its poke's middle; those of a poke sum to 1."""
     channels: IntArray
-    """(n,) the channels of the pads of all `boards`, one board after another."""
+    """(n,) the channels of the pads of all `modules`, one module after another."""
     starts: IntArray
     """(m,) where the answers of each poke begin."""
 
     def channels_of(self, touch: int) -> IntArray:
-        """Return the channels that answered a poke, those of its board."""
+        """Return the channels that answered a poke, those of its module."""
         end = self.starts[touch + 1] if touch + 1 < len(self.starts) else len(self.answers)
         return self.channels[self.answers[self.starts[touch] : end]]
 
@@ -110,14 +105,14 @@ def offset_squares(answering: IntArray, across: FloatArray, noise: NoiseSettings
 
     Parameters
     ----------
-    answering : (m,) pads of the board that answered
-    across : (m,) float, 0 to 1: share of the answers that other boards gave
+    answering : (m,) pads of the module that answered
+    across : (m,) float, 0 to 1: share of the answers that other modules gave
     """
     return np.asarray((MIDDLE * noise.contact / answering) ** 2 + np.where(across > 1e-9, ACROSS**2, 0.0))
 
 
 def find_touches(
-    evidence: Evidence, totals: FloatArray, boards: ModuleModel, noise: NoiseSettings, wanted: Collection[int]
+    evidence: Evidence, totals: FloatArray, model: ModuleModel, noise: NoiseSettings, wanted: Collection[int]
 ) -> Touches:
     """Return the pokes on the modules `wanted`; one that touches several modules counts where most answered.
 
@@ -128,9 +123,9 @@ def find_touches(
     wanted : indices of modules
     """
     channels = evidence.channels[evidence.taxels]
-    modules = boards.layout.module_of[channels]
-    order = np.lexsort((channels, evidence.pokes, modules))
-    ordered, pokes = modules[order], evidence.pokes[order]
+    owners = model.layout.module_of[channels]
+    order = np.lexsort((channels, evidence.pokes, owners))
+    ordered, pokes = owners[order], evidence.pokes[order]
     new = np.ones(len(order), dtype=bool)
     new[1:] = (ordered[1:] != ordered[:-1]) | (pokes[1:] != pokes[:-1])
     firsts = np.flatnonzero(new)
@@ -140,18 +135,18 @@ def find_touches(
     kept = (share > SHARE_MIN) & np.isin(ordered[firsts], list(wanted))
     answers = order[np.repeat(kept, sizes)]
     rows, sizes, sums, share = order[firsts[kept]], sizes[kept], sums[kept], share[kept]
-    used = np.unique(modules[rows])
-    ids: list[int] = used.tolist()
-    begins = np.cumsum([0, *(len(boards.pads[module]) for module in ids)])
+    modules = np.unique(owners[rows])
+    indices: list[int] = modules.tolist()
+    begins = np.cumsum([0, *(len(model.pads[module]) for module in indices)])
     return Touches(
-        boards=used,
-        of=np.searchsorted(used, modules[rows]),
+        modules=modules,
+        of=np.searchsorted(modules, owners[rows]),
         rows=rows,
         evidence=evidence,
         offsets=offset_squares(sizes, 1.0 - share, noise),
-        answers=begins[np.searchsorted(used, modules[answers])] + boards.place_of[channels[answers]],
+        answers=begins[np.searchsorted(modules, owners[answers])] + model.place_of[channels[answers]],
         shares=evidence.weights[answers] / np.repeat(sums, sizes),
-        channels=np.array(boards.channels_of(ids), dtype=np.int64),
+        channels=np.array(model.channels_of(indices), dtype=np.int64),
         starts=np.cumsum(np.append(0, sizes))[:-1],
     )
 
@@ -167,7 +162,7 @@ class RowSpread:
     skin: FloatArray
     """(m, 2) float, metres: r, of the contact's place in the skin."""
     push: FloatArray
-    """(m, 2) float, metres: the roots of q's parts that turn with the board, force/|f| u.l and s u.n."""
+    """(m, 2) float, metres: the roots of q's parts that change with the pose, force/|f| u.l and s u.n."""
     share: FloatArray
     """(m,) float: force/|f|."""
 
@@ -177,7 +172,7 @@ class ModuleRows:
     """The whitened rows of m pokes."""
 
     slopes: FloatArray
-    """(m, 2, d) float, 1/m: change of the middle across the push with the board's unknowns, in standard deviations."""
+    """(m, 2, d) float, 1/m: change of the middle across the push with the module's unknowns, in standard deviations."""
     misses: FloatArray
     """(m, 2) float: how far the axis passes the middle, in standard deviations."""
     pitches: FloatArray
@@ -189,14 +184,14 @@ class ModuleRows:
     levers: FloatArray
     """(m, 3) float, metres: from the sensor to the middle."""
     gradients: FloatArray
-    """(m, 3, d) float: change of the middle with the board's unknowns."""
+    """(m, 3, d) float: change of the middle with the module's unknowns."""
     normals: FloatArray
     """(m, 3) float, unit, outward: of the skin at the middle."""
     spread: RowSpread
 
 
 def whitened(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleRows:
-    """Return the rows of pokes whose boards have their pads at `pads`."""
+    """Return the rows of pokes whose modules have their pads at `pads`."""
     evidence, at = touches.evidence, touches.rows
     places, gradients, normals = touches.middles(pads)
     pairs, pushes, forces = evidence.pairs[at], evidence.directions[at], evidence.forces[at]
@@ -250,7 +245,7 @@ def bends_of(touches: Touches, rows: ModuleRows, ground: ModuleGround) -> FloatA
     swing = spread.share[:, None, None] * rows.gradients
     pushed, parts = spread.push[:, 0, None, None] * swing, [(spread.swing, pairs @ swing)]
     if turns > 1:
-        # Without a surface the board's normal turns, too.
+        # Without a surface the module's normal turns, too.
         skin = np.zeros_like(rows.gradients)
         tilted = crossed(axes, rows.normals[:, None]).transpose(0, 2, 1)
         skin[:, :, -turns:] = np.sqrt(touches.offsets)[:, None, None] * tilted
@@ -271,65 +266,67 @@ def bends_of(touches: Touches, rows: ModuleRows, ground: ModuleGround) -> FloatA
 FLOOR = 0.002
 """m: no estimate is taken for better known than this, so that one does not outvote the rest."""
 TURN_SD_MAX = 0.35
-"""rad: estimates that tell the turn worse are left aside for the plan's; a search finds its way back from 60 degrees."""
+"""rad: where estimates determine the turn worse than this, the plan's is taken; a search finds its way back from 60 degrees."""
 FAR = 0.004
 """m: estimates farther than this from where the others put them count less."""
 ROUNDS = 3
+"""Of weighing the estimates anew."""
 
 
-def start_of(boards: ModuleModel, module: int, others: Sequence[Mapping[int, Estimate]]) -> ModulePoses | None:
-    """Return where the search for a module's pose begins, one pose; None where neither estimates nor plan tell.
+def start_of(model: ModuleModel, module: int, others: Sequence[Mapping[int, Estimate]]) -> ModulePoses | None:
+    """Return where the search for a module's pose begins, one pose; None where neither estimates nor plan say.
 
     Parameters
     ----------
     others : estimates by channel, the best method first
     """
-    plan = boards.plan(module)
+    plan = model.plan(module)
     for estimates in others:
-        begun = _from_estimates(boards, module, estimates, plan)
+        begun = _from_estimates(model, module, estimates, plan)
         if begun is not None:
             return begun
     return plan
 
 
 def _from_estimates(
-    boards: ModuleModel, module: int, estimates: Mapping[int, Estimate], plan: ModulePoses | None
+    model: ModuleModel, module: int, estimates: Mapping[int, Estimate], plan: ModulePoses | None
 ) -> ModulePoses | None:
-    channels = boards.layout.modules[module].channels.tolist()
-    known = [(pad, estimates[channel]) for pad, channel in enumerate(channels) if channel in estimates]
-    known = [(pad, one) for pad, one in known if one.position is not None and one.normal is not None and one.rms is not None]
+    channels = model.layout.modules[module].channels.tolist()
+    found = [(pad, estimates[channel]) for pad, channel in enumerate(channels) if channel in estimates]
+    known = [(pad, est) for pad, est in found if est.position is not None and est.normal is not None and est.rms is not None]
     if not known:
         return None
-    pads = boards.pads[module][[pad for pad, _ in known]]
-    places = np.array([one.position for _, one in known])
-    weights = np.array([1.0 / ((one.rms or 0.0) ** 2 + FLOOR**2) for _, one in known])
-    normal = np.sum(weights[:, None] * np.array([one.normal for _, one in known]), axis=0)
-    if plan is not None and (not np.any(normal) or not isinstance(boards.ground, ModulesOnSurface)):
+    pads = model.pads[module][[pad for pad, _ in known]]
+    places = np.array([estimate.position for _, estimate in known])
+    weights = np.array([1.0 / ((estimate.rms or 0.0) ** 2 + FLOOR**2) for _, estimate in known])
+    normal = np.sum(weights[:, None] * np.array([estimate.normal for _, estimate in known]), axis=0)
+    if plan is not None and (not np.any(normal) or not isinstance(model.ground, ModulesOnSurface)):
         # Against the pushes is worse known than the plan where there is no surface.
         normal = plan.normals[0]
     length = float(np.sqrt(normal @ normal))
-    return None if length == 0 else _fitting(boards, pads, places, weights, normal / length, plan)
+    return None if length == 0 else _fitting(model, pads, places, weights, normal / length, plan)
 
 
 def _fitting(
-    boards: ModuleModel, pads: FloatArray, places: FloatArray, weights: FloatArray, normal: FloatArray, plan: ModulePoses | None
+    model: ModuleModel, pads: FloatArray, places: FloatArray, weights: FloatArray, normal: FloatArray, plan: ModulePoses | None
 ) -> ModulePoses | None:
     """Return the pose that fits places (n, 3) of pads (n, 2), seen along `normal`."""
     x, y = _axes(normal, plan)
-    flat, board = places @ (x + 1j * y), pads @ np.array([1.0, 1j])
-    own, turn, shift = weights, 1.0 + 0.0j, 0.0j
+    # Points of a plane as complex numbers: to turn is to multiply.
+    flat, own = places @ (x + 1j * y), pads @ np.array([1.0, 1j])
+    counts, turn, shift = weights, 1.0 + 0.0j, 0.0j
     for _ in range(ROUNDS):
-        middle, centre = own @ board / own.sum(), own @ flat / own.sum()
-        product = np.sum(own * np.conj(board - middle) * (flat - centre))
-        told = np.sum(own * np.abs(board - middle) ** 2) * TURN_SD_MAX**2 > 1.0 and abs(product) > 0
-        if not told and plan is None:
+        middle, centre = counts @ own / counts.sum(), counts @ flat / counts.sum()
+        product = np.sum(counts * np.conj(own - middle) * (flat - centre))
+        known = np.sum(counts * np.abs(own - middle) ** 2) * TURN_SD_MAX**2 > 1.0 and abs(product) > 0
+        if not known and plan is None:
             return None
-        turn = product / abs(product) if told else 1.0 + 0.0j
+        turn = product / abs(product) if known else 1.0 + 0.0j
         shift = centre - turn * middle
-        own = weights / (1.0 + np.abs(flat - turn * board - shift) ** 2 / FAR**2)
-    height = float(own @ (places @ normal) / own.sum())
+        counts = weights / (1.0 + np.abs(flat - turn * own - shift) ** 2 / FAR**2)
+    height = float(counts @ (places @ normal) / counts.sum())
     origin = shift.real * x + shift.imag * y + height * normal
-    return _on_ground(boards, origin, turn.real * x + turn.imag * y, normal)
+    return _on_ground(model.ground, origin, turn.real * x + turn.imag * y, normal)
 
 
 def _axes(normal: FloatArray, plan: ModulePoses | None) -> tuple[FloatArray, FloatArray]:
@@ -340,13 +337,15 @@ def _axes(normal: FloatArray, plan: ModulePoses | None) -> tuple[FloatArray, Flo
     return x, np.asarray(np.cross(normal, x), dtype=np.float64)
 
 
-def _on_ground(boards: ModuleModel, origin: FloatArray, x: FloatArray, normal: FloatArray) -> ModulePoses | None:
-    if not isinstance(boards.ground, ModulesOnSurface):
+def _on_ground(ground: ModuleGround, origin: FloatArray, x: FloatArray, normal: FloatArray) -> ModulePoses | None:
+    """Return a pose brought onto the surface, where there is one; None where the surface faces away or along x."""
+    if not isinstance(ground, ModulesOnSurface):
         return ModulePoses(origin[None], x[None], normal[None], np.full(1, -1, dtype=np.int64))
+    # Imported only now: a scene without a mesh loads nothing of it.
     from skincal.mesh.search import nearest_points
 
-    point, triangle = nearest_points(boards.ground.surface, origin[None])
-    facing = boards.ground.surface.normals[triangle]
+    point, triangle = nearest_points(ground.surface, origin[None])
+    facing = ground.surface.normals[triangle]
     x = x - (x @ facing[0]) * facing[0]
     length = float(np.sqrt(x @ x))
     if facing[0] @ normal <= 0 or length < 0.1:
@@ -354,20 +353,18 @@ def _on_ground(boards: ModuleModel, origin: FloatArray, x: FloatArray, normal: F
     return ModulePoses(point, (x / length)[None], facing, triangle)
 
 
-BoolArray: TypeAlias = NDArray[np.bool_]
-
 FULL, NONE = 2.8, 3.8
 """Standard deviations up to which a poke counts fully, and from which on not at all: as in `trust.h`."""
 FEWEST = 4
-"""Pokes of a board below which all count fully."""
+"""Pokes of a module below which all count fully."""
 OF_POSE = 8
-"""Pokes of a board in one arm pose from which on they are judged by themselves: twice the fewest."""
+"""Pokes of a module in one arm pose from which on they are judged by themselves: twice the fewest."""
 LEFT = 2.0
-"""Sum of the trust below which all count fully: nobody can tell which one is right."""
+"""Sum of the trust below which all count fully: nobody can say which poke is right."""
 ALIKE = 2.0
 """Standard deviations up to which all pokes pull alike while the pose is sought."""
 SEEKING = 4
-"""Steps of that search before trust is told."""
+"""Steps of that search before trust is given."""
 SMALL = 6.0
 """A spread found from few misses is raised by this over its 2 n - 3 degrees of freedom."""
 USUAL_MISS, USUAL_PITCH = 1.3863, 0.4549
@@ -384,24 +381,30 @@ BACK = 0.25
 """A step that takes back this share of the one before is halved: both go too far."""
 STEPS_MAX = 20
 """A pose that moves after so many steps goes to and fro over an edge of the surface, by micrometres; or, without a surface,
-runs off where few pokes hardly tell how the board is tilted."""
+runs off where few pokes hardly determine how the module is tilted."""
 NO_RANK = 1e-9
 """Singular values below this share of the largest: what they belong to, the pokes do not determine."""
 
 
+def trust_of(squares: FloatArray) -> FloatArray:
+    """Return how far pokes count, 0 to 1, by their squared distances in standard deviations: as in `trust.h`, smoothly."""
+    rest = np.clip((NONE - np.sqrt(squares)) / (NONE - FULL), 0.0, 1.0)
+    return np.where(squares > FULL**2, rest * rest * (3.0 - 2.0 * rest), 1.0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The poses of b boards."""
+    """The poses of b modules."""
 
     poses: ModulePoses
     pads: Pads
-    """Of all boards, one after another."""
+    """Of all modules, one after another."""
     of: IntArray
-    """(n,) the board of each pad, 0 to b - 1."""
+    """(n,) the module of each pad, 0 to b - 1."""
     covariances: FloatArray
     """(b, d, d) float, m^2, of the unknowns (a turn as the way at `LEVER`); infinite along `blind`."""
     blind: tuple[FloatArray, ...]
-    """For each board (k, d) the directions of its unknowns that the pokes do not determine."""
+    """For each module (k, d) the directions of its unknowns that the pokes do not determine."""
     misses: FloatArray
     """(b,) float, metres: at what distance the axes pass the middles, the root mean square by trust."""
     trust: FloatArray
@@ -410,17 +413,42 @@ class Fitted:
     """(b,) float, metres: the last step of a pose that has not settled; 0 of one that has."""
 
 
-def fit_modules(
-    touches: Touches, boards: ModuleModel, start: ModulePoses, noise: NoiseSettings, doubting: bool = True
-) -> Fitted:
-    """Find the poses of the boards of `touches`.
+def fit_poked(
+    evidence: Evidence,
+    totals: FloatArray,
+    model: ModuleModel,
+    noise: NoiseSettings,
+    others: Sequence[Mapping[int, Estimate]],
+    doubting: bool = True,
+) -> tuple[Touches, Fitted] | None:
+    """Find the poses of all modules that pokes touched, from where `start_of` puts them; None where there is none.
 
     Parameters
     ----------
-    start : of each board; within half a module and 60 degrees
+    evidence, totals : as for `find_touches`
+    others : estimates by channel, the best method first
     doubting : whether pokes far off the others count less
     """
-    search = _Search(touches, boards, start, noise)
+    begun = {module: start_of(model, module, others) for module in model.modules_of(evidence.channels.tolist())}
+    starts = {module: pose for module, pose in begun.items() if pose is not None}
+    touches = find_touches(evidence, totals, model, noise, starts)
+    if not len(touches.modules):
+        return None
+    start = joined([starts[module] for module in touches.modules.tolist()])
+    return touches, fit_modules(touches, model, start, noise, doubting)
+
+
+def fit_modules(
+    touches: Touches, model: ModuleModel, start: ModulePoses, noise: NoiseSettings, doubting: bool = True
+) -> Fitted:
+    """Find the poses of the modules of `touches`.
+
+    Parameters
+    ----------
+    start : of each module; within half a module and 60 degrees
+    doubting : whether pokes far off the others count less
+    """
+    search = _Search(touches, model, start, noise)
     if doubting:
         search.trust = np.concatenate([_trust_of(search.rows, span, touches) for span in search.spans])
     for _ in range(STEPS_MAX):
@@ -432,9 +460,9 @@ def fit_modules(
         search.poses,
         search.pads,
         search.of,
-        np.stack([_covariance(touches, one, search.trust, noise) for one in held]),
-        tuple(one.blind for one in held),
-        np.array([_miss(one, search.trust) for one in held]),
+        np.stack([_covariance(touches, module, search.trust, noise) for module in held]),
+        tuple(module.blind for module in held),
+        np.array([_miss(module, search.trust) for module in held]),
         search.trust,
         search.moving,
     )
@@ -442,7 +470,7 @@ def fit_modules(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Held:
-    """How the rows hold one board where it stands, in the k directions of its unknowns that they determine."""
+    """How the rows hold one module where it stands, in the k directions of its unknowns that they determine."""
 
     singular: FloatArray
     """(k,) float, 1/m: how firmly."""
@@ -453,7 +481,7 @@ class _Held:
     blind: FloatArray
     """(d - k, d) float, unit: the others."""
     rows: ModuleRows
-    """Of all boards."""
+    """Of all modules."""
     span: slice
     """Its own among them."""
 
@@ -463,96 +491,83 @@ class _Held:
         return self.axes.T / self.singular
 
     def left(self) -> FloatArray:
-        """Return (m, 2) what would be left of the board's misses if its rows did not turn, however far it had to go."""
+        """Return (m, 2) what would be left of the module's misses if its rows were linear, however far it had to go."""
         return self.rows.misses[self.span] - np.sum(self.rows.slopes[self.span] * (self.inverse @ self.right), axis=2)
 
 
 class _Search:
-    """Boards on their way to where the rows hold them best; who is there stays, however many steps the others take."""
+    """Modules on their way to where the rows hold them best; those that have settled stay, however long others take."""
 
-    def __init__(self, touches: Touches, boards: ModuleModel, start: ModulePoses, noise: NoiseSettings) -> None:
-        ends = np.searchsorted(touches.of, np.arange(len(touches.boards) + 1)).tolist()
+    def __init__(self, touches: Touches, model: ModuleModel, start: ModulePoses, noise: NoiseSettings) -> None:
+        ends = np.searchsorted(touches.of, np.arange(len(touches.modules) + 1)).tolist()
         self.spans = [slice(a, b) for a, b in pairwise(ends)]
-        modules: list[int] = touches.boards.tolist()
-        own = [boards.pads[module] for module in modules]
+        modules: list[int] = touches.modules.tolist()
+        own = [model.pads[module] for module in modules]
         self.of, self._flat = np.repeat(np.arange(len(own)), [len(pads) for pads in own]), np.concatenate(own)
-        self._touches, self._ground, self._noise = touches, boards.ground, noise
+        self._touches, self._ground, self._noise = touches, model.ground, noise
         self.trust = np.ones(len(touches.of))
         self.poses, self.pads = start, self._laid(start)
         self.rows = whitened(touches, self.pads, noise)
         self.going = np.ones(len(own), dtype=bool)
-        self._before, self._last = np.zeros((len(own), boards.ground.unknowns)), np.full(len(own), STEP_MAX)
+        self._before, self._last = np.zeros((len(own), model.ground.unknowns)), np.full(len(own), STEP_MAX)
         self._held: list[_Held | None] = [None] * len(own)
 
     def _laid(self, poses: ModulePoses) -> Pads:
         return self._ground.laid(poses.take(self.of), self._flat)
 
     def step(self) -> None:
-        """Move the boards that are still going, each by one step; the last one is too short to be walked."""
+        """Move the modules that have not settled, each by one step; the last one is too short to be walked."""
         held = self.found()
-        left = np.concatenate([one.left() for one in held])
+        left = np.concatenate([module.left() for module in held])
         bends = bends_of(self._touches, replace(self.rows, misses=left), self._ground)
-        steps = np.stack([_newton(one, bends[one.span], self.trust[one.span]) for one in held])
+        steps = np.stack([_newton(module, bends[module.span], self.trust[module.span]) for module in held])
         back = np.sum(steps * self._before, axis=1) < -BACK * np.sum(self._before * self._before, axis=1)
         steps = np.where(back[:, None], 0.5, 1.0) * steps
         sizes = np.abs(steps).max(axis=1)
         settled = (sizes <= SETTLED) & ((sizes * sizes <= DONE * self._last) | (2.0 * sizes >= self._last))
-        # Who is there stays as it was found there, whatever another step of its would be.
+        # A module that has settled stays as it was found there, whatever another step would be.
         settled |= ~self.going
         ended = self.going & settled
-        self.poses = _either(self.going, self._ground.moved(self.poses, steps), self.poses)
-        self.pads = _either_pads(ended[self.of], _shifted(self.pads, steps[self.of]), self.pads)
-        self._held = [one if end else None for one, end in zip(held, settled, strict=True)]
+        self.poses = _chosen(self.going, self._ground.moved(self.poses, steps), self.poses)
+        self.pads = _chosen(ended[self.of], _shifted(self.pads, steps[self.of]), self.pads)
+        self._held = [module if end else None for module, end in zip(held, settled, strict=True)]
         self.going, self._before, self._last = self.going & ~settled, steps, sizes
         if self.going.any():
-            self.pads = _either_pads(self.going[self.of], self._laid(self.poses), self.pads)
+            self.pads = _chosen(self.going[self.of], self._laid(self.poses), self.pads)
             self.rows = whitened(self._touches, self.pads, self._noise)
 
     @property
     def moving(self) -> FloatArray:
-        """(b,) float, metres: the last step of boards that are still going, 0 of the others."""
+        """(b,) float, metres: the last step of modules that have not settled, 0 of the others."""
         return np.where(self.going, self._last, 0.0)
 
     def found(self) -> list[_Held]:
-        """Return how each board is held; of those that are there, at their last step."""
+        """Return how each module is held; of those that have settled, at their last step."""
         return [
-            _holding(self.rows, span, self.trust[span]) if one is None else one
-            for one, span in zip(self._held, self.spans, strict=True)
+            _holding(self.rows, span, self.trust[span]) if module is None else module
+            for module, span in zip(self._held, self.spans, strict=True)
         ]
 
 
-def _either(first: BoolArray, one: ModulePoses, other: ModulePoses) -> ModulePoses:
-    """Return `one` where `first` (n,), else `other`."""
-    if first.all():
-        return one
-    rows = first[:, None]
-    return ModulePoses(
-        np.where(rows, one.points, other.points),
-        np.where(rows, one.x, other.x),
-        np.where(rows, one.normals, other.normals),
-        np.where(first, one.triangles, other.triangles),
-    )
+_Rows = TypeVar("_Rows", ModulePoses, Pads)
 
 
-def _either_pads(first: BoolArray, one: Pads, other: Pads) -> Pads:
+def _chosen(first: NDArray[np.bool_], here: _Rows, there: _Rows) -> _Rows:
+    """Return the rows of `here` where `first` (n,), else those of `there`."""
     if first.all() or not first.any():
-        return one if first.all() else other
-    rows = first[:, None]
-    return Pads(
-        np.where(rows, one.points, other.points),
-        np.where(rows[:, None], one.gradients, other.gradients),
-        np.where(rows, one.normals, other.normals),
-        np.where(first, one.triangles, other.triangles),
-    )
+        return here if first.all() else there
+    own, other = ([np.asarray(getattr(rows, field.name)) for field in fields(here)] for rows in (here, there))
+    pairs = zip(own, other, strict=True)
+    return type(here)(*(np.where(first.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
 def _shifted(pads: Pads, steps: FloatArray) -> Pads:
-    """Return the pads (n,) after steps (n, d) of their boards that are too short for more than the gradient."""
+    """Return the pads (n,) after steps (n, d) of their modules that are too short for more than the gradient."""
     return replace(pads, points=pads.points + np.sum(pads.gradients * steps[:, None], axis=2))
 
 
 def _trust_of(rows: ModuleRows, span: slice, touches: Touches) -> FloatArray:
-    """Return the trust of one board's pokes, each judged among those of its arm pose, or among all that are left over."""
+    """Return the trust of one module's pokes, each judged among those of its arm pose, or among all that are left over."""
     poses = touches.evidence.poses[touches.rows[span]]
     names, owner, sizes = np.unique(poses, return_inverse=True, return_counts=True)
     group = np.where(sizes >= OF_POSE, np.arange(len(names)), -1)[owner]
@@ -565,7 +580,7 @@ def _trust_of(rows: ModuleRows, span: slice, touches: Touches) -> FloatArray:
 
 
 def _found_trust(slopes: FloatArray, misses: FloatArray, pitches: FloatArray) -> FloatArray:
-    """Return the trust of some of a board's pokes, by steps that far ones pull little in, from where it stands."""
+    """Return the trust of some of a module's pokes, by steps from its pose in which far pokes pull little."""
     count = len(misses)
     if count < FEWEST:
         return np.ones(count)
@@ -578,8 +593,7 @@ def _found_trust(slopes: FloatArray, misses: FloatArray, pitches: FloatArray) ->
         left = left - np.sum(slopes * move, axis=2)
     squares = np.sum(left * left, axis=1)
     squares = squares / max(1.0, raised * float(np.median(squares)) / USUAL_MISS) + pitches
-    rest = np.clip((NONE - np.sqrt(squares)) / (NONE - FULL), 0.0, 1.0)
-    trust = np.where(squares > FULL**2, rest * rest * (3.0 - 2.0 * rest), 1.0)
+    trust = trust_of(squares)
     return trust if trust.sum() >= LEFT else np.ones(count)
 
 
@@ -591,7 +605,7 @@ def _step(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> FloatArr
 
 
 def _by_size(slopes: FloatArray) -> IntArray:
-    """Return an order of pokes in which what is added up does not tell how they are numbered."""
+    """Return an order of pokes in which sums do not depend on how the pokes are numbered."""
     return np.argsort(-np.sum(slopes * slopes, axis=(1, 2)), kind="stable")
 
 
@@ -604,7 +618,7 @@ def _holding(rows: ModuleRows, span: slice, trust: FloatArray) -> _Held:
 
 
 def _newton(held: _Held, bends: FloatArray, trust: FloatArray) -> FloatArray:
-    """Return (d,) the step of one board, which heeds how its rows turn, `bends` (m, d, d), where that holds it."""
+    """Return (d,) the step of one module, which uses how its rows change, `bends` (m, d, d), where that leaves it held."""
     inverse, right, order = held.inverse, held.right, _by_size(held.rows.slopes[held.span])
     bend = np.sum(trust[order][:, None, None] * bends[order], axis=0)
     curvature = np.eye(len(right)) - inverse.T @ bend @ inverse
@@ -614,7 +628,7 @@ def _newton(held: _Held, bends: FloatArray, trust: FloatArray) -> FloatArray:
 
 
 def _short(ways: FloatArray) -> FloatArray:
-    """Return ways along the directions of singular values, none too long: one hardly told does not hold up the others."""
+    """Return ways along the directions of singular values, none too long: one hardly known does not hold up the others."""
     return np.clip(ways, -STEP_MAX, STEP_MAX)
 
 
@@ -628,7 +642,7 @@ def _decomposed(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> tu
 
 
 def _covariance(touches: Touches, held: _Held, trust: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Return the covariance (d, d) of a board's unknowns."""
+    """Return the covariance (d, d) of a module's unknowns."""
     covariance = held.inverse @ held.inverse.T
     if noise.pose_turn > 0 or noise.pose_shift > 0:
         slopes, trust = held.rows.slopes[held.span], trust[held.span]

@@ -1,20 +1,15 @@
-"""What a wrench and an arm pose really are, of those that a rig tells.
+"""A rig's correction: what a wrench and an arm pose really are, and the rows that landmark and skin pokes give for it.
 
-The rig corrected: a matrix on the wrench and a small motion of each arm pose, fitted jointly with the modules.
-
-A rig's errors shift whole clouds of taxels, and no poke on a skin whose place is unknown tells of them: they are found from
+A rig's errors shift whole groups of taxels, and no poke on a skin whose place is unknown shows them: they are found from
 pokes at points of the part that are known, the landmarks. With C near 0 (6 x 6) and for each arm pose a turn w and a shift t,
 both small, a poke with the measured wrench (f, m) at the point P of the link frame has in the sensor's frame
 
     (f', m') = (I + C) (f, m),   c = exp(-S(w)) (R'(P - o) - t),   r = E (m' - c x f') / |f|,
 
-where (R, o) is the arm's pose as told and E two directions across the measured push. For a landmark P is known but for the
-hand's aim; for a poke on the skin it is the middle of the pads that answered (`touches.py`), and moves with its board. Every
-unknown of the rig has a prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not determine stays
-at nought.
-
-The rows of a board know no other board, so each board's own unknowns are taken out of its rows first (QR of its rows, the
-board's columns in front), and what is left of all of them is solved for the rig, by QR again. Each step costs one such solve.
+where (R, o) is the arm's pose as reported and E two directions across the measured push. For a landmark P is known but for
+the hand's aim; for a poke on the skin it is the middle of the pads that answered (`skincal.modules.pose_fit`), and moves with
+its module. Every unknown of the rig has a prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not
+determine stays at zero.
 """
 
 from __future__ import annotations
@@ -42,9 +37,9 @@ class Correction:
     """A linear map of the wrench and a small motion of the arm's poses."""
 
     matrix: FloatArray
-    """(6, 6) float, SI: the true wrench, force above moment, is this times the told one."""
+    """(6, 6) float, SI: the true wrench, force above moment, is this times the reported one."""
     everywhere: FloatArray = field(default_factory=lambda: np.eye(4))
-    """(4, 4) float, metres: link_from_sensor is the one told times this, in every arm pose."""
+    """(4, 4) float, metres: link_from_sensor is the reported one times this, in every arm pose."""
     motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """For some arm poses (4, 4) float, metres: and times this."""
 
@@ -54,7 +49,7 @@ class Correction:
         return there @ self.motions[name] if name in self.motions else there
 
     def wrench(self, force: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the true force (3,), N, and moment (3,), N m, of those told, in the sensor's frame."""
+        """Return the true force (3,), N, and moment (3,), N m, of the reported ones, in the sensor's frame."""
         true = self.matrix @ np.concatenate([force, moment])
         return true[:3], true[3:]
 
@@ -63,7 +58,7 @@ class Correction:
         return Correction(self.matrix @ first.matrix, first.everywhere @ self.everywhere, self.motions)
 
     def corrected(self, poke: Poke) -> Poke:
-        """Return a poke as a right rig would have told it; one without a force stays as it is."""
+        """Return a poke as a right rig would have reported it; a poke without a force stays as it is."""
         if poke.force is None or poke.moment is None or poke.link_from_sensor is None:
             return poke
         force, moment = self.wrench(poke.force, poke.moment)
@@ -78,20 +73,11 @@ class UsedCorrection:
     """`FRAME` or `RIG`."""
     correction: Correction
     before: float
-    """m: at what distance pokes pass their landmarks as the rig tells, root mean square."""
+    """m: at what distance pokes pass their landmarks as the rig reports them, root mean square."""
     after: float
     """m: the same under the correction; for the rig's errors of pokes that were held out."""
     pokes: int
     """How many landmark pokes it was found from."""
-
-    @property
-    def words(self) -> str:
-        """What was corrected, with the miss before and after."""
-        after, before = f"{self.after * 1e3:.1f} mm", f"{self.before * 1e3:.1f} mm"
-        who = "they" if self.of == FRAME else "held-out ones"
-        what = "the sensor's frame" if self.of == FRAME else "the rig"
-        misses = f"{who} pass their landmarks at {after} with it, at {before} without"
-        return f"{what} is corrected from {self.pokes} landmark pokes: {misses}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,18 +104,14 @@ class RigPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigReadings:
-    """m pokes as the rig tells them."""
+    """m pokes as the rig reports them."""
 
     wrenches: FloatArray
     """(m, 6) float, N and N m, sensor frame, as measured."""
     poses: IntArray
     """(m,) index of the arm pose."""
-    told: FloatArray
-    """(m, 4, 4) float: link_from_sensor as told."""
-
-    def take(self, rows: IntArray) -> RigReadings:
-        """Return some of them."""
-        return RigReadings(self.wrenches[rows], self.poses[rows], self.told[rows])
+    reported: FloatArray
+    """(m, 4, 4) float: link_from_sensor as reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +141,7 @@ class RigState:
 
     @classmethod
     def at_prior(cls, poses: int) -> RigState:
-        """Return a rig that is as it tells."""
+        """Return a rig that is as it reports."""
         return cls(np.zeros((6, 6)), np.zeros((poses, 3)), np.zeros((poses, 3)))
 
     def moved(self, step: FloatArray, scales: FloatArray) -> RigState:
@@ -185,13 +167,13 @@ def rig_rows(
     spread : (m, 3, 3) float, m^2: covariance of the contact about P, link frame
     scales : of the rig's unknowns (`RigPrior.scales`)
     """
-    wrenches, told = readings.wrenches, readings.told
+    wrenches, reported = readings.wrenches, readings.reported
     corrected = wrenches + wrenches @ state.matrix.T
     force, moment = corrected[:, :3], corrected[:, 3:]
     size = np.linalg.norm(wrenches[:, :3], axis=1)
     pairs = across(wrenches[:, :3] / size[:, None]) / size[:, None, None]
-    sensor_from_link = rotations(state.turns)[readings.poses].transpose(0, 2, 1) @ told[:, :3, :3].transpose(0, 2, 1)
-    off = told[:, :3, 3] + (told[:, :3, :3] @ state.shifts[readings.poses][:, :, None])[:, :, 0]
+    sensor_from_link = rotations(state.turns)[readings.poses].transpose(0, 2, 1) @ reported[:, :3, :3].transpose(0, 2, 1)
+    off = reported[:, :3, 3] + (reported[:, :3, :3] @ state.shifts[readings.poses][:, :, None])[:, :, 0]
     here = (sensor_from_link @ (places - off)[:, :, None])[:, :, 0]
     residual = moment - np.cross(here, force)
     whiten = _whitening(pairs, here, force, sensor_from_link @ spread @ sensor_from_link.transpose(0, 2, 1), noise)
@@ -210,6 +192,13 @@ def rig_rows(
         of_place=with_place @ sensor_from_link,
         distances=np.linalg.norm(np.cross(force, residual), axis=1) / np.sum(force * force, axis=1),
     )
+
+
+def rigid_motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
+    """Return (4, 4) the motion by a turn about `turn` (3,) by its length, rad, and a shift (3,), m."""
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = rotations(turn[None])[0], shift
+    return motion
 
 
 def _whitening(pairs: FloatArray, here: FloatArray, force: FloatArray, spread: FloatArray, noise: NoiseSettings) -> FloatArray:

@@ -1,21 +1,23 @@
-"""What moves with the taxels while a rig is fitted: boards where there is a layout, else each taxel alone.
+"""The fit of a rig's correction from landmark pokes and skin pokes together, tried on landmark pokes that were held out.
 
-A rig's correction from landmark pokes and skin pokes together, tried on landmark pokes that were held out.
+The rows are those of `skincal.rig.correction`. What moves with the taxels while a rig is fitted are **rigid groups**: modules
+where there is a layout, else each taxel alone. The rows of a group know no other group, so each group's own unknowns are
+eliminated from its rows first (QR of its rows, the group's columns in front), and what is left of all of them is solved for
+the rig, by QR again. Each step costs one such solve.
 
-What is asked is frozen, and the answer follows from it alone: it may be worked out anywhere, at any time. The rows and their
-mathematics are those of `rig.py`.
+A landmark poke that is far off what all others predict for it, in standard deviations of that (its miss divided by the root
+of one less its leverage), counts less, as a taxel's poke does (`trust.h`); the answer says which. One landmark in four is held
+out with all its pokes, each quarter in turn: the correction is used only where it predicts the held-out pokes better than the
+rig as it reports itself. Without landmarks nothing of the rig is touched: no poke on the skin tells whether the rig is wrong
+or the skin lies elsewhere.
 
-A landmark poke that is far off what all others foretell for it, in standard deviations of that (its miss divided by the root
-of one less its leverage), counts less, as a taxel's poke does (`trust.h`); which ones is told. One landmark in four is held
-out with all its pokes, each quarter in turn: the correction is used only where it foretells the held-out pokes better than the
-rig as it tells itself. Without landmarks nothing of the rig is touched: no poke on the skin tells whether the rig is wrong or
-the skin lies elsewhere.
+What is asked is frozen, and the answer follows from it alone: it may be worked out in any thread or process, at any time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -25,80 +27,94 @@ from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings, Scene
-from skincal.modules.pose import ModuleModel, ModulePoses, joined, rotations
-from skincal.modules.pose_fit import FULL, NONE, Touches, find_touches, fit_modules, start_of
-from skincal.rig.correction import Correction, RigPrior, RigReadings, RigRows, RigState, rig_rows
+from skincal.modules.pose import ModuleModel, ModulePoses
+from skincal.modules.pose_fit import Touches, fit_poked, trust_of
+from skincal.rig.correction import Correction, RigPrior, RigReadings, RigRows, RigState, rig_rows, rigid_motion
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
+STEPS = 4
+"""Of Gauss and Newton: the rows are nearly linear in the unknowns, and the fourth step moves no taxel by a micrometre."""
+ROUNDS = 4
+"""How often the trust of landmark pokes is found anew within a step."""
+SKIN = 0.1
+"""What a poke on the skin counts for the rig: pokes near one place are off by the same, so ten of them do not say ten times as
+much. On the paper's rig with 1,200 skin pokes and 21 at landmarks the modules' error is 2.1 mm with 1, 1.0 with 0.3, 0.65 with
+0.1 and 0.65 with 0.03."""
+HELD_OUT = 4
+"""One landmark in this many is held out, with all its pokes: a landmark whose place is wrong predicts its own miss."""
+FEWEST_POINTS = 4
+"""Different landmarks below which nothing is corrected: fewer would be held out one by one, and the rest would say too little.
+With three that are 4 mm off, pokes held out instead of landmarks made a good rig five times worse."""
+BETTER = 0.5
+"""The held-out pokes must be predicted better by this share, in the mean square, for a correction to be used. Six pokes at six
+landmarks in one pose, ten rigs each: on good ones whose landmarks are 4 to 6 mm off it comes to 0.53 and more by chance, on
+the paper's to 0.01 to 0.43 in 19 of 20, with landmarks that are right or 4 mm off."""
+DOUBTED = 0.9
+"""A landmark poke that counts less than this is named to the operator."""
+LEFT = 0.5
+"""Share of the landmark pokes that must count, or all of them do: where most are doubted, nobody can say which are right."""
+FEWEST = 6
+"""Landmark pokes below which nothing is corrected: from fewer, nothing is left to try a correction on."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedPokes:
-    """Where the m pokes on the skin are, as their clouds lie."""
+    """Where the m pokes on the skin are, as their groups lie."""
 
     places: FloatArray
     """(m, 3) float, metres, link frame."""
     gradients: FloatArray
-    """(m, 3, d) float: change of a place with its cloud's unknowns."""
+    """(m, 3, d) float: change of a place with its group's unknowns."""
     spread: FloatArray
     """(m, 3, 3) float, m^2: covariance of the contact about its place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModuleGroups:
+class _Groups:
+    pokes: IntArray
+    """(m,) numbers of the pokes."""
+    of: IntArray
+    """(m,) group of each poke, 0 to `count` - 1."""
+    count: int
+    trust: FloatArray
+    """(m,) of each poke, from the fit of the taxels or modules alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleGroups(_Groups):
     """The modules that were poked, each rigid."""
 
-    boards: ModuleModel
+    model: ModuleModel
     touches: Touches
     poses: ModulePoses
-    trust: FloatArray
-    """(m,) of each poke, from the fit of the boards alone."""
-
-    @property
-    def pokes(self) -> IntArray:
-        """(m,) numbers of the pokes."""
-        return self.touches.evidence.pokes[self.touches.rows]
-
-    @property
-    def of(self) -> IntArray:
-        """(m,) cloud of each poke, 0 to `count` - 1."""
-        return self.touches.of
-
-    @property
-    def count(self) -> int:
-        """How many clouds there are."""
-        return len(self.touches.boards)
 
     def placed(self) -> PlacedPokes:
         """Return where the pokes are."""
-        modules: list[int] = self.touches.boards.tolist()
-        own = [self.boards.pads[module] for module in modules]
+        modules: list[int] = self.touches.modules.tolist()
+        own = [self.model.pads[module] for module in modules]
         of = np.repeat(np.arange(len(own)), [len(pads) for pads in own])
-        pads = self.boards.ground.laid(self.poses.take(of), np.concatenate(own))
+        pads = self.model.ground.laid(self.poses.take(of), np.concatenate(own))
         places, gradients, normals = self.touches.middles(pads)
         across = np.eye(3) - normals[:, :, None] * normals[:, None]
         return PlacedPokes(places, gradients, self.touches.offsets[:, None, None] * across)
 
     def moved(self, moves: FloatArray) -> ModuleGroups:
         """Return them moved by `moves` (count, d)."""
-        return ModuleGroups(self.boards, self.touches, self.boards.ground.moved(self.poses, moves), self.trust)
+        return replace(self, poses=self.model.ground.moved(self.poses, moves))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TaxelGroups:
+class TaxelGroups(_Groups):
     """The taxels that were poked, each by itself."""
 
-    pokes: IntArray
-    of: IntArray
-    count: int
     points: FloatArray
     """(count, 3) float, metres."""
     offsets: FloatArray
     """(m,) float, m^2: variance of the contact beside its taxel, each direction."""
-    trust: FloatArray
 
     def placed(self) -> PlacedPokes:
         """Return where the pokes are: at their taxels."""
@@ -107,39 +123,38 @@ class TaxelGroups:
 
     def moved(self, moves: FloatArray) -> TaxelGroups:
         """Return them moved by `moves` (count, 3)."""
-        return TaxelGroups(self.pokes, self.of, self.count, self.points + moves, self.offsets, self.trust)
+        return replace(self, points=self.points + moves)
 
 
-Clouds: TypeAlias = ModuleGroups | TaxelGroups
+RigidGroups: TypeAlias = ModuleGroups | TaxelGroups
 
 
 def module_groups(
-    ledger: ContactTable, boards: ModuleModel, estimates: Mapping[int, Estimate], noise: NoiseSettings, channels: list[int]
+    table: ContactTable, model: ModuleModel, estimates: Mapping[int, Estimate], noise: NoiseSettings, channels: list[int]
 ) -> ModuleGroups | None:
-    """Return the modules that were poked, where the rig as it tells itself puts them; None where none was.
+    """Return the modules that were poked, where the rig as it reports itself puts them; None where none was.
 
     Parameters
     ----------
-    estimates : of taxels, where the search for a board begins
+    estimates : of taxels, where the search for a module begins
     channels : those that are used
     """
-    evidence = ledger.evidence(channels)
-    begun = {module: start_of(boards, module, [estimates]) for module in boards.modules_of(evidence.channels.tolist())}
-    ready = {module: start for module, start in begun.items() if start is not None}
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, noise, ready)
-    if not len(touches.boards):
+    evidence = table.evidence(channels)
+    fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, [estimates])
+    if fit is None:
         return None
-    fitted = fit_modules(touches, boards, joined([ready[module] for module in touches.boards.tolist()]), noise)
-    return ModuleGroups(boards, touches, fitted.poses, fitted.trust)
+    touches, fitted = fit
+    pokes = evidence.pokes[touches.rows]
+    return ModuleGroups(pokes, touches.of, len(touches.modules), fitted.trust, model, touches, fitted.poses)
 
 
 def taxel_groups(
-    ledger: ContactTable, estimates: Mapping[int, Estimate], noise: NoiseSettings, channels: list[int]
+    table: ContactTable, estimates: Mapping[int, Estimate], noise: NoiseSettings, channels: list[int]
 ) -> TaxelGroups | None:
     """Return the taxels that have an estimate and were poked; None where none was."""
     placed = {channel: estimates[channel] for channel in channels if channel in estimates}
-    known = {channel: one.position for channel, one in placed.items() if one.position is not None}
-    evidence = ledger.evidence(known)
+    known = {channel: estimate.position for channel, estimate in placed.items() if estimate.position is not None}
+    evidence = table.evidence(known)
     if not len(evidence.channels):
         return None
     answered: list[int] = evidence.channels.tolist()
@@ -156,34 +171,9 @@ def taxel_groups(
     )
 
 
-STEPS = 4
-"""Of Gauss and Newton: the rows are nearly straight in the unknowns, and the fourth step moves no taxel by a micrometre."""
-ROUNDS = 4
-"""How often the trust of landmark pokes is told anew within a step."""
-SKIN = 0.1
-"""What a poke on the skin counts for the rig: pokes near one place are off by the same, so ten of them do not tell ten times as
-much. On the paper's rig with 1,200 skin pokes and 21 at landmarks the modules' error is 2.1 mm with 1, 1.0 with 0.3, 0.65 with
-0.1 and 0.65 with 0.03."""
-HELD_OUT = 4
-"""One landmark in so many is held out, with all its pokes: one whose place is told wrong foretells its own miss."""
-FEWEST_POINTS = 4
-"""Different landmarks below which nothing is corrected: fewer would be held out one by one, and the rest would tell too little.
-With three that are 4 mm off, pokes held out instead of landmarks made a good rig five times worse."""
-BETTER = 0.5
-"""The held-out pokes must be foretold so much better, in the mean square, for a correction to be used. Six pokes at six
-landmarks in one pose, ten rigs each: on good ones whose landmarks are told 4 to 6 mm off it comes to 0.53 and more by chance,
-on the paper's to 0.01 to 0.43 in 19 of 20, with landmarks that are right or 4 mm off."""
-TOLD = 0.9
-"""A landmark poke that counts less than this is named to the operator."""
-LEFT = 0.5
-"""Share of the landmark pokes that must count, or all of them do: where most are doubted, nobody can tell which are right."""
-FEWEST = 6
-"""Landmark pokes below which nothing is corrected: from fewer, nothing is left to try a correction on."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkPoke:
-    """A poke at a known point of the part; no taxel need answer."""
+    """A poke at a known point of the part; no taxel needs to answer."""
 
     poke: int
     """Number of the poke."""
@@ -196,7 +186,7 @@ class LandmarkPoke:
     moment: FloatArray
     """(3,) float, N m, about the sensor's origin."""
     link_from_sensor: FloatArray
-    """(4, 4) float, metres: pose of the arm as told."""
+    """(4, 4) float, metres: pose of the arm as reported."""
     pose: str
     """Name of the arm pose."""
 
@@ -227,9 +217,9 @@ class RigAnswer:
     correction: Correction | None
     """None where there is nothing to correct with."""
     used: bool
-    """Whether the correction foretells held-out landmark pokes better than the rig as it tells itself."""
+    """Whether the correction predicts held-out landmark pokes better than the rig as it reports itself."""
     before: float
-    """m: at what distance the axes pass the landmarks as the rig tells, root mean square by trust; NaN without pokes."""
+    """m: at what distance the axes pass the landmarks as reported, root mean square by trust; NaN without pokes."""
     after: float
     """m: the same for held-out pokes under a correction made without them; NaN where there is none."""
     points: int
@@ -243,41 +233,22 @@ class RigAnswer:
     known: FloatArray
     """(36 + 6 poses,) float: sd of each unknown over that of its prior, 0 to 1; 1 is not determined."""
 
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """What an operator is told."""
-        if self.correction is None:
-            needs = f"it needs {FEWEST} pokes at landmarks, {FEWEST_POINTS} different ones"
-            return (f"No correction of the rig: {needs}; {len(self.trust)} pokes at {self.points} are there.",)
-        before, after = f"{self.before * 1e3:.1f} mm", f"{self.after * 1e3:.1f} mm"
-        misses = f"held-out pokes pass their landmarks at {after} with a correction made without them, at {before} without any"
-        said = [f"The rig can be corrected: {misses}." if self.used else f"The rig is left as it is: {misses}."]
-        said += [
-            f"Landmark poke {poke} lies {self.distances[poke] * 1e3:.0f} mm off its landmark and counts "
-            + ("for nothing: was it another point?" if trust <= 0 else f"{trust:.0%}.")
-            for poke, trust in self.trust.items()
-            if trust < TOLD
-        ]
-        return tuple(said)
-
 
 def _nothing() -> None:
     pass
 
 
 def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> RigAnswer:
-    """Find what is wrong with a rig, as far as landmark pokes tell.
+    """Find what is wrong with a rig, as far as landmark pokes show it.
 
     Parameters
     ----------
     between : called between the steps, some 50 ms apart; may raise to give up
     """
-    names = sorted({one.pose for one in request.contacts} | {one.pose for one in request.landmarks})
-    scales = request.prior.scales(len(names))
-    if len(request.landmarks) < FEWEST or len({one.name for one in request.landmarks}) < FEWEST_POINTS:
-        trust = {one.poke: 1.0 for one in request.landmarks}
-        nothing = np.zeros(len(scales))
-        points = len({one.name for one in request.landmarks})
+    names = sorted({poke.pose for poke in (*request.contacts, *request.landmarks)})
+    scales, points = request.prior.scales(len(names)), len({poke.name for poke in request.landmarks})
+    if len(request.landmarks) < FEWEST or points < FEWEST_POINTS:
+        trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
         return RigAnswer(None, False, float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
     fit = _Fit(request, names, scales)
     for _ in range(STEPS):
@@ -287,83 +258,74 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     return fit.answer(names)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """One linear solve."""
-
-    step: FloatArray
-    """(n,) from the prior's nought."""
-    root: FloatArray
-    """(n, n) upper triangular: root' root is the information."""
-
-
 class _Fit:
-    """Steps of Gauss and Newton over the rig and what moves with it."""
+    """Steps of Gauss and Newton over the rig and the rigid groups."""
 
     def __init__(self, request: RigRequest, names: list[str], scales: FloatArray) -> None:
         self.noise, self.scales = request.scene.noise, scales
-        self.clouds = _clouds(request)
-        self.landmarks = sorted(request.landmarks, key=lambda one: one.poke)
+        self.groups = _rigid_groups(request)
+        self.landmarks = sorted(request.landmarks, key=lambda poke: poke.poke)
         order = {name: index for index, name in enumerate(names)}
-        self._known = _readings(self.landmarks, order)
-        self._places = np.array([one.place for one in self.landmarks])
+        self._known = readings_of(self.landmarks, order)
+        self._places = np.array([poke.place for poke in self.landmarks])
         self._aim = np.tile(request.prior.landmark**2 * np.eye(3), (len(self.landmarks), 1, 1))
-        by_poke = {one.poke: one for one in request.contacts}
-        pokes: list[int] = [] if self.clouds is None else self.clouds.pokes.tolist()
-        self._skin = _readings([by_poke[poke] for poke in pokes], order) if pokes else None
+        by_number = {contact.poke: contact for contact in request.contacts}
+        pokes: list[int] = [] if self.groups is None else self.groups.pokes.tolist()
+        self._skin = readings_of([by_number[poke] for poke in pokes], order) if pokes else None
         self.state = RigState.at_prior(len(names))
         self.trust = np.ones(len(self.landmarks))
         self._last: tuple[RigRows, FloatArray] | None = None
 
     def step(self) -> None:
-        """Move the rig and the clouds to the minimum of the rows as they are here."""
-        here = self.state.unknowns(self.scales)
-        base, tops = self._without_clouds(here)
-        rows = rig_rows(self._known, self.state, self._places, self._aim, self.noise, self.scales)
+        """Move the rig and the groups to the minimum of the rows as they are here."""
+        base, tops = self._without_groups(self.state.unknowns(self.scales))
+        rows = self._landmark_rows(self.state)
         for _ in range(ROUNDS):
-            solved = _solved(base, rows, self.trust)
-            self.trust = _trusted(rows, solved, self.trust)
-        solved = _solved(base, rows, self.trust)
+            self.trust = _trusted(rows, *_solved(base, rows, self.trust), self.trust)
+        step, _ = _solved(base, rows, self.trust)
         self._last = (rows, base)
-        self.state = self.state.moved(solved.step, self.scales)
-        if self.clouds is not None:
-            self.clouds = self.clouds.moved(np.stack([_cloud_move(top, solved.step) for top in tops]))
+        self.state = self.state.moved(step, self.scales)
+        if self.groups is not None:
+            self.groups = self.groups.moved(np.stack([_group_move(top, step) for top in tops]))
 
-    def _without_clouds(self, here: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """Return the factor (n + 1, n + 1) of all rows but the landmarks', and each cloud's own rows on top of its factor."""
+    def _landmark_rows(self, state: RigState) -> RigRows:
+        return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
+
+    def _without_groups(self, here: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """Return the factor (n + 1, n + 1) of all rows but the landmarks', and each group's own rows on top of its factor."""
         kept, tops = [np.column_stack([np.eye(len(here)), here])], list[FloatArray]()
-        if self.clouds is not None and self._skin is not None:
-            placed = self.clouds.placed()
+        if self.groups is not None and self._skin is not None:
+            placed = self.groups.placed()
             rows = rig_rows(self._skin, self.state, placed.places, placed.spread, self.noise, self.scales)
-            root = np.sqrt(SKIN * self.clouds.trust)[:, None, None]
+            root = np.sqrt(SKIN * self.groups.trust)[:, None, None]
             own = rows.of_place @ placed.gradients
             every = root * np.concatenate([own, rows.of_rig, rows.misses[:, :, None]], axis=2)
-            for cloud in range(self.clouds.count):
-                factor = _factor(every[self.clouds.of == cloud].reshape(-1, every.shape[2]))
+            for group in range(self.groups.count):
+                factor = qr_factor(every[self.groups.of == group].reshape(-1, every.shape[2]))
                 tops.append(factor[: own.shape[2]])
                 kept.append(factor[own.shape[2] :, own.shape[2] :])
-        return _factor(np.concatenate(kept)), tops
+        return qr_factor(np.concatenate(kept)), tops
 
     def answer(self, names: list[str]) -> RigAnswer:
         """Return what came out, tried on held-out pokes where the rows stood last."""
         assert self._last is not None
         rows, base = self._last
-        as_told = RigState.at_prior(len(names))
-        told = rig_rows(self._known, as_told, self._places, self._aim, self.noise, self.scales)
-        now = rig_rows(self._known, self.state, self._places, self._aim, self.noise, self.scales)
+        reported, now = self._landmark_rows(RigState.at_prior(len(names))), self._landmark_rows(self.state)
         held = self._held_out(rows, base)
-        before, after = (np.average(np.sum(one**2, axis=1), weights=self.trust) for one in (told.misses, held))
-        # What whitens tells metres: by how much a standard deviation is on average.
-        metre = np.sqrt(np.sum(told.distances**2) / np.sum(told.misses**2))
-        root = _solved(base, rows, self.trust).root
+        before, after = (np.average(np.sum(own**2, axis=1), weights=self.trust) for own in (reported.misses, held))
+        # Misses are in standard deviations; this is how many metres one of them is on average.
+        metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
+        _, root = _solved(base, rows, self.trust)
         known = np.sqrt(np.sum(np.asarray(np.linalg.inv(root), dtype=np.float64) ** 2, axis=1))
-        pokes = [one.poke for one in self.landmarks]
+        pokes = [poke.poke for poke in self.landmarks]
+        poses = zip(names, self.state.turns, self.state.shifts, strict=True)
+        motions = {name: rigid_motion(turn, shift) for name, turn, shift in poses}
         return RigAnswer(
-            correction=_correction(self.state, names),
+            correction=Correction(np.eye(6) + self.state.matrix, motions=motions),
             used=bool(after < BETTER * before),
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
-            points=len({one.name for one in self.landmarks}),
+            points=len({poke.name for poke in self.landmarks}),
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
             distances=dict(zip(pokes, now.distances.tolist(), strict=True)),
             unknowns=self.state.unknowns(self.scales),
@@ -373,80 +335,77 @@ class _Fit:
     def _held_out(self, rows: RigRows, base: FloatArray) -> FloatArray:
         """Return (m, 2) the misses of landmark pokes, each under the correction made without its quarter of the landmarks."""
         held = np.empty_like(rows.misses)
-        names = sorted({one.name for one in self.landmarks})
-        quarter = np.array([names.index(one.name) % HELD_OUT for one in self.landmarks])
+        names = sorted({poke.name for poke in self.landmarks})
+        quarter = np.array([names.index(poke.name) % HELD_OUT for poke in self.landmarks])
         for out in range(HELD_OUT):
             own = quarter == out
-            step = _solved(base, rows, np.where(own, 0.0, self.trust)).step
+            step, _ = _solved(base, rows, np.where(own, 0.0, self.trust))
             held[own] = rows.misses[own] + rows.of_rig[own] @ step
         return held
 
 
-def _clouds(request: RigRequest) -> Clouds | None:
-    """Return what moves with the skin pokes, from where the rig as it tells itself puts it."""
+def _rigid_groups(request: RigRequest) -> RigidGroups | None:
+    """Return what moves with the skin pokes, from where the rig as it reports itself puts it."""
     scene, surface = request.scene, request.surface
-    ledger = ContactTable(request.contacts)
+    table = ContactTable(request.contacts)
     layout = scene.skin.layout
-    answered = sorted({channel for one in request.contacts for channel in one.channels.tolist()} - request.dead.keys())
+    answered = sorted({channel for contact in request.contacts for channel in contact.channels.tolist()} - request.dead.keys())
     channels = answered if layout is None else [channel for channel in answered if layout.module_of[channel] >= 0]
     method = Method.FREE if surface is None else Method.SURFACE
-    estimates = estimate_from(ledger, channels, [method], scene.noise, surface)[method]
+    estimates = estimate_from(table, channels, [method], scene.noise, surface)[method]
     if layout is None:
-        return taxel_groups(ledger, estimates, scene.noise, channels)
-    return module_groups(ledger, ModuleModel(layout, scene.skin.anchor, surface), estimates, scene.noise, channels)
+        return taxel_groups(table, estimates, scene.noise, channels)
+    return module_groups(table, ModuleModel(layout, scene.skin.anchor, surface), estimates, scene.noise, channels)
 
 
-def _readings(pokes: Sequence[Contact | LandmarkPoke], order: Mapping[str, int]) -> RigReadings:
+def readings_of(pokes: Sequence[Contact | LandmarkPoke], order: Mapping[str, int]) -> RigReadings:
+    """Return the readings of at least one poke; `order` is the index of each arm pose by its name."""
     return RigReadings(
-        np.array([np.concatenate([one.force, one.moment]) for one in pokes]),
-        np.array([order[one.pose] for one in pokes]),
-        np.array([one.link_from_sensor for one in pokes]),
+        np.array([np.concatenate([poke.force, poke.moment]) for poke in pokes]),
+        np.array([order[poke.pose] for poke in pokes]),
+        np.array([poke.link_from_sensor for poke in pokes]),
     )
 
 
-def _factor(rows: FloatArray) -> FloatArray:
+def qr_factor(rows: FloatArray) -> FloatArray:
     """Return R of the QR of rows, square or with fewer rows than columns."""
     factor: Any = np.linalg.qr(rows, mode="r")
     return np.asarray(factor, dtype=np.float64)
 
 
-def _solved(base: FloatArray, rows: RigRows, trust: FloatArray) -> _Solved:
-    """Return the minimum of all rows, those of landmarks by their trust."""
+def _solved(base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the minimum of all rows, those of landmarks by their trust.
+
+    Returns
+    -------
+    (n,) the step from the prior's zero, and (n, n) upper triangular the root of the information, root' root.
+    """
     own = np.concatenate([rows.of_rig, rows.misses[:, :, None]], axis=2) * np.sqrt(trust)[:, None, None]
-    factor = _factor(np.concatenate([base, own.reshape(-1, own.shape[2])]))
+    factor = qr_factor(np.concatenate([base, own.reshape(-1, own.shape[2])]))
     root = factor[:-1, :-1]
-    return _Solved(-np.asarray(np.linalg.solve(root, factor[:-1, -1]), dtype=np.float64), root)
+    return -np.asarray(np.linalg.solve(root, factor[:-1, -1]), dtype=np.float64), root
 
 
-def _trusted(rows: RigRows, solved: _Solved, trust: FloatArray) -> FloatArray:
-    """Return the trust of landmark pokes by what all others foretell for each.
+def _trusted(rows: RigRows, step: FloatArray, root: FloatArray, trust: FloatArray) -> FloatArray:
+    """Return the trust of landmark pokes by what all others predict for each.
 
     With H = A (root' root)^-1 A' of a poke that counts k, its miss r under the fit has the covariance 1/k - H where all is
-    noise: so r' (I - k H)^-1 r is chi-square for one that counts fully, and (I + H) takes the place for one that does not.
+    noise: so r' (I - k H)^-1 r is chi-square for a poke that counts fully, and (I + H) takes the place for one that does not.
     """
-    misses = rows.misses + rows.of_rig @ solved.step
-    spread = np.asarray(np.linalg.solve(solved.root.T, rows.of_rig.reshape(-1, rows.of_rig.shape[2]).T), dtype=np.float64)
+    misses = rows.misses + rows.of_rig @ step
+    spread = np.asarray(np.linalg.solve(root.T, rows.of_rig.reshape(-1, rows.of_rig.shape[2]).T), dtype=np.float64)
     spread = spread.T.reshape(*misses.shape, -1)
     leverage = spread @ spread.transpose(0, 2, 1)
     counts = (trust > 0.5)[:, None, None]
     total = np.eye(2) + np.where(counts, -trust[:, None, None] * leverage, leverage)
     squares = np.sum(misses * np.asarray(np.linalg.solve(total, misses[:, :, None])[:, :, 0]), axis=1)
-    rest = np.clip((NONE - np.sqrt(np.maximum(squares, 0.0))) / (NONE - FULL), 0.0, 1.0)
-    found = np.where(squares > FULL**2, rest * rest * (3.0 - 2.0 * rest), 1.0)
+    # Rounding may leave a square below zero.
+    found = trust_of(np.maximum(squares, 0.0))
     return found if found.sum() >= LEFT * len(found) else np.ones(len(found))
 
 
-def _cloud_move(top: FloatArray, step: FloatArray) -> FloatArray:
-    """Return (d,) how a cloud moves where the rig takes a step; of the smallest norm where its pokes do not tell."""
+def _group_move(top: FloatArray, step: FloatArray) -> FloatArray:
+    """Return (d,) how a group moves where the rig takes a step; of the smallest norm where its pokes do not say."""
     unknowns = top.shape[1] - 1 - len(step)
     right = -(top[:, -1] + top[:, unknowns:-1] @ step)
     return np.asarray(np.linalg.lstsq(top[:, :unknowns], right, rcond=1e-9)[0], dtype=np.float64)
-
-
-def _correction(state: RigState, names: list[str]) -> Correction:
-    motions: dict[str, FloatArray] = {}
-    for index, name in enumerate(names):
-        motion = np.eye(4)
-        motion[:3, :3], motion[:3, 3] = rotations(state.turns[index : index + 1])[0], state.shifts[index]
-        motions[name] = motion
-    return Correction(np.eye(6) + state.matrix, motions=motions)

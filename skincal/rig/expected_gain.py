@@ -1,36 +1,35 @@
-"""What pokes at landmarks will gain, told before they are made: by how much the rig's errors move the taxels, now and then.
+"""Expected gain of landmark pokes: by how much a rig's errors move the taxels, now and after pokes that are not made yet.
 
-All of it is linear and Gaussian about a rig that is as it tells. The rig's unknowns x, in standard deviations of their prior,
-have the covariance (I + A'A)^-1 after landmark pokes with the whitened rows A of `rig.py`; which pokes these are tells it, not
-what they measured, so planned ones count as made ones do. A straight push at a taxel is read beside it, along the skin, by
-B x: the change of its axis with the rig. A taxel is taken to be poked alike in all arm poses in use, and to lie at the mean of
-what they say, so B is the mean of theirs. The error foretold is the root of the mean over taxels of
+All of it is linear and Gaussian about a rig that is as it reports. The rig's unknowns x, in standard deviations of their
+prior, have the covariance (I + A'A)^-1 after landmark pokes with the whitened rows A of `skincal.rig.correction`. A depends on
+where pokes are and not on what they measure, so planned ones count as made ones do. A straight push at a taxel is read beside
+it, along the skin, by B x: the change of its axis with the rig. A taxel is taken to be poked alike in all arm poses in use,
+and to lie at the mean of what they say, so B is the mean of theirs. The error predicted is the root of the mean over taxels of
 
     trace B (I + A'A)^-1 B'.
 
 It is the rig's part alone and along the skin alone. Noise of the pokes, which falls with their number, comes on top of it
 (0.5 mm for the modules of the forearm after 252), and the free method is off in depth too. That a landmark poke may be of
-another point is left out, and so is what pokes on the skin tell of the rig (`rig_fit.SKIN`): with 588 of them in seven poses
-and 21 at landmarks 1.0 mm is foretold, and 0.7 to 0.8 mm comes out.
+another point is left out, and so is what pokes on the skin say of the rig (`correction_fit.SKIN`): with 588 of them in seven
+poses and 21 at landmarks 1.0 mm is predicted, and 0.7 to 0.8 mm comes out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.rig.correction import RigPrior, RigReadings, RigRows, RigState, rig_rows
-from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke
+from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke, qr_factor, readings_of
 
 PUSH = 10.0
 """N, of a planned poke: the middle of what a hand presses with on metal, 8 to 13 N."""
 TAXELS = 40
-"""Taxels that the mean is taken over, of more every so many-th: neighbours are moved alike. On the forearm the mean over 28 is
+"""Taxels that the mean is taken over, of more every n-th: neighbours are moved alike. On the forearm the mean over 28 is
 within a thousandth of that over all 84."""
 EXACT = NoiseSettings(force=0.0, moment=0.0)
 """Of a push that is read without noise: what is left is the rig's."""
@@ -71,7 +70,7 @@ def expected_error(
     normals: FloatArray,
     poses: Mapping[str, FloatArray],
 ) -> Gain:
-    """Foretell by how much the rig's errors move the taxels, before and after planned pokes at landmarks.
+    """Predict by how much the rig's errors move the taxels, before and after planned pokes at landmarks.
 
     Fewer than `FEWEST` landmark pokes, or `FEWEST_POINTS` landmarks, correct nothing. 84 or 4,200 taxels in seven poses: a few
     milliseconds.
@@ -80,7 +79,7 @@ def expected_error(
     ----------
     pokes : that are made
     places, normals : (n, 3) float, metres and unit, outward, link frame: of the taxels, estimated or planned
-    poses : by name (4, 4) float, link_from_sensor as told: those in which the skin is poked
+    poses : by name (4, 4) float, link_from_sensor as reported: those in which the skin is poked
 
     Raises
     ------
@@ -89,40 +88,36 @@ def expected_error(
     """
     if not len(places) or not poses:
         raise ValueError("there is no taxel, or no arm pose in which one is poked")
-    names = sorted({*poses, *(one.pose for one in pokes), *(one.pose for one in planned)})
+    every = (*pokes, *planned)
+    names = sorted({*poses, *(poke.pose for poke in every)})
     order, scales = {name: index for index, name in enumerate(names)}, prior.scales(len(names))
-    rows = np.concatenate([_made(pokes, order, prior, noise, scales), _planned(planned, order, prior, noise, scales)])
-    moved = _moved(places, normals, poses, order, scales)
-    points = [one.place for one in (*pokes, *planned)]
-    now, after = (_expected(rows[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
+    rows = [np.empty((0, len(scales)))]
+    if pokes:
+        rows.append(_landmark_rows(pokes, readings_of(pokes, order), prior, noise, scales))
+    if planned:
+        rows.append(_landmark_rows(planned, _planned(planned, order), prior, noise, scales))
+    moved, points = _moved(places, normals, poses, order, scales), [poke.place for poke in every]
+    whole = np.concatenate(rows)
+    now, after = (_expected(whole[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
     return Gain(now, after, len(planned))
 
 
-def _made(
-    pokes: Sequence[LandmarkPoke], order: Mapping[str, int], prior: RigPrior, noise: NoiseSettings, scales: FloatArray
+def _landmark_rows(
+    pokes: Sequence[LandmarkPoke | PlannedPoke],
+    readings: RigReadings,
+    prior: RigPrior,
+    noise: NoiseSettings,
+    scales: FloatArray,
 ) -> FloatArray:
-    """Return (2 m, k) the whitened rows of landmark pokes that are made."""
-    if not pokes:
-        return np.empty((0, len(scales)))
-    readings = RigReadings(
-        np.array([np.concatenate([one.force, one.moment]) for one in pokes]),
-        np.array([order[one.pose] for one in pokes]),
-        np.array([one.link_from_sensor for one in pokes]),
-    )
-    return _rows(readings, np.array([one.place for one in pokes]), prior.landmark, noise, scales).of_rig.reshape(
-        -1, len(scales)
-    )
+    """Return (2 m, k) the whitened rows of pokes at landmarks, made or planned."""
+    places = np.array([poke.place for poke in pokes])
+    return _rows(readings, places, prior.landmark, noise, scales).of_rig.reshape(-1, len(scales))
 
 
-def _planned(
-    pokes: Sequence[PlannedPoke], order: Mapping[str, int], prior: RigPrior, noise: NoiseSettings, scales: FloatArray
-) -> FloatArray:
-    """Return (2 m, k) the whitened rows of landmark pokes that are planned."""
-    if not pokes:
-        return np.empty((0, len(scales)))
-    places, normals = np.array([one.place for one in pokes]), np.array([one.normal for one in pokes])
-    told, of = np.array([one.link_from_sensor for one in pokes]), np.array([order[one.pose] for one in pokes])
-    return _rows(_pushed(places, normals, told, of), places, prior.landmark, noise, scales).of_rig.reshape(-1, len(scales))
+def _planned(pokes: Sequence[PlannedPoke], order: Mapping[str, int]) -> RigReadings:
+    places, normals = np.array([poke.place for poke in pokes]), np.array([poke.normal for poke in pokes])
+    reported, of = np.array([poke.link_from_sensor for poke in pokes]), np.array([order[poke.pose] for poke in pokes])
+    return _pushed(places, normals, reported, of)
 
 
 def _moved(
@@ -132,21 +127,21 @@ def _moved(
     step = -(-len(places) // TAXELS)
     some, out, many = places[::step], normals[::step], len(poses)
     count = len(some)
-    told = np.repeat(np.array(list(poses.values())), count, axis=0)
+    reported = np.repeat(np.array(list(poses.values())), count, axis=0)
     of = np.repeat(np.array([order[name] for name in poses]), count)
     some, out = np.tile(some, (many, 1)), np.tile(out, (many, 1))
     # Whitened by a spread of one metre the rows are in metres, and their change with the place has orthonormal rows.
-    rows = _rows(_pushed(some, out, told, of), some, 1.0, EXACT, scales)
+    rows = _rows(_pushed(some, out, reported, of), some, 1.0, EXACT, scales)
     shifts = rows.of_place.transpose(0, 2, 1) @ rows.of_rig
     return shifts.reshape(many, count, 3, -1).mean(axis=0)
 
 
-def _pushed(places: FloatArray, normals: FloatArray, told: FloatArray, of: IntArray) -> RigReadings:
-    """Return straight pushes at places (m, 3), of arm poses `told` (m, 4, 4), as a rig that is as it tells reads them."""
-    turns = told[:, :3, :3].transpose(0, 2, 1)
+def _pushed(places: FloatArray, normals: FloatArray, reported: FloatArray, of: IntArray) -> RigReadings:
+    """Return straight pushes at places (m, 3), in arm poses (m, 4, 4), as a rig that is as it reports reads them."""
+    turns = reported[:, :3, :3].transpose(0, 2, 1)
     force = (turns @ (-PUSH * normals)[:, :, None])[:, :, 0]
-    here = (turns @ (places - told[:, :3, 3])[:, :, None])[:, :, 0]
-    return RigReadings(np.concatenate([force, np.cross(here, force)], axis=1), of, told)
+    here = (turns @ (places - reported[:, :3, 3])[:, :, None])[:, :, 0]
+    return RigReadings(np.concatenate([force, np.cross(here, force)], axis=1), of, reported)
 
 
 def _rows(readings: RigReadings, places: FloatArray, spread: float, noise: NoiseSettings, scales: FloatArray) -> RigRows:
@@ -156,10 +151,10 @@ def _rows(readings: RigReadings, places: FloatArray, spread: float, noise: Noise
 
 
 def _expected(rows: FloatArray, points: Sequence[FloatArray], moved: FloatArray) -> float:
-    """Return the root mean square over places of a movement (n, 3, k) by unknowns that rows (2 m, k) at (m) points tell of."""
+    """Return the rms over places of a movement (n, 3, k) by unknowns that rows (2 m, k) of pokes at m points determine."""
     size = moved.shape[2]
     if len(points) < FEWEST or len({point.tobytes() for point in points}) < FEWEST_POINTS:
         rows = rows[:0]
-    root: Any = np.linalg.qr(np.concatenate([np.eye(size), rows]), mode="r")
+    root = qr_factor(np.concatenate([np.eye(size), rows]))
     spread = np.asarray(np.linalg.solve(root.T, moved.reshape(-1, size).T), dtype=np.float64)
     return float(np.sqrt(np.sum(spread**2) / len(moved)))

@@ -1,24 +1,25 @@
-"""Whether the sensor's frame is the one that the scene says, from a few pokes at landmarks.
+"""Sensor-frame check: whether the sensor's frame is the one that the scene says, from a few pokes at landmarks.
 
 Each mistake that is made with such frames is a hypothesis: an order of the axes with signs (48, among them the right one and
 the reaction in place of the action), moments in another unit than newton metres beside the forces', and a sensor that sits
-elsewhere on the arm than told. Under each the pokes' axes pass their landmarks at some distance across: by hand and landmark
-in both directions with the standard deviation `TOLERANCE`, each poke by itself; and by what is ordinarily wrong with a rig
-(`RigPrior`: its matrix for all pokes, the pose of each arm pose for those in it), all pokes together. In units of `TOLERANCE`
-the misses r have the covariance V = I + J S J', with J of `rig.py` and S the prior, and a hypothesis costs
+elsewhere on the arm than reported. Under each the pokes' axes pass their landmarks at some distance across: by hand and
+landmark in both directions with the standard deviation `TOLERANCE`, each poke by itself; and by what is ordinarily wrong with
+a rig (`RigPrior`: its matrix for all pokes, the pose of each arm pose for those in it), all pokes together. In units of
+`TOLERANCE` the misses r have the covariance V = I + J S J', with J of `skincal.rig.correction` and S the prior, and a
+hypothesis costs
 
     r' V^-1 r + log det V,
 
-so that one under which an ordinary rig may do anything explains nothing. A push that comes from inside the part costs as much
-as three standard deviations. A sensor that sits elsewhere by a turn w and a shift t, of which only the sizes are known (`TURN`,
-`SHIFT`), is weighed by the same likelihood averaged over all w and t: V + M M', with M the change of r with them.
+so that a hypothesis under which an ordinary rig may do anything explains nothing. A push that comes from inside the part costs
+as much as three standard deviations. A sensor that sits elsewhere by a turn w and a shift t, of which only the sizes are known
+(`TURN`, `SHIFT`), is weighed by the same likelihood averaged over all w and t: V + M M', with M the change of r with them.
 
-One poke may have been at another point than the landmark that it is told to be at. So each hypothesis is also weighed with
-each poke k at another point: V + s^2 E E', with E the two rows of k and s `BESIDE`, at the cost `SLIP`, and the side from
-which k pushes says nothing. By Woodbury's identity that takes the two by two blocks of V^-1 alone.
+One poke may have been at another point than the landmark it is listed under. So each hypothesis is also weighed with each
+poke k at another point: V + s^2 E E', with E the two rows of k and s `BESIDE`, at the cost `SLIP`, and the side from which k
+pushes says nothing. By Woodbury's identity that takes the two by two blocks of V^-1 alone.
 
-What it says is an offer. Nothing is changed by it. It does not tell a small error of the mounting from one of the F/T matrix:
-that is what the correction of the rig is for (`rig_fit.py`).
+What it finds is an offer; nothing is changed by it. It does not distinguish a small error of the mounting from one of the F/T
+matrix: that is what the correction of the rig is for (`skincal.rig.correction_fit`).
 """
 
 from __future__ import annotations
@@ -33,8 +34,7 @@ import numpy as np
 
 from skincal.geometry.arrays import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import rotations
-from skincal.rig.correction import Correction, RigPrior, RigReadings, RigState, rig_rows
+from skincal.rig.correction import Correction, RigPrior, RigReadings, RigState, rig_rows, rigid_motion
 from skincal.rig.correction_fit import LandmarkPoke
 
 TOLERANCE = 0.003
@@ -52,14 +52,12 @@ SURE = 6.0
 BESIDE = 0.050
 """m, sd of a point that was poked in place of the landmark, each direction across: landmarks of a forearm lie so far apart."""
 SLIP = 2.0 * math.log(20.0)
-"""What a poke at another point costs before it is looked at: a hand that goes round half a dozen landmarks, or a list in which
-the poke is named, errs about once in twenty."""
+"""What a poke at another point costs before its row is weighed: a hand that goes round half a dozen landmarks, or a list that
+names the pokes, errs about once in twenty."""
 UNEXPLAINED = 0.017
 """m: where pokes still pass their landmarks farther off than this under a wrong frame, and at more than half of what they do
-as told, that frame does not explain them. Under the right one, on rigs with the paper's errors, they pass at 11 mm in the
+as reported, that frame does not explain them. Under the right one, on rigs with the paper's errors, they pass at 11 mm in the
 median and 19 times of 20 within this; a mistake of the frame makes it several times as much."""
-OF_RIG = 0.005
-"""m. Pokes under a right frame that pass their landmarks at more tell of errors of the rig: noise and a hand make 1 to 3 mm."""
 STEPS = 3
 """Of Gauss and Newton, until a wrong mounting is found."""
 FEWEST = 3
@@ -71,39 +69,38 @@ EXACT = NoiseSettings(force=0.0, moment=0.0)
 FORCE_SIZE = (3.0, 25.0)
 """N: pokes of a hand lie between."""
 GRAVITY = 9.80665
-MOMENT_UNITS = {
-    1.0: "",
-    1e-3: "the moments are newton millimetres, not newton metres",
-    1e-2: "the moments are newton centimetres, not newton metres",
-    GRAVITY: "the moments are kilogram-force metres beside newtons",
-    1.0 / GRAVITY: "the forces are kilogram-force beside newton metres",
-}
-"""What the moments are multiplied by, in words."""
+"""m/s^2: newtons in a kilogram-force."""
+UNITS = ((1.0, 1.0), (1.0, 1e-3), (1.0, 1e-2), (1.0, GRAVITY), (GRAVITY, 1.0))
+"""Factors of force and moment: right, moments in N mm, in N cm and in kgf m, forces in kgf."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameCorrection:
-    """What makes a told wrench and pose the right ones."""
+    """What makes a reported wrench and pose the right ones; it shows the mistake, too."""
 
     axes: FloatArray = field(default_factory=lambda: np.eye(3))
-    """(3, 3) float, of noughts and one of 1 or -1 a row: the right axes are this times the told ones, of force and moment."""
+    """(3, 3) float, one entry of 1 or -1 in each row: the right axes are this times the reported ones, of force and moment."""
     force_scale: float = 1.0
     moment_scale: float = 1.0
     motion: FloatArray = field(default_factory=lambda: np.eye(4))
-    """(4, 4) float, metres: link_from_sensor is the one told times this."""
+    """(4, 4) float, metres: link_from_sensor is the reported one times this."""
 
-    def corrected(self, poke: LandmarkPoke) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return force (3,), N, moment (3,), N m, and link_from_sensor (4, 4) as they are under the correction."""
-        force, moment = self.force_scale * self.axes @ poke.force, self.moment_scale * self.axes @ poke.moment
-        return force, moment, poke.link_from_sensor @ self.motion
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """A poke that was likely at another point than its landmark."""
+
+    poke: int
+    name: str
+    """Of the landmark it is listed under."""
+    miss: float
+    """m: how far its axis passes that landmark, under the most likely hypothesis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameDiagnosis:
-    """What the pokes say of the frame."""
+    """What the pokes say of the frame, under the most likely hypothesis."""
 
-    words: str
-    """A sentence for the operator, with the miss as told and as corrected."""
     right: bool
     """The frame is the one that the scene says."""
     sure: bool
@@ -111,16 +108,17 @@ class FrameDiagnosis:
     explained: bool
     """A wrong frame explains the pokes, or none is needed. Else there is nothing to offer."""
     miss: float
-    """m: at what distance the axes pass the landmarks as told, root mean square."""
+    """m: at what distance the axes pass the landmarks as reported, root mean square."""
     corrected_miss: float
     """m: the same under the correction, without a poke that was at another point."""
     correction: FrameCorrection
     """Offered; nothing is changed by it."""
+    slip: Slip | None = None
+    """The poke that was at another point; None where none was."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hypothesis:
-    words: str
     correction: FrameCorrection
     cost: float
     """Minus twice the logarithm of the likelihood, but for what all have in common."""
@@ -155,89 +153,36 @@ def diagnose(
         return None
     count = min(len(pokes), MOST)
     some = [len(pokes) * i // count for i in range(count)]
-    looked_at = [pokes[i] for i in some]
-    asked = _Asked.of(looked_at, [normals[i] for i in some], prior or RigPrior())
-    found = sorted([*_discrete(asked, _named()), _elsewhere(asked)], key=lambda one: one.cost)
-    told = next(one for one in found if not one.words)
-    others = [one for one in found if one.words]
-    best = told if told.cost - RIGHT <= others[0].cost else others[0]
-    first, second = sorted([told.cost - RIGHT, *(one.cost for one in others)])[:2]
-    sure = second - first >= SURE and (best.beside is None or count > FEWEST)
-    # Of the same pokes, lest a correction seem to explain what one poke at another point does.
-    explained = best is told or best.miss <= max(UNEXPLAINED, 0.5 * _miss(told.distances, best.beside))
+    used = [pokes[i] for i in some]
+    asked = _Asked.of(used, [normals[i] for i in some], prior or RigPrior())
+    reported, *wrong = _discrete(asked)
+    wrong = sorted([*wrong, _elsewhere(asked)], key=lambda hypothesis: hypothesis.cost)
+    best = reported if reported.cost - RIGHT <= wrong[0].cost else wrong[0]
+    first, second = sorted([reported.cost - RIGHT, *(hypothesis.cost for hypothesis in wrong)])[:2]
+    # Of the same pokes, or a correction would seem to explain what one poke at another point does.
+    explained = best is reported or best.miss <= max(UNEXPLAINED, 0.5 * _miss(reported.distances, best.beside))
+    slip = None
+    if best.beside is not None:
+        poke = used[best.beside]
+        slip = Slip(poke.poke, poke.name, float(best.distances[best.beside]))
     return FrameDiagnosis(
-        words=_sentence(best, told, looked_at, sure, explained),
-        right=best is told,
-        sure=sure,
+        right=best is reported,
+        sure=second - first >= SURE and (best.beside is None or count > FEWEST),
         explained=explained,
-        miss=_miss(told.distances, None),
+        miss=_miss(reported.distances, None),
         corrected_miss=best.miss,
         correction=best.correction,
+        slip=slip,
     )
-
-
-def _sentence(best: _Hypothesis, told: _Hypothesis, pokes: Sequence[LandmarkPoke], sure: bool, explained: bool) -> str:
-    """Return what is said of the most likely hypothesis, of the pokes that were looked at."""
-    as_told = f"{_miss(told.distances, None) * 1e3:.0f} mm"
-    if not explained:
-        return (
-            f"No known mistake of the frame explains these pokes: they pass their landmarks at {as_told}; poke again, and "
-            "look at the landmarks' places."
-        )
-    slip = "."
-    if best.beside is not None:
-        poke, off = pokes[best.beside], best.distances[best.beside]
-        slip = f", but poke {poke.poke} passes {poke.name} at {off * 1e3:.0f} mm: was it another point?"
-    passes = f"{best.miss * 1e3:.0f} mm{slip}"
-    if best is told:
-        # Right, and off by a centimetre, reads like a contradiction.
-        whose = " That is errors of the rig, not of its frame." if best.miss > OF_RIG else ""
-        return f"The sensor's frame {'is' if sure else 'looks'} right: pokes pass their landmarks at {passes}{whose}"
-    wrong = f"The sensor's frame looks wrong: {best.words}. As told, pokes pass their landmarks at {as_told}"
-    return f"{wrong}; so corrected, at {passes}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Named:
-    """The h mistakes of axes and units, the one that is none among them."""
-
-    words: tuple[str, ...]
-    corrections: tuple[FrameCorrection, ...]
-    axes: FloatArray
-    """(h, 3, 3) float."""
-    scales: FloatArray
-    """(2, h) float: of force and moment."""
 
 
 @lru_cache(maxsize=1)
-def _named() -> _Named:
-    """Return every order of the axes with signs, in every unit."""
-    words: list[str] = []
-    corrections: list[FrameCorrection] = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        axes = np.array(signs)[:, None] * np.eye(3)[list(order)]
-        for factor, unit in MOMENT_UNITS.items():
-            words.append("; ".join(part for part in (_axes_words(order, signs), unit) if part))
-            corrections.append(FrameCorrection(axes, *((GRAVITY, 1.0) if factor == 1.0 / GRAVITY else (1.0, factor))))
-    return _Named(
-        tuple(words),
-        tuple(corrections),
-        np.array([one.axes for one in corrections]),
-        np.array([[one.force_scale, one.moment_scale] for one in corrections]).T,
+def _named() -> tuple[FrameCorrection, ...]:
+    """Return every order of the axes with signs, in every unit; the first is no mistake."""
+    return tuple(
+        FrameCorrection(np.array(signs)[:, None] * np.eye(3)[list(order)], *units)
+        for order, signs, units in product(permutations(range(3)), product((1.0, -1.0), repeat=3), UNITS)
     )
-
-
-def _axes_words(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
-    """Return what an order of the axes is, in words; empty for the one told."""
-    if order == (0, 1, 2) and min(signs) > 0:
-        return ""
-    if order == (0, 1, 2) and max(signs) < 0:
-        return "it reports the reaction: all signs are turned"
-    named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
-    if order == (0, 1, 2):
-        turned = ", ".join("xyz"[axis] for axis, sign in enumerate(signs) if sign < 0)
-        return f"the sign of {turned} is turned"
-    return f"its axes are told in another order: x, y, z are {', '.join(named)}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,12 +193,12 @@ class _Asked:
     """(n, 3) float, N, sensor frame."""
     moment: FloatArray
     """(n, 3) float, N m."""
-    told: FloatArray
+    reported: FloatArray
     """(n, 4, 4) float: link_from_sensor."""
     places: FloatArray
     """(n, 3) float, metres: the landmarks."""
     normals: FloatArray
-    """(n, 3) float, outward; nought where it is not known."""
+    """(n, 3) float, outward; zero where it is not known."""
     together: FloatArray
     """(2 n, 2 n) float: 1 where two rows are of pokes in one arm pose, else 0."""
     prior: RigPrior
@@ -261,12 +206,12 @@ class _Asked:
     @classmethod
     def of(cls, pokes: Sequence[LandmarkPoke], normals: Sequence[FloatArray | None], prior: RigPrior) -> _Asked:
         """Return what is looked at."""
-        poses = np.repeat([one.pose for one in pokes], 2)
+        poses = np.repeat([poke.pose for poke in pokes], 2)
         return cls(
-            force=np.array([one.force for one in pokes]),
-            moment=np.array([one.moment for one in pokes]),
-            told=np.array([one.link_from_sensor for one in pokes]),
-            places=np.array([one.place for one in pokes]),
+            force=np.array([poke.force for poke in pokes]),
+            moment=np.array([poke.moment for poke in pokes]),
+            reported=np.array([poke.link_from_sensor for poke in pokes]),
+            places=np.array([poke.place for poke in pokes]),
             normals=np.array([np.zeros(3) if normal is None else normal for normal in normals]),
             together=(poses[:, None] == poses).astype(np.float64),
             prior=prior,
@@ -282,7 +227,7 @@ class _Asked:
         """
         many, count = len(force), len(self.places)
         wrenches = np.concatenate([force, moment], axis=2).reshape(-1, 6)
-        readings = RigReadings(wrenches, np.zeros(len(wrenches), dtype=np.int64), np.tile(self.told, (many, 1, 1)))
+        readings = RigReadings(wrenches, np.zeros(len(wrenches), dtype=np.int64), np.tile(self.reported, (many, 1, 1)))
         spread = np.broadcast_to(TOLERANCE**2 * np.eye(3), (len(wrenches), 3, 3))
         rows = rig_rows(readings, state, np.tile(self.places, (many, 1)), spread, EXACT, np.ones(42))
         slopes, scales = rows.of_rig.reshape(many, 2 * count, -1), self.prior.scales(1)
@@ -323,17 +268,17 @@ class _Rows:
     """(h, n) float, metres."""
 
 
-def _discrete(asked: _Asked, named: _Named) -> list[_Hypothesis]:
-    """Weigh every order of the axes with signs, and every unit."""
-    turned = named.axes.transpose(0, 2, 1)
-    force = named.scales[0][:, None, None] * (asked.force @ turned)
-    moment = named.scales[1][:, None, None] * (asked.moment @ turned)
+def _discrete(asked: _Asked) -> list[_Hypothesis]:
+    """Weigh every order of the axes with signs, and every unit, in the order of `_named`."""
+    turned = np.array([mistake.axes for mistake in _named()]).transpose(0, 2, 1)
+    force_scales, moment_scales = np.array([[mistake.force_scale, mistake.moment_scale] for mistake in _named()]).T
+    force = force_scales[:, None, None] * (asked.force @ turned)
+    moment = moment_scales[:, None, None] * (asked.moment @ turned)
     rows = asked.rows(force, moment, RigState.at_prior(1))
-    sides = asked.cost_of_sides(force, asked.told[:, :3, :3])
+    sides = asked.cost_of_sides(force, asked.reported[:, :3, :3])
     costs, besides = _least(_costs(rows.misses, rows.covariances), sides)
     costs += _cost_of_size(force)
-    found = zip(named.words, named.corrections, costs.tolist(), rows.distances, besides, strict=True)
-    return [_Hypothesis(*one) for one in found]
+    return [_Hypothesis(*row) for row in zip(_named(), costs.tolist(), rows.distances, besides, strict=True)]
 
 
 def _costs(misses: FloatArray, covariances: FloatArray) -> FloatArray:
@@ -358,11 +303,11 @@ def _least(costs: FloatArray, sides: FloatArray) -> tuple[FloatArray, list[int |
     pushes = np.sum(sides, axis=1)[:, None] - np.column_stack([np.zeros(len(sides)), sides])
     total = costs + pushes
     least = np.argmin(total, axis=1)
-    return np.min(total, axis=1), [None if one == 0 else one - 1 for one in least.tolist()]
+    return np.min(total, axis=1), [column - 1 if column else None for column in least.tolist()]
 
 
 def _elsewhere(asked: _Asked, beside: int | None = None) -> _Hypothesis:
-    """Weigh a sensor that sits elsewhere on the arm than told, with poke `beside` at another point, or any that likely was."""
+    """Weigh a sensor that sits elsewhere than reported, with poke `beside` at another point, or any that likely was."""
     scales, cost = np.repeat([TURN, SHIFT], 3), np.zeros((1, 1))
     step: FloatArray = np.zeros(6)
     slipped = np.zeros(len(asked.places))
@@ -371,30 +316,20 @@ def _elsewhere(asked: _Asked, beside: int | None = None) -> _Hypothesis:
     for _ in range(STEPS):
         rows = asked.rows(asked.force[None], asked.moment[None], _moved(scales * step))
         slopes = rows.slopes[0] * scales
-        # From nought of the prior: the rows as they are here, seen from there.
+        # From the zero of the prior: the rows as they are here, seen from there.
         misses = rows.misses[0] - slopes @ step
         total = rows.covariances[0] + slopes @ slopes.T + np.diag(np.repeat(slipped, 2) * (BESIDE / TOLERANCE) ** 2)
         cost = _costs(misses[None], total[None])
         step = -slopes.T @ np.asarray(np.linalg.solve(total, misses), dtype=np.float64)
     move = scales * step
-    motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = rotations(move[None, :3])[0], move[3:]
-    sides = asked.cost_of_sides(asked.force[None], (asked.told @ motion)[:, :3, :3])
+    motion = rigid_motion(move[:3], move[3:])
+    sides = asked.cost_of_sides(asked.force[None], (asked.reported @ motion)[:, :3, :3])
     if beside is None and (likely := _least(cost, sides)[1][0]) is not None:
-        # Found anew, not bent by it.
+        # Found anew, so that the poke at another point does not bend it.
         return _elsewhere(asked, likely)
     whole = float(cost[0, 0] + sides[0] @ (1.0 - slipped) + SLIP * np.sum(slipped) + _cost_of_size(asked.force[None])[0])
     distances = asked.rows(asked.force[None], asked.moment[None], _moved(move)).distances[0]
-    return _Hypothesis(_mounting_words(move), FrameCorrection(motion=motion), whole, distances, beside)
-
-
-def _mounting_words(move: FloatArray) -> str:
-    """Return what a turn, rad, and a shift, m, of the sensor are in words."""
-    angle, shift = np.degrees(np.linalg.norm(move[:3])), 1e3 * float(np.linalg.norm(move[3:]))
-    return (
-        f"the sensor sits elsewhere on the arm than told, by about {angle:.0f} degrees and {shift:.0f} mm, or its matrix is "
-        "far off"
-    )
+    return _Hypothesis(FrameCorrection(motion=motion), whole, distances, beside)
 
 
 def _moved(move: FloatArray) -> RigState:

@@ -176,7 +176,7 @@ class Reviewer:
     def _places(self, contacts: Sequence[Contact], of: Change) -> dict[Method, FloatArray]:
         """Return for each method (n, 3) where the taxels lie, metres; NaN where not known."""
         noise, unknown = self._scene.noise, np.full(3, np.nan)
-        solved = estimate_taxels(contacts, of.channels, self._methods, noise, self._surface, of.dead, boards=self._boards)
+        solved = estimate_taxels(contacts, of.channels, self._methods, noise, self._surface, of.dead, model=self._boards)
         return {
             method: np.array([unknown if one.position is None else one.position for one in found.values()]).reshape(-1, 3)
             for method, found in solved.items()

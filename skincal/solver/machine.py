@@ -44,14 +44,14 @@ class Machine:
         self._exports = exports
         self._memory: wasmtime.Memory = exports["memory"]
         self._functions: dict[str, Any] = {}
-        self._asked, heap = self.told("asked_at"), self.told("heap")
+        self._asked, heap = self.value("asked_at"), self.value("heap")
         self._kept = heap + -heap % _ALIGNED
         self._bytes: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
         self._look()
         self._lock = threading.Lock()
 
-    def told(self, name: str) -> int:
-        """Return what a function of the solver without question says."""
+    def value(self, name: str) -> int:
+        """Return what a function of the solver without arguments returns."""
         return int(self._exports[name](self._store))
 
     @property

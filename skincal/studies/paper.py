@@ -20,7 +20,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry.arrays import FloatArray
 from skincal.methods import estimate_taxels
-from skincal.rig.correction_fit import TOLD, LandmarkPoke, RigRequest, correct_rig
+from skincal.rig.correction_fit import DOUBTED, LandmarkPoke, RigRequest, correct_rig
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import poke_landmarks
@@ -174,7 +174,7 @@ def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = ME
     """Return of each method the positions (n, 3) of the rig's taxels, metres, NaN where there is no estimate."""
     part, nowhere = bench(), np.full(3, np.nan)
     channels = rig.channels.tolist()
-    found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, boards=part.boards)
+    found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.boards)
     return {
         method.value: np.array([nowhere if one.position is None else one.position for one in estimates.values()])
         for method, estimates in found.items()
@@ -236,7 +236,7 @@ def corrected(
     right = contacts
     if answer.used and answer.correction is not None:
         right = [answer.correction.corrected(contact) for contact in contacts]
-    doubted = tuple(poke for poke, trust in answer.trust.items() if trust < TOLD)
+    doubted = tuple(poke for poke, trust in answer.trust.items() if trust < DOUBTED)
     before, after = 1e3 * answer.before, 1e3 * answer.after
     return Corrected(len(known), answer.used, before, after, doubted, _spreads(right, rig, methods), seconds)
 

@@ -336,7 +336,7 @@ class Shipped:
 
     def _solve(self, contacts: Sequence[Contact], channels: Sequence[int]) -> dict[int, Estimate]:
         noise = self.cell.bench.scene.noise
-        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, boards=self._boards)[self.method]
+        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, model=self._boards)[self.method]
 
     def run(self) -> dict[int, Estimate]:
         """Measure, and return the first seed's estimates."""
@@ -368,7 +368,7 @@ def per_pose(cell: Cell, method: Method) -> Row:
     boards, noise = cell.bench.boards_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
 
     def solve(contacts: Sequence[Contact]) -> Positions:
-        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, boards=boards))
+        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=boards))
 
     seconds, found = cell.each_run(solve, cell.repeats)
     return cell.row(f"{method.value}-per-pose", Quartiles.of(seconds), found)

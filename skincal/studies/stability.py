@@ -50,7 +50,7 @@ from skincal.studies.stability_cases import (
     all_cases,
     all_module_cases,
 )
-from skincal.taxels.contact_table import ContactTable, across, gather
+from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
@@ -180,7 +180,7 @@ def shipped(contacts: Sequence[Contact], surface: Surface | None) -> FoundTaxel:
     """Solve taxel 0 as the program does: free without a surface, else on it."""
     # Each reading counts as it is: what is doubted is not a question of digits.
     method = Method.FREE if surface is None else Method.SURFACE
-    found = solve(gather(contacts, [0]), [method], NoiseSettings(), surface, doubting=False)
+    found = solve(ContactTable(contacts).evidence([0]), [method], NoiseSettings(), surface, doubting=False)
     if found.surface is not None:
         return FoundTaxel(found.surface.points[0])
     return FoundTaxel(found.factors.solutions[0], int(found.factors.ranks[0]), found.factors.blind[0])

@@ -1,28 +1,27 @@
-"""What the contacts say about each taxel: the rows of the paper's system (5), in the link frame.
+"""What the contacts say about each taxel: a table of contacts, and the rows of the paper's system (5), in the link frame.
 
 For a contact with wrench (f, m), carried into the link frame by eq. (6), a taxel at p has the residual
 (f x p + m)/|f| = u x p + m/|f| with u = f/|f|. Its weight is k = t_j / max_y t_y, its three rows in (5) are
-k S(u) p = -k m/|f|. Along u they say nothing of p: there stands the pitch (eq. 3) on one side and nought on the other.
+k S(u) p = -k m/|f|. Along u they say nothing of p: there stands the pitch (eq. 3) on one side and zero on the other.
 So two rows do: with a = u x m/|f| the axis's point nearest to the origin and e_1, e_2 orthonormal across u,
 
     |u x p + m/|f||^2 = (e_1.(p - a))^2 + (e_2.(p - a))^2 + pitch^2.
 
 The minimum is that of (5). What is gained is digits: a heavy contact's pitch can no longer leak, through the rounding of
-a row that should be nought, into a direction that only light contacts determine.
+a row that should be zero, into a direction that only light contacts determine.
 
 Answers of many taxels lie one after another in the same arrays, cut by `starts`. Beside k stands the trust, 0 to 1, a
 factor of the contact's share of the sum of squares (`skincal/solver/source/trust.h`).
 
-Contacts as columns: each carried into the link frame once (eq. 6), then found again by taxel without touching an object.
-
-The contacts are the truth; this is a cache of them. What it gives out depends on the contacts that are in it alone: not on
-the order in which they came, nor on what was in it and was taken out again.
+`ContactTable` carries each contact into the link frame once and finds it again by taxel. The contacts are the truth and
+the table is a cache of them: what it returns depends on the contacts that are in it alone, not on the order in which they
+came, nor on what was in it and was dropped again.
 """
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -156,12 +155,12 @@ class ContactTable:
         self.add(contacts)
 
     def add(self, contacts: Sequence[Contact]) -> None:
-        """Take contacts; one of a poke that is in already replaces it.
+        """Take contacts; a contact of a poke that is in already replaces the older one.
 
         Raises
         ------
         ValueError
-            A contact has a number that is not finite, no force, or a response that is not above zero; none is taken.
+            A contact has a number that is not finite, no force, or a response that is not above zero; then none is taken.
         """
         if not contacts:
             return
@@ -206,7 +205,7 @@ class ContactTable:
             self._compact()
         known = sorted(channel for channel in channels if channel in self._of_channel)
         lists = [np.frombuffer(self._of_channel[channel], dtype=np.int64) for channel in known]
-        counts = np.array([len(one) for one in lists], dtype=np.int64)
+        counts = np.array([len(answers) for answers in lists], dtype=np.int64)
         answers = np.concatenate(lists) if lists else np.empty(0, dtype=np.int64)
         taxels, owner = np.arange(len(known)).repeat(counts), self._owner.take(answers)
         if self._dropped:
@@ -237,11 +236,11 @@ class ContactTable:
 
     def _order(self, taxels: IntArray, weights: FloatArray, owner: IntArray) -> IntArray:
         """Return the order of answers: by taxel, heaviest first, then by content: when they came leaves no trace."""
-        # One key is quicker than two, since k <= 1. Where its last digits are lost, answers count as equal until below.
+        # One key is quicker than two, since k <= 1. Its last digits are lost, so nearly equal answers are ordered below.
         key = taxels - weights
         order = key.argsort(kind="stable")
-        # Every poke has a taxel with k = 1, so many are as heavy; the force tells these apart, very seldom all of it must,
-        # and the poke's number where one contact was given twice.
+        # Every poke has a taxel with k = 1, so many are as heavy. The size of the force orders these; very seldom the whole
+        # row must, and the poke's number where the same contact came twice.
         tied = _repeated(key[order])
         if tied.any():
             some = order[tied]
@@ -264,7 +263,7 @@ class ContactTable:
             self._owner, self._weight = _grown(self._owner, room), _grown(self._weight, room)
 
     def _compact(self) -> None:
-        """Forget the rows of dropped contacts: every poke is told twice, so half of all rows are."""
+        """Forget the rows of dropped contacts: every poke is reported twice (early, then final), so half of all rows are."""
         rows = np.flatnonzero(self._live[: self._contacts])
         renamed = np.full(self._contacts, -1, dtype=np.int64)
         renamed[rows] = np.arange(len(rows))
@@ -307,17 +306,6 @@ def _grown(columns: NDArray[Any], room: int) -> NDArray[Any]:
     return grown
 
 
-def gather(contacts: Sequence[Contact], channels: Iterable[int]) -> Evidence:
-    """Return the evidence of those of `channels` that answered in one of `contacts`.
-
-    Raises
-    ------
-    ValueError
-        As for `ContactTable.add`.
-    """
-    return ContactTable(contacts).evidence({int(channel) for channel in channels})
-
-
 def _answers(contacts: Sequence[Contact]) -> tuple[IntArray, IntArray, FloatArray]:
     """Return for each answer: index of the contact, channel, weight k = t_j/max_y t_y."""
     sizes = np.array([len(contact.channels) for contact in contacts])
@@ -345,7 +333,7 @@ def _carried(contacts: Sequence[Contact]) -> FloatArray:
         place = call.room((_COLUMNS, count))
         call.run("carry", [count, forces, moments, poses, place])
         columns = call.taken(place)
-    # A force of nought has no direction.
+    # A zero force has no direction.
     good = np.isfinite(columns).all(axis=0)
     if not good.all():
         poke = contacts[int((~good).argmax())].poke

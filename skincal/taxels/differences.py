@@ -1,12 +1,12 @@
 """How far two sets of places of the same taxels lie apart: each taxel, all of them, and module by module.
 
-Errors of the rig shift whole clouds of taxels, and a module keeps its shape in it. So a module's difference is told in two
+Errors of the rig shift whole groups of taxels alike, and a module keeps its shape in it. So a module's difference has two
 parts: its **shift**, the length of the mean difference, and its **shape**, what is left after the rigid motion that fits best
 (Kabsch 1976): with a, b the module's places about their means and a' b = U S V' (singular values),
 
     R = V diag(1, 1, det(V U')) U',   shape^2 = mean |R a - b|^2.
 
-The determinant keeps R from being a reflection: a mirrored board is no board that was turned.
+The determinant keeps R from being a reflection: a mirrored module is not a turned one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate
 
 FEWEST = 3
-"""Taxels that tell how a board is turned; with fewer its shape is not known."""
+"""Taxels that determine how a module is turned; with fewer its shape is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class ModuleDifference:
 def places_of(estimates: Sequence[Estimate]) -> FloatArray:
     """Return where a method puts taxels, (n, 3) float, metres, in the order of `estimates`; NaN where it does not know."""
     places = np.full((len(estimates), 3), np.nan)
-    rows = [row for row, one in enumerate(estimates) if one.position is not None]
+    rows = [row for row, estimate in enumerate(estimates) if estimate.position is not None]
     if rows:
         places[rows] = np.array([estimates[row].position for row in rows])
     return places
@@ -74,7 +74,7 @@ def differences(here: FloatArray, there: FloatArray) -> tuple[FloatArray, FloatA
 
     Returns
     -------
-    (n, 3) and (n,) float, metres; NaN where one of them is unknown
+    (n, 3) and (n,) float, metres; NaN where either is unknown
     """
     ways = there - here
     return ways, np.sqrt(np.sum(ways * ways, axis=1))

@@ -59,7 +59,7 @@ def triangle(a: FloatArray, b: FloatArray) -> FloatArray:
     rows[: len(a), :unknowns], rows[: len(a), unknowns] = a, b
     rows[: len(a)] = rows[np.argsort(-np.sum(a * a, axis=1), kind="stable")]
     for k in range(unknowns):
-        # Columns that are done are nought here.
+        # Columns that are done are zero here.
         left = rows[k:]
         squares = np.einsum("ij,ij->j", left[:, :unknowns], left[:, :unknowns])
         pivot = int(squares.argmax())

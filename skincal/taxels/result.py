@@ -1,4 +1,4 @@
-"""What a method says about one taxel."""
+"""The result of an estimate: what a method says about one taxel, and why. Sentences on it are made elsewhere."""
 
 from __future__ import annotations
 
@@ -39,6 +39,49 @@ class State(Enum):
     """Stuck or always on: its answers are not used."""
 
 
+class Cause(Enum):
+    """Why a taxel's state is what it is; the value is short, the sentence is made by `skincal.sentences`."""
+
+    UNPOKED = "no accepted poke touched it"
+    ONE_AXIS = "one axis: the depth along it is unknown"
+    ALIKE_AXES = "axes nearly along one direction"
+    AXES_APART = "axes pass each other too far off"
+    OPPOSED = "pokes push from opposite sides"
+    NO_TRIANGLE = "no triangle of the surface faces the pokes"
+    OFF_SURFACE = "axes pass the surface too far off"
+    GRAZING = "pokes graze the surface"
+    MODULE_UNPOKED = "no accepted poke touched its module"
+    MODULE_UNPLACED = "neither pokes nor plan say where its module is"
+    MODULE_OFF = "axes pass its module too far off"
+    MODULE_MOVING = "its module's pose does not settle"
+    MODULE_BEHIND = "pokes push its module from behind"
+    MODULE_ONE_POKE = "one poke does not determine its module's turn"
+    MODULE_LOOSE = "pokes do not determine how its module lies"
+    BY_MODULE = "known by its module alone"
+    MEAN_OF_POSES = "mean over arm poses"
+    BLIND_IN_POSES = "blind in each arm pose"
+    GIVEN = "in the words of another: of the channel's health, or of a file"
+
+
+@dataclass(frozen=True, slots=True)
+class StateReason:
+    """A cause with its numbers; those that a cause does not name have no meaning."""
+
+    cause: Cause
+    count: int = 0
+    """Pokes, axes or arm poses."""
+    blind: int = 0
+    """`MEAN_OF_POSES`: arm poses that are left out, since the taxel is blind in them."""
+    size: float | None = None
+    """m: how far axes pass, how far a pose moves, or a standard deviation; None where it is not determined at all."""
+    angle: float = 0.0
+    """rad, `ALIKE_AXES`: the axes lie within it of one direction."""
+    inner: StateReason | None = None
+    """`BLIND_IN_POSES`: why the taxel is blind in the arm pose with most pokes."""
+    text: str = ""
+    """`GIVEN`: the sentence."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival:
     """Another place on the surface that fits the same contacts nearly as well."""
@@ -77,8 +120,8 @@ class Estimate:
     """m, square root of the covariance's trace: the predicted error."""
     triangle: int | None = None
     """Index of the surface's triangle that carries the position; None without one, and for the free method."""
-    reason: str = ""
-    """A sentence: why the state is what it is."""
+    reason: StateReason | None = None
+    """Why the state is what it is; None where there is nothing to say."""
     foot: FloatArray | None = None
     """(3,) float, metres: for a taxel that the free method knows as a line only, the line's point nearest to the link's
     origin, that is the solution of smallest norm; the line runs along `weakest`. None otherwise."""

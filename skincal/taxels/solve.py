@@ -1,23 +1,22 @@
-"""What the compiled solver makes of the evidence: trust, least squares, the point on the surface, uncertainty, rivals.
+"""The compiled solver's answers for taxels by themselves: trust, least squares, point on the surface, uncertainty, rivals.
 
 The mathematics stands above the code that does it: `trust.h`, `factor.h`, `search.h`, `rival.h` and `uncertainty.h` in
 `skincal/solver/source`. A taxel's numbers depend on its own contacts alone: not by a bit on which others are solved with it.
 
-A taxel's position without knowing the part's shape (paper, II-A): the point nearest to all force axes.
+**Free method** (paper, II-A), without knowing the part's shape: the point nearest to all force axes. p_j minimises
+sum k^2 |u x p_j + m/|f||^2 over the contacts of W_j: p_j = -(F' K^2 F)^-1 F' K^2 M, by QR of K F.
 
-p_j minimises sum k^2 |u x p_j + m/|f||^2 over the contacts of W_j: p_j = -(F' K^2 F)^-1 F' K^2 M, by QR of K F.
+**Surface method** (paper, II-B): the surface's point nearest to all force axes. The sum of squares of II-B is
+|root p - offset|^2 plus a constant, a metric of this taxel's own evidence; its optimum is found over all triangles at once,
+on the side that the pokes push on. One axis is enough: it enters the part at one point.
 
-A taxel's position on the part's surface (paper, II-B): the surface's point nearest to all force axes.
-
-The sum of squares of II-A is |root p - offset|^2 plus a constant, a metric of this taxel's own evidence; its optimum is
-found over all triangles at once, on the side that the pokes push on. One axis is enough: it enters the part at one point.
-
-The covariance lies in the plane of the optimum's triangle. Where the optimum lies on an edge or a vertex, the plane of
-the triangle named is taken all the same, since facets are of the mesh and not of the part: an edge does not hold a
-taxel.
+The covariance lies in the plane of the optimum's triangle, also where the optimum lies on an edge or a vertex: facets belong
+to the mesh and not to the part, so an edge does not hold a taxel.
 
 A second minimum elsewhere is a **rival** where the noise could have made it the worse one; `odds_of` in
 `skincal/solver/source/solver.c` says how likely that is.
+
+What is said of a taxel here is its state and a `Cause` with numbers.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.solver.machine import INTEGER, Call, shared
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.least_squares import Factors
-from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, Rival, State
+from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, Rival, State, StateReason
 
 RIVAL_ODDS = 20.0
 """A place that is less than 20 times less likely than the estimate is a rival: the usual 95 %."""
@@ -117,7 +116,7 @@ def solve(
     free = Method.FREE in methods
     machine, place = shared(), 0
     if surface is not None and Method.SURFACE in methods:
-        # Only now: a scene without a mesh loads nothing of it.
+        # Imported only now: a scene without a mesh loads nothing of it.
         from skincal.mesh.search import solver_copy
 
         machine, place = solver_copy(surface)
@@ -154,9 +153,7 @@ ANSWER = np.dtype(
 
 def _asked(call: Call, evidence: Evidence, noise: NoiseSettings) -> list[int]:
     """Return what `Task` in `skincal/solver/source/solver.c` begins with, after the counts."""
-    sizes = (
-        noise.force, noise.moment, noise.contact, noise.reach, noise.radius, noise.pose_turn, noise.pose_shift
-    )  # fmt: skip
+    sizes = (noise.force, noise.moment, noise.contact, noise.reach, noise.radius, noise.pose_turn, noise.pose_shift)
     return [
         call.give(evidence.starts, INTEGER),
         call.give(evidence.columns),
@@ -182,13 +179,11 @@ def _on_surface(answer: NDArray[Any]) -> SurfacePoints:
     )
 
 
-def estimate_free(solution: Solution, uncertain: Uncertainty) -> list[Estimate]:
-    """Say of each taxel what the free method knows; blind where its axes do not fix a point or pass it far off.
-
-    Parameters
-    ----------
-    uncertain : `solution.free`
-    """
+def estimate_free(solution: Solution) -> list[Estimate]:
+    """Return each taxel's estimate by the free method; blind where its axes do not fix a point or pass it far off."""
+    uncertain = solution.free
+    if uncertain is None:
+        return []
     evidence, points, ranks = solution.evidence, solution.factors.solutions, solution.factors.ranks
     normals, doubted = solution.outward, solution.doubted
     # Lists, since numbers of arrays one by one take ten times as long.
@@ -198,56 +193,40 @@ def estimate_free(solution: Solution, uncertain: Uncertainty) -> list[Estimate]:
     for i, (channel, contacts, opposed, rank, sd, rms, miss) in rows:
         normal = None if opposed else normals[i]
         if not sd <= SD_MAX:
-            one = Estimate(
+            estimate = Estimate(
                 channel, Method.FREE, State.BLIND, contacts, normal=normal, weakest=uncertain.weakest[i],
                 sd=sd if np.isfinite(sd) else None, reason=_why_blind_free(evidence.part(i, i + 1), uncertain.weakest[i], sd),
                 foot=points[i] if rank == 2 else None, doubted=doubted[i],
             )  # fmt: skip
         elif miss > MISS_MAX:
-            reason = (
-                f"The axes pass each other at {miss * 1e3:.0f} mm from their middle (limit {MISS_MAX * 1e3:.0f} mm): "
-                "check the arm poses, or exclude the wrong pokes."
-            )
-            one = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted[i])
+            reason = StateReason(Cause.AXES_APART, size=miss)
+            estimate = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted[i])
         else:
-            one = Estimate(
+            estimate = Estimate(
                 channel, Method.FREE, State.ESTIMATED, contacts, position=points[i], normal=normal,
                 covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=rms, doubted=doubted[i],
             )  # fmt: skip
-        estimates.append(one)
+        estimates.append(estimate)
     return estimates
 
 
-def _why_blind_free(evidence: Evidence, axis: FloatArray, sd: float) -> str:
+def _why_blind_free(evidence: Evidence, axis: FloatArray, sd: float) -> StateReason:
     directions = evidence.directions[evidence.trust > 0.0]
     if len(directions) == 1:
-        return "One axis only: the depth along it is unknown. Poke once more with another tilt."
+        return StateReason(Cause.ONE_AXIS)
     sines = np.linalg.norm(np.cross(directions, axis), axis=1)
-    angle = float(np.degrees(np.arctan2(sines, np.abs(directions @ axis)).max()))
-    known = f"is known to {_millimetres(sd)} only" if np.isfinite(sd) else "is unknown"
-    return (
-        f"All {len(directions)} axes lie within {_degrees(angle)} of one direction: the depth along it {known} "
-        f"(limit {SD_MAX * 1e3:.0f} mm). Poke with another tilt."
-    )
+    angle = float(np.arctan2(sines, np.abs(directions @ axis)).max())
+    return StateReason(Cause.ALIKE_AXES, len(directions), size=sd if np.isfinite(sd) else None, angle=angle)
 
 
-def _millimetres(metres: float) -> str:
-    return f"{metres * 1e3:.0f} mm" if metres < 1.0 else "over 1 m"
-
-
-def _degrees(angle: float) -> str:
-    return f"{angle:.1f} degrees" if angle >= 0.1 else "0.1 degrees"
-
-
-def estimate_surface(solution: Solution, found: SurfacePoints, surface: Surface) -> list[Estimate]:
-    """Say of each taxel what the surface method knows.
+def estimate_surface(solution: Solution, surface: Surface | None) -> list[Estimate]:
+    """Return each taxel's estimate by the surface method.
 
     Blind where no triangle faces the pokes, where they graze the surface and where their axes miss it.
-
-    Parameters
-    ----------
-    found : `solution.surface`
     """
+    found = solution.surface
+    if found is None or surface is None:
+        return []
     evidence, uncertain, doubted = solution.evidence, found.uncertain, solution.doubted
     normals = surface.normals[found.triangles]
     rivals = {
@@ -261,34 +240,29 @@ def estimate_surface(solution: Solution, found: SurfacePoints, surface: Surface)
     rows = enumerate(zip(*map(np.ndarray.tolist, numbers), strict=True))
     for i, (channel, contacts, cancel, triangle, sd, rms, miss) in rows:
         reason = _why_blind_on_surface(contacts, cancel, triangle, miss, sd)
-        if reason:
-            grazing = triangle >= 0 and not cancel and miss <= MISS_MAX
-            one = Estimate(
+        if reason is not None:
+            grazing = reason.cause is Cause.GRAZING
+            estimate = Estimate(
                 channel, Method.SURFACE, State.BLIND, contacts, weakest=uncertain.weakest[i] if grazing else None,
                 sd=sd if grazing and np.isfinite(sd) else None, reason=reason, doubted=doubted[i],
             )  # fmt: skip
         else:
-            one = Estimate(
+            estimate = Estimate(
                 channel, Method.SURFACE, State.ESTIMATED, contacts, position=found.points[i], normal=normals[i],
                 covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=rms,
                 triangle=triangle, rival=rivals.get(i), doubted=doubted[i],
             )  # fmt: skip
-        estimates.append(one)
+        estimates.append(estimate)
     return estimates
 
 
-def _why_blind_on_surface(contacts: int, opposed: bool, triangle: int, miss: float, sd: float) -> str:
-    """Return why a taxel has no estimate; empty if it has one."""
+def _why_blind_on_surface(contacts: int, opposed: bool, triangle: int, miss: float, sd: float) -> StateReason | None:
+    """Return why a taxel has no estimate; None if it has one."""
     if opposed:
-        return f"The {contacts} pokes push from opposite sides: exclude the wrong ones."
+        return StateReason(Cause.OPPOSED, contacts)
     if triangle < 0:
-        return "No triangle of the surface faces the pokes: check that its normals point outward and the wrench's sign."
+        return StateReason(Cause.NO_TRIANGLE)
     if miss > MISS_MAX:
-        return (
-            f"The axes pass the surface at {miss * 1e3:.0f} mm (limit {MISS_MAX * 1e3:.0f} mm): check the mesh's unit and pose."
-        )
-    if not sd <= SD_MAX:
-        return (
-            f"The pokes graze the surface, so that their axes do not fix a point on it to {SD_MAX * 1e3:.0f} mm: poke steeper."
-        )
-    return ""
+        return StateReason(Cause.OFF_SURFACE, size=miss)
+    # An sd that is not a number is none, either.
+    return None if sd <= SD_MAX else StateReason(Cause.GRAZING)

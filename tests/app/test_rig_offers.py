@@ -15,13 +15,14 @@ from app.panels.rig import NO_POINTS, NOT_YET, WAITING, RigPanel
 from app.state.policies import allowed
 from app.state.rig_review import RigReview, offers_of
 from app.state.running import Running
-from app.text.rig import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words, used_words
+from app.text.rig import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
 from skincal.contacts.outcome import Reason
 from skincal.geometry.arrays import FloatArray
 from skincal.model.scene import Landmark
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
+from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 from skincal.session.actions import Uncorrect
 from skincal.session.corrections import correction_of
 from skincal.session.review import Review
@@ -33,8 +34,8 @@ TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 MATRIX = 1.02 * np.eye(6)
 NOBODY = np.empty(0)
 ARROW = "\N{RIGHTWARDS ARROW}"
-RIGHT = FrameDiagnosis("The sensor's frame looks right.", True, True, True, 0.0074, 0.0074, FrameCorrection())
-WRONG = FrameDiagnosis("The sensor's frame looks wrong.", False, True, True, 0.051, 0.006, FrameCorrection(TURN, 1.0, 1e-3))
+RIGHT = FrameDiagnosis(True, True, True, 0.0074, 0.0074, FrameCorrection())
+WRONG = FrameDiagnosis(False, True, True, 0.051, 0.006, FrameCorrection(TURN, 1.0, 1e-3))
 
 
 def rig(
@@ -118,7 +119,7 @@ def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
 def test_the_frame_goes_first_with_its_misses():
     (offer,) = offers(review(diagnosis=WRONG), at())
     assert offer_text(offer) == "Correct the sensor's frame"
-    assert offer_words(offer) == WRONG.words
+    assert offer_words(offer) == frame_sentence(WRONG)
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (FRAME, 0.051, 0.006, 6)
     found = correction_of(action)
@@ -184,7 +185,7 @@ def test_an_offer_is_told_once_and_made_once():
 
 @pytest.mark.parametrize(("of", "what"), [(RIG, "The rig"), (FRAME, "The sensor's frame")])
 def test_what_is_in_use_is_said_with_its_misses(of, what):
-    words = used_words(in_use(of, 21))
+    words = correction_sentence(in_use(of, 21))
     assert words.startswith(what)
     for part in ("21", "1.2 mm", "7.4 mm"):
         assert part in words
@@ -217,12 +218,16 @@ def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_coul
     told = review(rig(doubted=0.0, distances={6: 0.014}), after={Method.FREE: PLACES})
     moment = at(known=known({3: 0.002}))
     frame_, could, moved, doubt = review_words(told, moment, Method.FREE, moment.estimates[Method.FREE])
-    assert frame_ == RIGHT.words
-    assert could == told.rig.sentences[0]
+    assert frame_ == frame_sentence(RIGHT)
+    assert could == rig_sentences(told.rig)[0]
     assert "would move" in moved
     assert doubt == "Landmark poke 6 lies 14 mm off its landmark and counts for nothing: was it another point?"
     used = at(in_use(FRAME), in_use(RIG))
-    assert review_words(told, used, Method.FREE, ()) == (RIGHT.words, used_words(in_use(FRAME)), used_words(in_use(RIG)), doubt)
+    assert review_words(told, used, Method.FREE, ()) == (
+        frame_sentence(RIGHT),
+        *map(correction_sentence, (in_use(FRAME), in_use(RIG))),
+        doubt,
+    )
     few = review_words(review(TOO_FEW, None, 2), at(), Method.FREE, ())
     assert few == ("No correction of the rig: it needs 6 pokes at landmarks, 4 different ones; 2 pokes at 2 are there.",)
 

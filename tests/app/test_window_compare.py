@@ -38,8 +38,9 @@ from app.session.open_request import OpenRequest
 from app.theme import DARK
 from skincal.model.skin import Anchor
 from skincal.modules import health
-from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange
+from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.correction_fit import RigAnswer
+from skincal.sentences import left_sentences, misfit_sentence
 from skincal.session.error_history import ErrorCourse
 from skincal.session.modules_check import ModulesCheck
 from skincal.session.part import Part
@@ -170,11 +171,11 @@ def test_spacing_is_said_of_every_method_that_knows():
 
 def test_a_misfit_is_an_offer_with_a_sign():
     misfit = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
-    mend = LayoutMend((misfit,), PLAN, (ModuleChange(17, mirror=True),), ("It is not known.",))
+    mend = LayoutMend((misfit,), PLAN, (ModuleChange(17, mirror=True),), (Unmended(UnmendedKind.NO_NEARER, (17,)),))
     head, sentence, left = misfit_words(mend, 7, Method.SURFACE)
     assert head.startswith("\N{WARNING SIGN} 1 module not as planned (surface).")
     assert "Nothing is changed by itself" in head
-    assert (sentence, left) == (misfit.words, "It is not known.")
+    assert (sentence, left) == (misfit_sentence(misfit), left_sentences(mend)[0])
     assert "says module 17: mirror = true. The file that was read stays" in save_hint(mend)
     saved = saved_words(Path("folder") / "new.toml", mend)
     assert saved.startswith(f"The corrected layout is in {Path('folder') / 'new.toml'}, 1 module changed.")

@@ -19,7 +19,7 @@ from app.scene3d import static_scene
 from app.scene3d.estimates import BLIND_REACH, EstimatesLayer
 from app.scene3d.static_scene import StaticScene, View3DState
 from app.theme import DARK
-from skincal.taxels.contact_table import gather
+from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, Rival, State
 
 BOTH = (Method.SURFACE, Method.FREE)
@@ -44,7 +44,7 @@ def test_an_ambiguous_taxel_says_how_far_how_likely_and_what_to_do():
 def test_the_weight_is_the_share_of_the_strongest_answer_and_what_the_methods_use():
     poke = touch(1, (2, 3, 5), (40.0, 10.0, 25.0))
     assert [weight_of(poke, channel) for channel in (2, 3, 5)] == [1.0, 0.25, 0.625]
-    assert gather([poke], [2, 3, 5]).weights.tolist() == [1.0, 0.25, 0.625]
+    assert ContactTable([poke]).evidence([2, 3, 5]).weights.tolist() == [1.0, 0.25, 0.625]
 
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, -8.0), (3.0, 0.0, -4.0)])

@@ -13,12 +13,12 @@ from app.dialogs.export import ExportDialog
 from app.dialogs.verdict import VerdictDialog
 from app.session.open_request import OpenRequest
 from app.state.rig_review import Offer
-from app.text.rig import used_words
 from app.verdict_words import check_words, done_words, figures, left_words, rig_state, sentence
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.sentences import correction_sentence, rig_sentences
 from skincal.session.corrections import correct_action
 from skincal.session.review import Review
 from skincal.taxels.result import Method
@@ -162,14 +162,14 @@ def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
     offer = Offer(correct_action(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6))
     assert rig_state((offer,), (), None).endswith("now at 9.6 mm. C uses that, the Rig tab says more.")
-    assert rig_state((), (used,), None) == used_words(used)
+    assert rig_state((), (used,), None) == correction_sentence(used)
     assert rig_state((), (), None).startswith("not checked, since landmarks were not poked")
     few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))
     pokes = tuple(LandmarkPoke(poke, "wrist", *np.zeros((3, 3)), np.eye(4), "") for poke in (1, 2, 3))
-    for poked, said in ((pokes, few.sentences[0]), ((), rig_state((), (), None))):
+    for poked, said in ((pokes, rig_sentences(few)[0]), ((), rig_state((), (), None))):
         review = Review(1, poked, {}, None, few, np.arange(24), {}, {})
         assert rig_state((), (), review) == said
-    assert "3 pokes at 2 are there" in few.sentences[0]
+    assert "3 pokes at 2 are there" in rig_sentences(few)[0]
 
 
 def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):

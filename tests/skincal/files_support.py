@@ -12,7 +12,7 @@ from skincal.contacts.outcome import Contact
 from skincal.files.calibration import Calibration
 from skincal.geometry.arrays import FloatArray
 from skincal.model.scene import Scene, load_scene
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 CHANNELS = 48
 RADIUS = 0.040
@@ -115,9 +115,13 @@ def make_calibration(part: Part, unseen: tuple[int, ...] = (), blind: tuple[int,
         items: list[Estimate] = []
         for channel in layout.channels.tolist():
             if channel in unseen:
-                items.append(Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel."))
+                items.append(Estimate(channel, method, State.UNSEEN, 0, reason=StateReason(Cause.UNPOKED)))
             elif channel in blind:
-                items.append(Estimate(channel, method, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]), reason="One axis."))
+                items.append(
+                    Estimate(
+                        channel, method, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]), reason=StateReason(Cause.ONE_AXIS)
+                    )
+                )
             else:
                 items.append(
                     estimate(channel, method, part.places[channel] + shift * part.normals[channel], part.normals[channel])

@@ -22,9 +22,9 @@ SEEDS = range(1, 7)
 def estimate(rig, contacts, method, every=1):
     """(n, 3) positions of every n-th taxel, metres, and their predicted errors; all of them are estimated."""
     found = solve(contacts, rig.channels[::every], method, rig.scene.noise, rig.surface)
-    positions = [one.position for one in found.values()]
+    positions = [answer.position for answer in found.values()]
     assert all(position is not None for position in positions)
-    return np.array(positions), np.array([one.rms for one in found.values()])
+    return np.array(positions), np.array([answer.rms for answer in found.values()])
 
 
 def errors_mm(rig, positions, every=1):

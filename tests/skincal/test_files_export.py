@@ -71,7 +71,7 @@ def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
     used = [contact for contact in contacts if contact.poke not in (4, 11)]
     assert scene.skin.layout is not None
     boards = ModuleModel(scene.skin.layout, scene.skin.anchor, surface)
-    solved = estimate_taxels(used, channels, list(Method), scene.noise, surface, dead, boards=boards)
+    solved = estimate_taxels(used, channels, list(Method), scene.noise, surface, dead, model=boards)
     estimates = {method: tuple(found.values()) for method, found in solved.items()}
     assert any(e.state is State.ESTIMATED for e in estimates[Method.FREE])
     calibration = replace(
@@ -79,7 +79,7 @@ def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
     )
     write_calibration(calibration, "json", tmp_path / "c.json", Method.SURFACE)
     file = read_json(tmp_path / "c.json")
-    solved = estimate_taxels(file.used_contacts, file.channels, list(Method), file.noise, surface, file.dead, boards=boards)
+    solved = estimate_taxels(file.used_contacts, file.channels, list(Method), file.noise, surface, file.dead, model=boards)
     for method, again in solved.items():
         for one, other in zip(file.estimates[method], again.values(), strict=True):
             assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))

@@ -11,9 +11,9 @@ from skincal.guide.places import PlannedPlaces, believed
 from skincal.guide.progress import Facts, GuideSettings, Need, needs
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 from skincal.taxels.solve import solve
-from tests.skincal.test_estimate_uncertainty import pokes, sensor_pose
+from tests.skincal.taxels.test_solve_uncertainty import pokes, sensor_pose
 
 NOISE = NoiseSettings(radius=1e9)
 NORMAL = np.array([0.0, 0.6, 0.8])
@@ -248,7 +248,7 @@ def test_a_taxel_is_done_when_nothing_is_missing(facts, rms, need):
 
 
 def test_a_dead_taxel_needs_nothing_and_an_unseen_one_does():
-    dead = Estimate(0, Method.FREE, State.DEAD, 0, reason="stuck")
+    dead = Estimate(0, Method.FREE, State.DEAD, 0, reason=StateReason(Cause.GIVEN, text="stuck"))
     nothing = Facts(0, 0.0, 0.0, np.inf)
     assert needs(dead, nothing, Method.FREE, SETTINGS) == ()
     assert {Need.POKES, Need.ACCURACY, Need.SIDES} <= set(needs(unseen(0), nothing, Method.FREE, SETTINGS))

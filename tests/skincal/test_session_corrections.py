@@ -20,6 +20,7 @@ from skincal.model.readings import Chunk
 from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
+from skincal.sentences import correction_words
 from skincal.session.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.session.corrections import correct_action
 from skincal.session.replay import load, replay
@@ -92,7 +93,7 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     correction = now.corrections[RIG].correction
     contacts = [correction.corrected(one) for one in told if isinstance(one, Contact)]
     solved = estimate_taxels(
-        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, boards=session.boards
+        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, model=session.boards
     )
     for method, found in solved.items():
         for one, other in zip(now.estimates[method], found.values(), strict=True):
@@ -238,7 +239,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     file = read_json(tmp_path / "c.json")
     assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig told it"
     solved = estimate_taxels(
-        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, boards=session.boards
+        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.boards
     )
     for method, found in solved.items():
         for one, other in zip(file.estimates[method], found.values(), strict=True):
@@ -247,7 +248,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     assert (file.corrections[0].before, file.corrections[0].after) == (used.before, used.after)
     for kind in ("icub", "ply"):
         write_calibration(session.calibration(), kind, tmp_path / kind, Method.MODULES)
-        assert used.words in (tmp_path / kind).read_text(encoding="utf-8")
+        assert correction_words(used) in (tmp_path / kind).read_text(encoding="utf-8")
 
 
 def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp_path):

@@ -13,6 +13,7 @@ from skincal.model.scene import SurfaceSpec
 from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
+from skincal.sentences import frame_sentence
 from skincal.session import review
 from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Uncorrect, Undo
 from skincal.session.corrections import correct_action
@@ -151,7 +152,7 @@ def reviewed(session, reviewer=None, asked=None):
 def places(session, contacts):
     """Where each method puts the taxels, worked out without a reviewer; NaN where it does not know."""
     solved = estimate_taxels(
-        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, boards=session.boards
+        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, model=session.boards
     )
     unknown = np.full(3, np.nan)
     return {
@@ -167,9 +168,9 @@ def assert_is_of(session, answer):
     rig = correct_rig(session.rig_request())
     assert (answer.frame is None) == (frame is None)
     if frame is not None:
-        assert answer.frame.words == frame.words
+        assert frame_sentence(answer.frame) == frame_sentence(frame)
     assert [one.poke for one in answer.pokes] == [one.poke for one in session.landmark_pokes]
-    assert (answer.rig.used, answer.rig.sentences, answer.rig.trust) == (rig.used, rig.sentences, rig.trust)
+    assert (answer.rig.used, answer.rig.distances, answer.rig.trust) == (rig.used, rig.distances, rig.trust)
     np.testing.assert_array_equal(answer.rig.unknowns, rig.unknowns)
     np.testing.assert_array_equal(answer.channels, session.channels)
     contacts = [one for one in session.framed().values() if isinstance(one, Contact)]

@@ -51,15 +51,15 @@ static int is_end(Surface *s, Metric *m, const Beside *beside, const Candidate *
             const int *vertices = s->triangles + 3 * s->order[edge[i]];
             for (int j = 0; j < 3 && end; j++)
                 for (int k = s->fan_starts[vertices[j]]; k < s->fan_starts[vertices[j] + 1] && end; k++) {
-                    Candidate one;
+                    Candidate candidate;
                     int node = s->places[s->fans[k]];
                     if (s->walked[node] == stamp) continue;
                     s->walked[node] = stamp;
-                    if (!solve_node(s, m, node, &one)) continue;
-                    double off = one.distance - from->distance;
+                    if (!solve_node(s, m, node, &candidate)) continue;
+                    double off = candidate.distance - from->distance;
                     if (off < -TIE) end = 0;
                     if (off > TIE) continue;
-                    if (!outside(beside, candidate_point(s, &one))) end = 0;
+                    if (!outside(beside, candidate_point(s, &candidate))) end = 0;
                     next[met++] = node;
                 }
         }

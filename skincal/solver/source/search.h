@@ -11,7 +11,7 @@
  * exceeds the upper one is left out, as is one whose triangles all turn away from the push. Bounds are taken in single
  * precision, with a slack for its rounding: what is left is a superset of the answer, never the answer itself.
  *
- * What is left is solved in closed form, and what is equally near is told apart by what it is. So an answer has the same
+ * What is left is solved in closed form, and what is equally near is ordered by what it is. So an answer has the same
  * bits whichever others are asked with it, wherever the search starts, and as if every triangle were tried.
  */
 #ifndef SEARCH_H
@@ -232,10 +232,10 @@ static void bound_eight(const Metric *m, const float *row, const Hole *hole, flo
 /* Up to which lower bound a node is kept. */
 INLINE float within(const Metric *m, float limit) { return limit * (float)(1 + ROUND) + m->slack; }
 
-static void keep(Candidates *found, const Candidate *one)
+static void keep(Candidates *found, const Candidate *candidate)
 {
     /* `found` is the newest on the stack of memory, and grows there. */
-    *ROOM(Candidate, 1) = *one;
+    *ROOM(Candidate, 1) = *candidate;
     found->count++;
 }
 
@@ -259,10 +259,10 @@ static void put_ahead(Ahead *ahead, int level, int row, const float lower[WIDTH]
 static Candidates candidates_of(const Surface *s, Metric *m, float limit, int fixed, const Hole *hole)
 {
     Candidates found = {0, (Candidate *)top};
-    Candidate one;
+    Candidate candidate;
     if (m->all) {
         for (int node = 0; node < (int)s->triangle_count; node++)
-            if (solve_node(s, m, node, &one)) keep(&found, &one);
+            if (solve_node(s, m, node, &candidate)) keep(&found, &candidate);
         return found;
     }
     Ahead ahead = {0};
@@ -280,9 +280,9 @@ static Candidates candidates_of(const Surface *s, Metric *m, float limit, int fi
             ignored = limit;
             bound_eight(m, s->levels[step.level - 1] + 64 * step.node, hole, fixed ? &ignored : &limit, lower);
             put_ahead(&ahead, step.level - 1, step.node, lower, within(m, limit));
-        } else if (solve_node(s, m, step.node, &one)) {
-            if (!fixed && one.distance < limit) limit = (float)(one.distance * (1 + ROUND));
-            keep(&found, &one);
+        } else if (solve_node(s, m, step.node, &candidate)) {
+            if (!fixed && candidate.distance < limit) limit = (float)(candidate.distance * (1 + ROUND));
+            keep(&found, &candidate);
         }
     }
     return found;

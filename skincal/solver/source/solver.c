@@ -15,7 +15,7 @@ extern unsigned char __heap_base;
  * pokes. */
 static const double OPPOSED = 0.05;
 
-/* When a second minimum is told: below which odds, and how far from the best one at least, metres. */
+/* When a second minimum is reported: below which odds, and how far from the best one at least, metres. */
 typedef struct { double odds, apart; } Rivals;
 
 /* How well a position is known, and at what distance the axes pass it. */
@@ -120,7 +120,7 @@ static double stretch_of_inverse(const Freedom *free)
     return root_of(sum);
 }
 
-/* Says the second minimum that the noise could have made the worse one. */
+/* Reports the second minimum that the noise could have made the worse one. */
 static void say_rival(
     const Task *t, Answer *said, const Contacts *c, const Factor *f, Metric *m, Best best, const Freedom *space,
     const Freedom *plane)

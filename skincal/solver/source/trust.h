@@ -13,7 +13,7 @@
  *
  * Up to FULL a contact counts fully, so that without outliers the estimate is that of (5); from NONE on not at all; in
  * between by a smooth step. The point from which r counts is found by least squares, then by STEPS steps with weights
- * 1/z^2. With few contacts, or where hardly one would be left, none can be told to be the wrong one.
+ * 1/z^2. With few contacts, or where hardly one would be left, none can be shown to be wrong.
  *
  * It does not see a second touch that moves the axis by no more than the noise does.
  */
@@ -27,7 +27,7 @@
 static const double FULL = 2.8, NONE = 3.8;
 /* Contacts below which all count fully: two of three can agree by chance. */
 static const int FEWEST = 4;
-/* Sum of the trust below which all count fully: where hardly one is left, nobody can tell which one is right. */
+/* Sum of the trust below which all count fully: where hardly one is left, nobody can say which is right. */
 static const double LEFT = 2.0;
 /* A spread found from few misses may be too small: it is raised as limits of Student's t are, by this over its 2 n - 3
  * degrees of freedom. */

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry.wrench import axis_point, move_wrench, pitch
-from skincal.taxels.contact_table import ContactTable, Evidence, gather
+from skincal.taxels.contact_table import ContactTable, Evidence
+from tests.skincal.estimate_support import gather
 
 
 def contact(number: int, seed: int, channels=None, pose: str = "") -> Contact:
@@ -21,31 +22,31 @@ def contact(number: int, seed: int, channels=None, pose: str = "") -> Contact:
     )  # fmt: skip
 
 
-def same(one: Evidence, two: Evidence) -> bool:
+def same(here: Evidence, there: Evidence) -> bool:
     names = ("channels", "starts", "pokes", "columns", "weights", "trust")
-    return all(np.array_equal(getattr(one, name), getattr(two, name)) for name in names)
+    return all(np.array_equal(getattr(here, name), getattr(there, name)) for name in names)
 
 
 def test_columns_are_the_wrench_in_the_link_frame():
     contacts = [contact(number, number, pose=f"pose {number % 2}") for number in range(1, 30)]
-    by_number = {one.poke: one for one in contacts}
+    by_number = {poke.poke: poke for poke in contacts}
     evidence = gather(contacts, range(6))
     assert np.array_equal(evidence.channels, np.arange(6))
     for taxel, channel in enumerate(evidence.channels):
         mine = evidence.part(taxel, taxel + 1)
-        assert set(mine.pokes) == {one.poke for one in contacts if channel in one.channels}
+        assert set(mine.pokes) == {poke.poke for poke in contacts if channel in poke.channels}
         for i, number in enumerate(mine.pokes):
-            one = by_number[int(number)]
-            force, moment = move_wrench(one.link_from_sensor, one.force, one.moment)
+            poke = by_number[int(number)]
+            force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
             size = np.linalg.norm(force)
             np.testing.assert_allclose(mine.directions[i], force / size, atol=1e-15)
             np.testing.assert_allclose(mine.nearest[i], axis_point(force, moment), atol=1e-12)
             np.testing.assert_allclose(mine.pitches[i], pitch(force, moment), atol=1e-12)
             np.testing.assert_allclose(mine.forces[i], size)
-            assert np.array_equal(mine.sensors[i], one.link_from_sensor[:3, 3])
+            assert np.array_equal(mine.sensors[i], poke.link_from_sensor[:3, 3])
             e1, e2 = mine.pairs[i]
             np.testing.assert_allclose(np.cross(e1, e2), mine.directions[i], atol=1e-14)
-            k = one.responses[list(one.channels).index(channel)] / one.responses.max()
+            k = poke.responses[list(poke.channels).index(channel)] / poke.responses.max()
             assert mine.weights[i] == k
             assert mine.poses[i] == evidence.poses[evidence.pokes == by_number[int(number)].poke][0]
         assert (np.diff(mine.weights) <= 0).all(), "heaviest first"
@@ -66,30 +67,30 @@ def test_evidence_of_a_taxel_does_not_depend_on_which_others_are_asked_for():
     steps=st.lists(st.tuples(st.integers(1, 40), st.integers(0, 1000), st.booleans()), max_size=250),
     order=st.randoms(use_true_random=False),
 )
-def test_what_is_in_a_ledger_counts_and_neither_order_nor_what_was_taken_out(steps, order):
-    ledger, kept = ContactTable(), {}
+def test_what_is_in_a_table_counts_and_neither_order_nor_what_was_taken_out(steps, order):
+    table, kept = ContactTable(), {}
     for number, seed, drops in steps:
         if drops:
-            ledger.drop(number)
+            table.drop(number)
             kept.pop(number, None)
         else:
             kept[number] = contact(number, seed)
-            ledger.add([kept[number]])
+            table.add([kept[number]])
     fresh = list(kept.values())
     order.shuffle(fresh)
-    assert same(ledger.evidence(range(6)), gather(fresh, range(6)))
+    assert same(table.evidence(range(6)), gather(fresh, range(6)))
 
 
-def test_a_ledger_forgets_what_was_replaced():
-    """Every poke is told twice: rows must not pile up."""
-    ledger = ContactTable()
+def test_a_table_forgets_what_was_replaced():
+    """Every poke is reported twice: rows must not pile up."""
+    table = ContactTable()
     contacts = [contact(number, number) for number in range(1, 1001)]
-    for one in contacts:
-        ledger.add([one])
-        ledger.add([one])
-        ledger.evidence([0])
-    assert ledger._table.shape[1] <= 4096
-    assert same(ledger.evidence(range(6)), gather(contacts, range(6)))
+    for each in contacts:
+        table.add([each])
+        table.add([each])
+        table.evidence([0])
+    assert table._table.shape[1] <= 4096
+    assert same(table.evidence(range(6)), gather(contacts, range(6)))
 
 
 def test_equal_contacts_are_all_kept():
@@ -98,9 +99,9 @@ def test_equal_contacts_are_all_kept():
 
 
 def test_a_bad_contact_is_refused_and_nothing_is_taken():
-    ledger = ContactTable([contact(1, 1, channels=[0])])
+    table = ContactTable([contact(1, 1, channels=[0])])
     bad = contact(2, 2, channels=[0])
     bad.force[0] = np.nan
     with pytest.raises(ValueError, match="poke 2"):
-        ledger.add([contact(3, 3, channels=[0]), bad])
-    assert ledger.evidence([0]).pokes.tolist() == [1]
+        table.add([contact(3, 3, channels=[0]), bad])
+    assert table.evidence([0]).pokes.tolist() == [1]

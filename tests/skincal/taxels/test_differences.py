@@ -40,11 +40,11 @@ def test_differences_and_their_summary_are_those_that_were_made(rng):
     known = np.isfinite(lengths)
     assert np.flatnonzero(~known).tolist() == [40, 41]
     np.testing.assert_allclose(found[known], ways[known], atol=1e-15)
-    told = summarise(lengths)
-    assert (told.known, told.row) == (len(here) - 2, 3)
-    assert told.largest == pytest.approx(0.005)
-    assert told.mean == pytest.approx(0.008 / told.known)
-    assert told.rms == pytest.approx(np.sqrt((25 + 4 + 1) * 1e-6 / told.known))
+    summary = summarise(lengths)
+    assert (summary.known, summary.row) == (len(here) - 2, 3)
+    assert summary.largest == pytest.approx(0.005)
+    assert summary.mean == pytest.approx(0.008 / summary.known)
+    assert summary.rms == pytest.approx(np.sqrt((25 + 4 + 1) * 1e-6 / summary.known))
     assert worst_rows(lengths, 3).tolist() == [3, 10, 20]
 
 
@@ -71,12 +71,12 @@ def test_a_module_that_moves_keeps_its_shape_and_its_shift_is_the_way_of_its_mid
         there[rows] = (here[rows] - middle) @ turn_of(rng).T + middle + shift
         shifts.append(np.linalg.norm(shift))
     found = compare_modules(LAYOUT, CHANNELS, here, there)
-    assert [one.module for one in found] == list(range(len(LAYOUT.modules)))
-    assert all(one.known == 12 for one in found)
-    np.testing.assert_allclose([one.shift for one in found], shifts, rtol=1e-9)
-    np.testing.assert_allclose([one.shape for one in found], 0.0, atol=1e-12)
+    assert [difference.module for difference in found] == list(range(len(LAYOUT.modules)))
+    assert all(difference.known == 12 for difference in found)
+    np.testing.assert_allclose([difference.shift for difference in found], shifts, rtol=1e-9)
+    np.testing.assert_allclose([difference.shape for difference in found], 0.0, atol=1e-12)
     lengths = differences(here, there)[1]
-    np.testing.assert_allclose([one.mean for one in found], [lengths[i == OWNERS].mean() for i in range(7)])
+    np.testing.assert_allclose([difference.mean for difference in found], [lengths[i == OWNERS].mean() for i in range(7)])
 
 
 def test_a_module_that_grows_has_a_shape_of_just_that_and_no_shift(rng):
@@ -85,11 +85,11 @@ def test_a_module_that_grows_has_a_shape_of_just_that_and_no_shift(rng):
         rows = np.flatnonzero(index == OWNERS)
         middle = here[rows].mean(axis=0)
         there[rows] = middle + share * (here[rows] - middle) @ turn_of(rng).T
-    for index, one in enumerate(compare_modules(LAYOUT, CHANNELS, here, there)):
+    for index, difference in enumerate(compare_modules(LAYOUT, CHANNELS, here, there)):
         rows = np.flatnonzero(index == OWNERS)
         spread = np.sqrt(np.mean(np.sum((here[rows] - here[rows].mean(axis=0)) ** 2, axis=1)))
-        assert one.shape == pytest.approx(abs(np.linspace(0.5, 1.5, 7)[index] - 1.0) * spread, abs=1e-12)
-        assert one.shift == pytest.approx(0.0, abs=1e-12)
+        assert difference.shape == pytest.approx(abs(np.linspace(0.5, 1.5, 7)[index] - 1.0) * spread, abs=1e-12)
+        assert difference.shift == pytest.approx(0.0, abs=1e-12)
 
 
 def test_scatter_is_what_another_route_finds(rng):
@@ -98,43 +98,47 @@ def test_scatter_is_what_another_route_finds(rng):
 
     here = bent(rng)
     there = here @ turn_of(rng).T + 0.002 * rng.normal(size=here.shape)
-    for one in compare_modules(LAYOUT, CHANNELS, here, there):
-        a, b = (each[one.module == OWNERS] for each in (here, there))
+    for difference in compare_modules(LAYOUT, CHANNELS, here, there):
+        a, b = (each[difference.module == OWNERS] for each in (here, there))
         _, left = Rotation.align_vectors(b - b.mean(axis=0), a - a.mean(axis=0))
-        assert one.shape == pytest.approx(left / np.sqrt(len(a)), rel=1e-6)
+        assert difference.shape == pytest.approx(left / np.sqrt(len(a)), rel=1e-6)
 
 
 def test_the_answer_does_not_change_where_everything_is_moved_alike(rng):
     here, there = bent(rng), bent(rng) + 0.003 * rng.normal(size=(84, 3))
     turn, shift = turn_of(rng), rng.normal(size=3)
-    for one, moved in zip(
+    for difference, moved in zip(
         compare_modules(LAYOUT, CHANNELS, here, there),
         compare_modules(LAYOUT, CHANNELS, here @ turn.T + shift, there @ turn.T + shift),
         strict=True,
     ):
-        assert (moved.mean, moved.shift, moved.shape) == pytest.approx((one.mean, one.shift, one.shape), rel=1e-9)
+        assert (moved.mean, moved.shift, moved.shape) == pytest.approx(
+            (difference.mean, difference.shift, difference.shape), rel=1e-9
+        )
 
 
 def test_from_one_to_the_other_is_as_far_as_back(rng):
     here, there = bent(rng), bent(rng) + 0.003 * rng.normal(size=(84, 3))
-    for one, back in zip(
+    for difference, back in zip(
         compare_modules(LAYOUT, CHANNELS, here, there), compare_modules(LAYOUT, CHANNELS, there, here), strict=True
     ):
-        assert (back.mean, back.shift, back.shape) == pytest.approx((one.mean, one.shift, one.shape), rel=1e-9)
+        assert (back.mean, back.shift, back.shape) == pytest.approx(
+            (difference.mean, difference.shift, difference.shape), rel=1e-9
+        )
 
 
-def test_a_mirrored_board_is_not_fitted_by_a_reflection(rng):
+def test_a_mirrored_module_is_not_fitted_by_a_reflection(rng):
     here = bent(rng)
     here[:, 2] = 0.01 * rng.normal(size=84)  # So crooked that no turn makes up for a reflection.
     there = here * [-1.0, 1.0, 1.0]
-    assert min(one.shape for one in compare_modules(LAYOUT, CHANNELS, here, there)) > 0.001
+    assert min(difference.shape for difference in compare_modules(LAYOUT, CHANNELS, here, there)) > 0.001
 
 
-def test_a_flat_board_that_is_turned_over_lies_on_its_mirror_image():
-    """A flat board and its mirror image are one board from behind: told apart by `find_misfits`, which knows the outside."""
+def test_a_flat_module_that_is_turned_over_lies_on_its_mirror_image():
+    """A flat module and its mirror image are the same from behind: distinguished by `find_misfits`, which knows the outside."""
     flat = np.concatenate([LAYOUT.places[CHANNELS], np.zeros((84, 1))], axis=1)
     found = compare_modules(LAYOUT, CHANNELS, flat, flat * [-1.0, 1.0, 1.0])
-    np.testing.assert_allclose([one.shape for one in found], 0.0, atol=1e-12)
+    np.testing.assert_allclose([difference.shape for difference in found], 0.0, atol=1e-12)
 
 
 def test_two_taxels_have_a_shift_and_no_shape(rng):
@@ -144,8 +148,8 @@ def test_two_taxels_have_a_shift_and_no_shape(rng):
     known[np.flatnonzero(OWNERS == 2)[:2]] = known[np.flatnonzero(OWNERS == 5)[:3]] = True
     there[~known] = np.nan
     found = compare_modules(LAYOUT, CHANNELS, here, there)
-    assert [(one.module, one.known) for one in found] == [(2, 2), (5, 3)]
-    assert [one.shift for one in found] == pytest.approx([0.005, 0.005])
+    assert [(difference.module, difference.known) for difference in found] == [(2, 2), (5, 3)]
+    assert [difference.shift for difference in found] == pytest.approx([0.005, 0.005])
     assert found[0].shape is None
     assert found[1].shape == pytest.approx(0.0, abs=1e-12)
 
@@ -153,7 +157,7 @@ def test_two_taxels_have_a_shift_and_no_shape(rng):
 def test_channels_of_no_module_are_in_no_module(rng):
     here = rng.normal(size=(LAYOUT.width, 3))
     found = compare_modules(LAYOUT, np.arange(LAYOUT.width), here, here + np.array([0.001, 0.0, 0.0]))
-    assert [one.known for one in found] == [12] * 7
+    assert [difference.known for difference in found] == [12] * 7
 
 
 def estimate(channel: int, at) -> Estimate:

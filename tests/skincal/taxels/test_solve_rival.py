@@ -1,4 +1,4 @@
-"""A second place that fits nearly as well: found, told with the right odds, and only where it is one."""
+"""A second place that fits nearly as well: found, reported with the right odds, and only where there is one."""
 
 import numpy as np
 import pytest
@@ -34,19 +34,19 @@ def press(number, point, push, moment_noise=None):
 
 def test_one_axis_through_two_plates_may_mean_either():
     push = np.array([0.1, 0.0, -1.0])
-    one = solve([press(1, np.zeros(3), push)], [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
-    assert one.state is State.ESTIMATED
-    np.testing.assert_allclose(one.position, 0.0, atol=1e-12)
-    assert one.rival is not None
-    np.testing.assert_allclose(one.rival.position, [0.003, 0.0, -0.03], atol=1e-12)
-    assert one.rival.odds == pytest.approx(1.0, abs=0.01)
+    estimate = solve([press(1, np.zeros(3), push)], [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
+    assert estimate.state is State.ESTIMATED
+    np.testing.assert_allclose(estimate.position, 0.0, atol=1e-12)
+    assert estimate.rival is not None
+    np.testing.assert_allclose(estimate.rival.position, [0.003, 0.0, -0.03], atol=1e-12)
+    assert estimate.rival.odds == pytest.approx(1.0, abs=0.01)
 
 
 def test_pokes_from_two_sides_leave_no_rival():
     contacts = [press(i, np.zeros(3), [0.4 * s, 0.0, -1.0]) for i, s in enumerate((-1, 1), start=1)]
-    one = solve(contacts, [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
-    np.testing.assert_allclose(one.position, 0.0, atol=1e-12)
-    assert one.rival is None
+    estimate = solve(contacts, [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
+    np.testing.assert_allclose(estimate.position, 0.0, atol=1e-12)
+    assert estimate.rival is None
 
 
 @pytest.mark.parametrize(("depths", "tilt"), [((0.0,), 0.0), ((0.0,), 0.3), ((0.0, -0.5), 0.3)])
@@ -54,9 +54,9 @@ def test_a_single_place_has_no_rival(depths, tilt):
     rng, surface = np.random.default_rng(1), plates(*depths)
     for _ in range(5):
         contacts = [press(i, [0.01, 0.02, 0.0], [*rng.normal(0, tilt, 2), -1.0]) for i in range(1, 6)]
-        one = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
-        assert one.state is State.ESTIMATED
-        assert one.rival is None
+        estimate = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
+        assert estimate.state is State.ESTIMATED
+        assert estimate.rival is None
 
 
 def test_the_far_side_of_a_tube_is_no_rival_since_a_poke_pushes_inward():
@@ -65,9 +65,9 @@ def test_the_far_side_of_a_tube_is_no_rival_since_a_poke_pushes_inward():
     vertices = np.concatenate([np.c_[ring, np.full(64, z)] for z in (0.0, 0.1)])
     i, j = np.arange(64), (np.arange(64) + 1) % 64
     tube = make_surface(vertices, np.concatenate([np.stack([i, j, i + 64], axis=1), np.stack([j, j + 64, i + 64], axis=1)]))
-    one = solve([press(1, [0.04, 0.0, 0.05], [-1.0, 0.0, 0.0])], [0], Method.SURFACE, NOISE, tube)[0]
-    assert one.position[0] > 0
-    assert one.rival is None
+    estimate = solve([press(1, [0.04, 0.0, 0.05], [-1.0, 0.0, 0.0])], [0], Method.SURFACE, NOISE, tube)[0]
+    assert estimate.position[0] > 0
+    assert estimate.rival is None
 
 
 def test_the_odds_are_those_of_being_wrong():
@@ -82,15 +82,15 @@ def test_the_odds_are_those_of_being_wrong():
         contacts = [
             press(i, [0.0, 0.0, depth], [*tilt, -1.0], 0.02 * rng.standard_normal(3)) for i, tilt in enumerate(tilts, start=1)
         ]
-        one = solve(contacts, [0], Method.SURFACE, noise, surface)[0]
-        if one.position is None:
+        estimate = solve(contacts, [0], Method.SURFACE, noise, surface)[0]
+        if estimate.position is None:
             continue
-        is_wrong = abs(one.position[2] - depth) > 0.01
-        if one.rival is None:
+        is_wrong = abs(estimate.position[2] - depth) > 0.01
+        if estimate.rival is None:
             alone, missed = alone + 1, missed + is_wrong
             continue
-        assert 1.0 <= one.rival.odds < RIVAL_ODDS
-        share = 1.0 / (1.0 + one.rival.odds)
+        assert 1.0 <= estimate.rival.odds < RIVAL_ODDS
+        share = 1.0 / (1.0 + estimate.rival.odds)
         seen, wrong, expected, variance = seen + 1, wrong + is_wrong, expected + share, variance + share * (1 - share)
     assert seen > 100
     assert abs(wrong - expected) < 3.5 * np.sqrt(variance)

@@ -1,7 +1,7 @@
 """The predicted uncertainty against simulated errors: how often 95 % ellipsoids hold the true place.
 
 `SKINCAL_LONG=1` runs 200 seeds and the limits of 93 to 97 %, in some minutes; else a few seeds with the limits that chance
-allows them. `python -m tests.skincal.test_estimate_coverage` prints the table. Seeds are 1, 2, 3 ...: none is chosen.
+allows them. `python -m tests.skincal.taxels.test_solve_coverage` prints the table. Seeds are 1, 2, 3 ...: none is chosen.
 """
 
 import os
@@ -42,14 +42,14 @@ class Outcome:
 
 def outcome(found, places):
     distances, errors, predicted = [], [], []
-    for one, place in zip(found, places, strict=True):
-        if one.state is not State.ESTIMATED:
+    for estimate, place in zip(found, places, strict=True):
+        if estimate.state is not State.ESTIMATED:
             continue
-        off = one.position - place
+        off = estimate.position - place
         # On the surface the covariance is flat: what is left of `off` across it is the facet's, not the estimate's.
-        distances.append(off @ np.linalg.pinv(one.covariance, rcond=1e-9, hermitian=True) @ off)
-        errors.append(np.linalg.norm(one.position - place))
-        predicted.append(one.rms)
+        distances.append(off @ np.linalg.pinv(estimate.covariance, rcond=1e-9, hermitian=True) @ off)
+        errors.append(np.linalg.norm(estimate.position - place))
+        predicted.append(estimate.rms)
     return Outcome(np.array(distances), np.array(errors), np.array(predicted))
 
 
@@ -74,7 +74,7 @@ def outcomes(own, guided, seed):
 def shares(method, own, guided, seeds):
     """(seeds,) share of the taxels whose ellipsoid holds the truth."""
     found = [outcomes(own, guided, seed)[method] for seed in range(1, seeds + 1)]
-    return np.array([np.mean(one.distances <= LIMIT[method]) for one in found])
+    return np.array([np.mean(result.distances <= LIMIT[method]) for result in found])
 
 
 def bounds(seeds):
@@ -106,10 +106,10 @@ def test_errors_of_the_arm_that_the_scene_tells_are_covered(poses):
     seeds = 200 if LONG else 10
     found = [in_wrong_poses(seed, poses=poses) for seed in range(1, seeds + 1)]
     for method in PER_TAXEL:
-        each = np.array([np.mean(one[method].distances <= LIMIT[method]) for one in found])
+        each = np.array([np.mean(trial[method].distances <= LIMIT[method]) for trial in found])
         assert abs(each.mean() - 0.95) < 0.02 + 3.3 * np.sqrt(0.05 * 0.95 / seeds)
-        ratio = np.mean([(one[method].errors ** 2).mean() for one in found]) / np.mean(
-            [(one[method].predicted ** 2).mean() for one in found]
+        ratio = np.mean([(trial[method].errors ** 2).mean() for trial in found]) / np.mean(
+            [(trial[method].predicted ** 2).mean() for trial in found]
         )
         assert 0.5 < ratio < 2.0
 
@@ -118,10 +118,10 @@ def row(method, own, guided, seeds):
     """A line of the table."""
     each = shares(method, own, guided, seeds)
     found = [outcomes(own, guided, seed)[method] for seed in range(1, seeds + 1)]
-    error = 1e3 * np.sqrt(np.mean(np.concatenate([one.errors for one in found]) ** 2))
-    rms = 1e3 * np.sqrt(np.mean(np.concatenate([one.predicted for one in found]) ** 2))
+    error = 1e3 * np.sqrt(np.mean(np.concatenate([result.errors for result in found]) ** 2))
+    rms = 1e3 * np.sqrt(np.mean(np.concatenate([result.predicted for result in found]) ** 2))
     loose = each.std() / np.sqrt(0.05 * 0.95 / 84)
-    taxels = np.mean([len(one.errors) for one in found])
+    taxels = np.mean([len(result.errors) for result in found])
     return (
         f"{method.value:8} {own:3} {'guided' if guided else 'unguided':9} {100 * each.mean():5.1f} % of {taxels:.1f} taxels, "
         f"rms {error:5.2f} mm, predicted {rms:5.2f} mm, dispersion {loose:.2f}"

@@ -1,4 +1,4 @@
-"""A poke left out of its module: told from the fit with it as the fit without it tells."""
+"""A poke left out of its module: predicted from the fit with it as the fit without it tells."""
 
 from dataclasses import replace
 from functools import cache
@@ -24,15 +24,15 @@ def poked(seed=1, rounds=4):
 
 
 def fitted(rig, contacts, surface=True, doubting=True):
-    boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface if surface else None)
-    clouds = module_groups(ContactTable(contacts), boards, {}, rig.scene.noise, rig.channels.tolist())
-    return clouds.touches, fit_modules(clouds.touches, boards, clouds.poses, rig.scene.noise, doubting)
+    model = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface if surface else None)
+    groups = module_groups(ContactTable(contacts), model, {}, rig.scene.noise, rig.channels.tolist())
+    return groups.touches, fit_modules(groups.touches, model, groups.poses, rig.scene.noise, doubting)
 
 
 def solved_without(rig, contacts, poke, touches, at, surface):
-    """The squared distance of a poke from where its board lies that is solved without it, summed up in space."""
-    others, other = fitted(rig, [one for one in contacts if one.poke != poke], surface, doubting=False)
-    assert (others.boards == touches.boards).all()
+    """The squared distance of a poke from where its module lies that is solved without it, summed up in space."""
+    others, other = fitted(rig, [contact for contact in contacts if contact.poke != poke], surface, doubting=False)
+    assert (others.modules == touches.modules).all()
     places, gradients, normals = (each[at] for each in touches.middles(other.pads))
     evidence, row, noise = touches.evidence, touches.rows[at], rig.scene.noise
     u, lever, size = evidence.directions[row], places - evidence.sensors[row], evidence.forces[row]
@@ -41,9 +41,9 @@ def solved_without(rig, contacts, poke, touches, at, surface):
     across = np.linalg.svd(u[None])[2][1:]
     # The force's noise turns with the push: u x (p - a) is read, of which the part across u counts.
     turned = np.stack([np.cross(u, e) for e in across])
-    board = gradients @ other.covariances[touches.of[at]] @ gradients.T
-    board += touches.offsets[at] * (np.eye(3) - np.outer(normals, normals))
-    total = turned @ board @ turned.T + across @ spread @ across.T
+    spread_of_pose = gradients @ other.covariances[touches.of[at]] @ gradients.T
+    spread_of_pose += touches.offsets[at] * (np.eye(3) - np.outer(normals, normals))
+    total = turned @ spread_of_pose @ turned.T + across @ spread @ across.T
     off = across @ np.cross(u, places - evidence.nearest[row])
     return off @ np.linalg.solve(total, off)
 
@@ -55,14 +55,14 @@ def test_a_poke_left_out_is_as_far_off_as_where_its_module_is_solved_without_it(
     touches, found = fitted(rig, contacts, surface, doubting=False)
     some = np.arange(0, len(touches.of), 31)
     pokes = touches.evidence.pokes[touches.rows[some]].tolist()
-    told = predicted_squares(touches, found, rig.scene.noise, some)
+    predicted = predicted_squares(touches, found, rig.scene.noise, some)
     anew = [solved_without(rig, contacts, *each, surface) for each in zip(pokes, [touches] * len(pokes), some, strict=True)]
     assert len(anew) >= 8
-    np.testing.assert_allclose(np.sqrt(told), np.sqrt(anew), rtol=0.03, atol=0.03)
+    np.testing.assert_allclose(np.sqrt(predicted), np.sqrt(anew), rtol=0.03, atol=0.03)
 
 
 def test_what_is_left_out_is_chi_squared():
-    """Over all pokes of four rigs; a few percent more lie inside, since the pads' middle is told a little too wide."""
+    """Over all pokes of four rigs; a few percent more lie inside, since the pads' middle is predicted a little too wide."""
     inside, median = [], []
     for seed in range(1, 5):
         rig, contacts = poked(seed)
@@ -79,7 +79,7 @@ def test_too_few_others_tell_nothing():
     rig, contacts = poked()
     layout = rig.scene.skin.layout
     first = layout.module_of[contacts[0].channels[0]]
-    own = [one for one in contacts if (layout.module_of[one.channels] == first).all()]
+    own = [poke for poke in contacts if (layout.module_of[poke.channels] == first).all()]
     for count, known in ((1, 0), (2, 0), (3, 1), (12, 12)):
         touches, found = fitted(rig, own[:count])
         squares = predicted_squares(touches, found, rig.scene.noise, np.arange(count))
@@ -92,7 +92,7 @@ def test_a_poke_that_is_not_trusted_is_judged_by_those_that_are():
     shift = np.eye(4)
     shift[0, 3] = 0.03
     wrong = replace(contacts[5], link_from_sensor=shift @ contacts[5].link_from_sensor)
-    touches, found = fitted(rig, [wrong if one.poke == wrong.poke else one for one in contacts])
+    touches, found = fitted(rig, [wrong if poke.poke == wrong.poke else poke for poke in contacts])
     at = np.flatnonzero(touches.evidence.pokes[touches.rows] == wrong.poke)
     assert found.trust[at] == 0.0
     assert predicted_squares(touches, found, rig.scene.noise, at)[0] > 50.0

@@ -6,10 +6,9 @@ from skincal.geometry.arm import inverse_pose
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import average_over_poses
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import gather
-from skincal.taxels.result import PER_TAXEL, Method, State
+from skincal.taxels.result import PER_TAXEL, Cause, Method, State
 from skincal.taxels.solve import solve as solve_evidence
-from tests.skincal.estimate_support import solve
+from tests.skincal.estimate_support import gather, solve
 
 NOISE = NoiseSettings()
 RADIUS = 0.04
@@ -21,8 +20,8 @@ def tube(around=48, along=30, length=0.2) -> Surface:
     a, h = np.meshgrid(angle, height, indexing="ij")
     vertices = np.stack([RADIUS * np.cos(a), RADIUS * np.sin(a), h], axis=-1).reshape(-1, 3)
     i = (np.arange(around)[:, None] * (along + 1) + np.arange(along)).ravel()
-    one, two = np.stack([i, i + along + 1, i + 1], axis=1), np.stack([i + 1, i + along + 1, i + along + 2], axis=1)
-    return make_surface(vertices, np.concatenate([one, two]))
+    lower, upper = np.stack([i, i + along + 1, i + 1], axis=1), np.stack([i + 1, i + along + 1, i + along + 2], axis=1)
+    return make_surface(vertices, np.concatenate([lower, upper]))
 
 
 def random_pose(rng, reach=0.2):
@@ -95,12 +94,12 @@ def test_taxels_are_recovered_without_noise_over_several_poses(method):
     surface = tube()
     found = solve(contacts, range(12), method, NOISE, surface)
     for channel, (point, normal) in enumerate(zip(points, normals, strict=True)):
-        one = found[channel]
-        assert one.state is State.ESTIMATED
-        assert one.contacts == 5
-        np.testing.assert_allclose(one.position, point, atol=1e-12)
-        assert one.normal @ normal > (0.85 if method is Method.FREE else 1 - 1e-12)
-        assert (one.triangle is None) == (method is Method.FREE)
+        estimate = found[channel]
+        assert estimate.state is State.ESTIMATED
+        assert estimate.contacts == 5
+        np.testing.assert_allclose(estimate.position, point, atol=1e-12)
+        assert estimate.normal @ normal > (0.85 if method is Method.FREE else 1 - 1e-12)
+        assert (estimate.triangle is None) == (method is Method.FREE)
 
 
 def stacked_system(contacts, channel, doubted):
@@ -158,10 +157,10 @@ def test_the_order_of_the_pokes_leaves_no_trace(method):
     contacts, _, _ = session(rng, exact=False)
     contacts += contacts[:7]
     surface = tube()
-    one = solve(contacts, range(12), method, NOISE, surface)
+    plain = solve(contacts, range(12), method, NOISE, surface)
     for _ in range(4):
         shuffled = [contacts[i] for i in rng.permutation(len(contacts))]
-        same(one, solve(shuffled, range(12), method, NOISE, surface))
+        same(plain, solve(shuffled, range(12), method, NOISE, surface))
 
 
 @pytest.mark.parametrize("method", PER_TAXEL)
@@ -177,8 +176,8 @@ def test_solving_a_few_taxels_gives_the_bits_of_solving_all(method):
     same({3: everything[3]}, solve(fewer, [3], method, NOISE, surface))
 
 
-def same(one, other):
-    for channel, estimate in one.items():
+def same(here, other):
+    for channel, estimate in here.items():
         twin = other[channel]
         assert (estimate.state, estimate.contacts, estimate.triangle) == (twin.state, twin.contacts, twin.triangle)
         for name in ("position", "normal", "covariance", "weakest"):
@@ -197,10 +196,10 @@ def test_estimates_turn_with_a_rigid_motion_of_everything(method):
         Contact(c.poke, 0.0, 1.0, c.force, c.moment, c.channels, c.responses, motion @ c.link_from_sensor, c.pose, 0.0, True)
         for c in contacts
     ]
-    one = solve(contacts, range(12), method, NOISE, surface)
+    plain = solve(contacts, range(12), method, NOISE, surface)
     two = solve(moved, range(12), method, NOISE, moved_surface)
     for channel in range(12):
-        a, b = one[channel], two[channel]
+        a, b = plain[channel], two[channel]
         np.testing.assert_allclose(rotation @ a.position + shift, b.position, atol=1e-10)
         np.testing.assert_allclose(rotation @ a.normal, b.normal, atol=1e-9)
         np.testing.assert_allclose(rotation @ a.covariance @ rotation.T, b.covariance, atol=1e-13)
@@ -230,7 +229,7 @@ def test_one_axis():
     assert free.position is None
     assert free.sd is None
     assert abs(free.weakest @ push) / np.linalg.norm(push) > 1 - 1e-9
-    assert "One axis only" in free.reason
+    assert free.reason.cause is Cause.ONE_AXIS
     np.testing.assert_allclose(free.normal, -push / np.linalg.norm(push))
     on_surface = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
     assert on_surface.state is State.ESTIMATED
@@ -247,7 +246,8 @@ def test_parallel_axes_are_blind_along_them(angle_deg):
     free = solve(contacts, [0], Method.FREE, NOISE, None)[0]
     assert free.state is State.BLIND
     assert abs(free.weakest[0]) > 1 - 1e-6
-    assert f"All 3 axes lie within {max(0.1, angle_deg):.1f} degrees" in free.reason
+    assert (free.reason.cause, free.reason.count) == (Cause.ALIKE_AXES, 3)
+    assert np.degrees(free.reason.angle) == pytest.approx(angle_deg, abs=0.05)
     on_surface = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
     assert on_surface.state is State.ESTIMATED
     np.testing.assert_allclose(on_surface.position[1:], point[1:], atol=1e-9)
@@ -268,7 +268,7 @@ def test_no_contact_and_dead():
     for method in PER_TAXEL:
         found = solve(contacts, [3, 400], method, NOISE, tube(), {3: "always on"})
         assert found[3].state is State.DEAD
-        assert found[3].reason == "always on"
+        assert (found[3].reason.cause, found[3].reason.text) == (Cause.GIVEN, "always on")
         assert found[400].state is State.UNSEEN
         assert found[400].position is None
         assert solve([], [5], method, NOISE, tube())[5].state is State.UNSEEN
@@ -279,16 +279,16 @@ def test_no_triangle_faces_the_poke():
     inside_out = make_surface(surface.vertices, surface.triangles[:, ::-1])
     contacts = [poke(1, np.array([RADIUS, 0, 0.1]), np.array([0.0, 0.0, -8.0]))]
     for mesh in (surface, inside_out):
-        one = solve(contacts, [0], Method.SURFACE, NOISE, mesh)[0]
-        assert one.state is State.BLIND
-        assert "No triangle of the surface faces the pokes" in one.reason
+        estimate = solve(contacts, [0], Method.SURFACE, NOISE, mesh)[0]
+        assert estimate.state is State.BLIND
+        assert estimate.reason.cause is Cause.NO_TRIANGLE
 
 
 def test_pushes_from_opposite_sides_have_no_outward_side():
     contacts = [poke(i, np.array([RADIUS, 0, 0.1]), np.array([8.0 * s, 0.1, 0.0])) for i, s in ((1, 1), (2, -1))]
-    one = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
-    assert one.state is State.BLIND
-    assert "opposite sides" in one.reason
+    estimate = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
+    assert estimate.state is State.BLIND
+    assert (estimate.reason.cause, estimate.reason.count) == (Cause.OPPOSED, 2)
 
 
 def test_axes_that_miss_the_part_altogether_are_blind():
@@ -296,9 +296,10 @@ def test_axes_that_miss_the_part_altogether_are_blind():
     contacts = [poke(1, np.array([RADIUS, 0, 0.1]), np.array([-8.0, 0, 0]))]
     for shift, state in ((0.0, State.ESTIMATED), (0.14, State.ESTIMATED), (0.4, State.BLIND)):
         moved = make_surface(tube().vertices + np.array([0, 0, shift]), tube().triangles)
-        one = solve(contacts, [0], Method.SURFACE, NOISE, moved)[0]
-        assert one.state is state
-    assert "pass the surface at 300 mm" in one.reason
+        estimate = solve(contacts, [0], Method.SURFACE, NOISE, moved)[0]
+        assert estimate.state is state
+    assert estimate.reason.cause is Cause.OFF_SURFACE
+    assert estimate.reason.size == pytest.approx(0.3, abs=5e-4)
 
 
 def test_axes_that_pass_each_other_far_off_are_no_estimate():
@@ -307,20 +308,21 @@ def test_axes_that_pass_each_other_far_off_are_no_estimate():
     for apart, state in ((0.0, State.ESTIMATED), (0.08, State.ESTIMATED), (0.3, State.BLIND)):
         aside = np.array([0, 0, apart])
         contacts = [poke(1, point, np.array([-8.0, 0, 0])), poke(2, point + aside, np.array([-6.0, 4.0, 0]))]
-        one = solve(contacts, [0], Method.FREE, NOISE, None)[0]
-        assert one.state is state
-        assert (one.position is None) == (state is State.BLIND)
-    assert "pass each other at 150 mm" in one.reason
+        estimate = solve(contacts, [0], Method.FREE, NOISE, None)[0]
+        assert estimate.state is state
+        assert (estimate.position is None) == (state is State.BLIND)
+    assert estimate.reason.cause is Cause.AXES_APART
+    assert estimate.reason.size == pytest.approx(0.15, abs=5e-4)
 
 
 def test_pokes_that_graze_the_surface_are_blind():
     flat = make_surface(np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
     contacts = [poke(1, np.zeros(3), np.array([8.0, 0.0, -0.1]))]
-    one = solve(contacts, [0], Method.SURFACE, NOISE, flat)[0]
-    assert one.state is State.BLIND
-    assert "graze" in one.reason
-    assert abs(one.weakest[0]) > 0.99
-    assert one.sd > 0.03
+    estimate = solve(contacts, [0], Method.SURFACE, NOISE, flat)[0]
+    assert estimate.state is State.BLIND
+    assert estimate.reason.cause is Cause.GRAZING
+    assert abs(estimate.weakest[0]) > 0.99
+    assert estimate.sd > 0.03
 
 
 @pytest.mark.parametrize("what", ["force", "moment", "link_from_sensor", "responses", "no force", "negative response"])
@@ -363,12 +365,12 @@ def test_nothing_is_ever_nan_however_extreme_the_numbers():
             for i in range(1, int(rng.integers(2, 6)))
         ]
         for method in PER_TAXEL:
-            one = solve(contacts, [0], method, NOISE, surface)[0]
+            estimate = solve(contacts, [0], method, NOISE, surface)[0]
             for name in ("position", "normal", "covariance", "weakest", "sd", "rms"):
-                value = getattr(one, name)
+                value = getattr(estimate, name)
                 assert value is None or np.isfinite(value).all()
-            assert (one.position is None) == (one.state is not State.ESTIMATED)
-            assert one.reason or one.state is State.ESTIMATED
+            assert (estimate.position is None) == (estimate.state is not State.ESTIMATED)
+            assert estimate.reason or estimate.state is State.ESTIMATED
 
 
 def test_poses_averaged_as_in_the_paper():
@@ -395,12 +397,16 @@ def test_poses_averaged_as_in_the_paper():
         found = average_over_poses(shaken, range(6), method, NOISE, surface)
         of_poses = [solve([c for c in shaken if c.pose == f"pose {i}"], range(6), method, NOISE, surface) for i in range(3)]
         for channel in range(6):
-            ones = [one[channel] for one in of_poses if one[channel].position is not None]
-            assert len(ones) == 3
-            np.testing.assert_allclose(found[channel].position, np.mean([one.position for one in ones], axis=0), atol=1e-15)
-            np.testing.assert_allclose(found[channel].covariance, np.sum([one.covariance for one in ones], axis=0) / 9)
-            assert found[channel].contacts == sum(one[channel].contacts for one in of_poses)
-            assert "3 poses" in found[channel].reason
+            seen = [pose[channel] for pose in of_poses if pose[channel].position is not None]
+            assert len(seen) == 3
+            np.testing.assert_allclose(
+                found[channel].position, np.mean([estimate.position for estimate in seen], axis=0), atol=1e-15
+            )
+            np.testing.assert_allclose(
+                found[channel].covariance, np.sum([estimate.covariance for estimate in seen], axis=0) / 9
+            )
+            assert found[channel].contacts == sum(pose[channel].contacts for pose in of_poses)
+            assert (found[channel].reason.cause, found[channel].reason.count) == (Cause.MEAN_OF_POSES, 3)
         same(found, average_over_poses(shaken[::-1], range(6), method, NOISE, surface))
 
 
@@ -408,12 +414,12 @@ def test_a_pose_in_which_a_taxel_is_blind_does_not_count():
     point = np.array([RADIUS, 0.0, 0.1])
     good = [poke(i, point, 8 * np.array([-1.0, 0.3 * s, 0.0]), name="a") for i, s in enumerate((-1, 0, 1), start=1)]
     lone = poke(4, point + 0.01, np.array([-8.0, 0, 0]), name="b")
-    one = average_over_poses([lone, *good], [0], Method.FREE, NOISE, None)[0]
-    np.testing.assert_allclose(one.position, point, atol=1e-14)
-    assert "1 are blind" in one.reason
+    estimate = average_over_poses([lone, *good], [0], Method.FREE, NOISE, None)[0]
+    np.testing.assert_allclose(estimate.position, point, atol=1e-14)
+    assert (estimate.reason.count, estimate.reason.blind) == (1, 1)
     blind = average_over_poses([lone], [0, 1], Method.FREE, NOISE, None)
     assert blind[0].state is State.BLIND
-    assert "One axis only" in blind[0].reason
+    assert (blind[0].reason.cause, blind[0].reason.inner.cause) == (Cause.BLIND_IN_POSES, Cause.ONE_AXIS)
     assert blind[1].state is State.UNSEEN
     assert average_over_poses([], [0], Method.FREE, NOISE, None)[0].state is State.UNSEEN
 

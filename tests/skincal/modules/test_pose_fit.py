@@ -18,7 +18,7 @@ from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import Method, State
+from skincal.taxels.result import Cause, Method, State
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 NOISE = NoiseSettings()
@@ -26,37 +26,37 @@ MODULES = [Method.MODULES]
 
 
 @lru_cache
-def boards_of(name="icub-forearm", surface=True):
+def model_of(name="icub-forearm", surface=True):
     scene, mesh = scene_and_surface(name)
     return ModuleModel(scene.skin.layout, scene.skin.anchor, mesh if surface else None)
 
 
-def moved_poses(boards, rng, shift=0.003, turn=0.1):
-    """Every board beside its plan."""
-    plans = [boards.plan(module) for module in range(len(boards.pads))]
-    unknowns = boards.ground.unknowns
+def moved_poses(model, rng, shift=0.003, turn=0.1):
+    """Every module beside its plan."""
+    plans = [model.plan(module) for module in range(len(model.pads))]
+    unknowns = model.ground.unknowns
     sizes = np.r_[np.full(unknowns - unknowns // 2, shift), np.full(unknowns // 2, turn * LEVER)]
     if unknowns == 3:
         sizes = np.array([shift, shift, turn * LEVER])
-    return [boards.ground.moved(plan, (sizes * rng.standard_normal(unknowns))[None]) for plan in plans]
+    return [model.ground.moved(plan, (sizes * rng.standard_normal(unknowns))[None]) for plan in plans]
 
 
-def laid(boards, module, pose):
-    pads = boards.pads[module]
-    return boards.ground.laid(pose.take(np.zeros(len(pads), dtype=np.int64)), pads)
+def laid(model, module, pose):
+    pads = model.pads[module]
+    return model.ground.laid(pose.take(np.zeros(len(pads), dtype=np.int64)), pads)
 
 
-def press(boards, poses, rng, pokes, modules=None, tilt=0.4, noise=0.0):
+def press(model, poses, rng, pokes, modules=None, tilt=0.4, noise=0.0):
     """Pokes at the exact middle of one to four pads that answer, in three arm poses."""
     arms = [np.eye(4) for _ in range(3)]
     for arm in arms:
         arm[:3, :3] = rotations(rng.normal(0, 1, (1, 3)))[0]
         arm[:3, 3] = rng.normal(0, 0.1, 3)
-    modules = range(len(boards.pads)) if modules is None else modules
+    modules = range(len(model.pads)) if modules is None else modules
     contacts = []
     for number in range(1, pokes + 1):
         module = modules[number % len(modules)]
-        pads = laid(boards, module, poses[module])
+        pads = laid(model, module, poses[module])
         some = np.sort(rng.choice(len(pads.points), rng.integers(1, 5), replace=False))
         responses = rng.uniform(20, 200, len(some))
         point = responses @ pads.points[some] / responses.sum()
@@ -65,7 +65,7 @@ def press(boards, poses, rng, pokes, modules=None, tilt=0.4, noise=0.0):
         arm = arms[number % 3]
         turn, here = arm[:3, :3].T, arm[:3, :3].T @ (point - arm[:3, 3])
         moment = np.cross(here, turn @ force) + noise * rng.standard_normal(3)
-        channels = boards.layout.modules[module].channels[some]
+        channels = model.layout.modules[module].channels[some]
         contacts.append(
             Contact(
                 number,
@@ -84,10 +84,10 @@ def press(boards, poses, rng, pokes, modules=None, tilt=0.4, noise=0.0):
     return contacts
 
 
-def modules(contacts, boards, channels=None, **options):
-    scene_channels = boards.layout.channels if channels is None else channels
-    surface = boards.ground.surface if isinstance(boards.ground, ModulesOnSurface) else None
-    return estimate_taxels(contacts, scene_channels, MODULES, NOISE, surface, boards=boards, **options)[Method.MODULES]
+def modules(contacts, model, channels=None, **options):
+    scene_channels = model.layout.channels if channels is None else channels
+    surface = model.ground.surface if isinstance(model.ground, ModulesOnSurface) else None
+    return estimate_taxels(contacts, scene_channels, MODULES, NOISE, surface, model=model, **options)[Method.MODULES]
 
 
 CASES = [("icub-forearm", True), ("icub-forearm", False), ("flat-patch", False)]
@@ -95,14 +95,14 @@ CASES = [("icub-forearm", True), ("icub-forearm", False), ("flat-patch", False)]
 
 @pytest.mark.parametrize(("name", "surface"), CASES)
 def test_exact_pokes_give_the_exact_places(name, surface, rng):
-    boards = boards_of(name, surface)
-    poses = moved_poses(boards, rng)
-    contacts = press(boards, poses, rng, 30 * len(poses))
-    found = modules(contacts, boards)
+    model = model_of(name, surface)
+    poses = moved_poses(model, rng)
+    contacts = press(model, poses, rng, 30 * len(poses))
+    found = modules(contacts, model)
     for module, pose in enumerate(poses):
-        pads = laid(boards, module, pose)
+        pads = laid(model, module, pose)
         for channel, point, normal in zip(
-            boards.layout.modules[module].channels.tolist(), pads.points, pads.normals, strict=True
+            model.layout.modules[module].channels.tolist(), pads.points, pads.normals, strict=True
         ):
             assert found[channel].state is State.ESTIMATED
             np.testing.assert_allclose(found[channel].position, point, rtol=0, atol=2e-7)
@@ -111,46 +111,46 @@ def test_exact_pokes_give_the_exact_places(name, surface, rng):
 
 @pytest.mark.parametrize("turn", [60, 120, 180, -120])
 def test_a_module_that_is_turned_against_its_plan_is_found_as_it_lies(turn, rng):
-    boards = boards_of()
-    poses = [boards.plan(module) for module in range(7)]
-    poses[2] = boards.ground.moved(poses[2], np.array([[0.0, 0.0, np.radians(turn) * LEVER]]))
-    found = modules(press(boards, poses, rng, 140), boards)
-    pads = laid(boards, 2, poses[2])
-    for channel, point in zip(boards.layout.modules[2].channels.tolist(), pads.points, strict=True):
+    model = model_of()
+    poses = [model.plan(module) for module in range(7)]
+    poses[2] = model.ground.moved(poses[2], np.array([[0.0, 0.0, np.radians(turn) * LEVER]]))
+    found = modules(press(model, poses, rng, 140), model)
+    pads = laid(model, 2, poses[2])
+    for channel, point in zip(model.layout.modules[2].channels.tolist(), pads.points, strict=True):
         np.testing.assert_allclose(found[channel].position, point, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(("name", "surface"), CASES)
 def test_the_gradients_are_those_of_differences(name, surface, rng):
     """Of the pads, and of the whitened rows at a given noise: a few pads cross into another triangle on the way."""
-    boards = boards_of(name, surface)
+    model = model_of(name, surface)
     step = 1e-6
     for module in range(3):
-        pose = moved_poses(boards, rng)[module]
-        at = laid(boards, module, pose)
-        for unknown in range(boards.ground.unknowns):
-            move = np.zeros((1, boards.ground.unknowns))
+        pose = moved_poses(model, rng)[module]
+        at = laid(model, module, pose)
+        for unknown in range(model.ground.unknowns):
+            move = np.zeros((1, model.ground.unknowns))
             move[0, unknown] = step
-            there, back = (laid(boards, module, boards.ground.moved(pose, sign * move)).points for sign in (1.0, -1.0))
+            there, back = (laid(model, module, model.ground.moved(pose, sign * move)).points for sign in (1.0, -1.0))
             off = np.abs((there - back) / (2 * step) - at.gradients[:, :, unknown]).max(axis=1)
             assert np.median(off) < 1e-6
             assert off.max() < (0.2 if surface else 1e-6)
 
 
 def test_rows_fall_with_the_step_that_their_slopes_tell(rng):
-    boards = boards_of(surface=False)
-    poses = moved_poses(boards, rng)
-    contacts = press(boards, poses, rng, 20, modules=[1])
-    ledger = ContactTable(contacts)
-    evidence = ledger.evidence(boards.channels_of([1]))
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [1])
-    start = boards.plan(1)
+    model = model_of(surface=False)
+    poses = moved_poses(model, rng)
+    contacts = press(model, poses, rng, 20, modules=[1])
+    table = ContactTable(contacts)
+    evidence = table.evidence(model.channels_of([1]))
+    touches = find_touches(evidence, table.totals(evidence.pokes), model, NOISE, [1])
+    start = model.plan(1)
     step = 1e-5 * rng.standard_normal((1, 6))
-    before, after = (whitened(touches, laid(boards, 1, boards.ground.moved(start, s * step)), NOISE) for s in (0.0, 1.0))
+    before, after = (whitened(touches, laid(model, 1, model.ground.moved(start, s * step)), NOISE) for s in (0.0, 1.0))
     # In metres: the noise's size changes with the lever, which is not part of the step.
     off = np.linalg.solve(before.whiten, before.misses[..., None]) - np.linalg.solve(after.whiten, after.misses[..., None])
-    told = np.linalg.solve(before.whiten, before.slopes @ step[0][:, None])
-    assert np.abs(off - told).max() < 1e-3 * np.abs(told).max()
+    linear = np.linalg.solve(before.whiten, before.slopes @ step[0][:, None])
+    assert np.abs(off - linear).max() < 1e-3 * np.abs(linear).max()
 
 
 def turned(contact, motion):
@@ -175,28 +175,32 @@ def test_a_rigid_motion_of_everything_moves_the_estimates_with_it(rng):
         moved = modules(
             [turned(contact, motion) for contact in contacts], ModuleModel(rig.scene.skin.layout, there, moved_mesh)
         )
-        for channel, one in here.items():
-            expected = motion[:3, :3] @ one.position + motion[:3, 3]
+        for channel, estimate in here.items():
+            expected = motion[:3, :3] @ estimate.position + motion[:3, 3]
             np.testing.assert_allclose(moved[channel].position, expected, rtol=0, atol=2e-5)
-            assert moved[channel].rms == pytest.approx(one.rms, rel=1e-2)
+            assert moved[channel].rms == pytest.approx(estimate.rms, rel=1e-2)
 
 
 def bits(estimates):
     return {
-        channel: (one.state, one.contacts, None if one.position is None else (one.position.tobytes(), one.covariance.tobytes()))
-        for channel, one in estimates.items()
+        channel: (
+            estimate.state,
+            estimate.contacts,
+            None if estimate.position is None else (estimate.position.tobytes(), estimate.covariance.tobytes()),
+        )
+        for channel, estimate in estimates.items()
     }
 
 
 def test_neither_the_order_of_pokes_nor_the_company_of_other_modules_changes_a_bit(rng):
     rig = make_rig(RigErrors.noise(), 4)
     contacts = simulate_contacts(rig, unguided(rig, 2, rng), rng, habits=Habits(double_rate=0.08))
-    boards = boards_of()
-    whole = bits(modules(contacts, boards))
+    model = model_of()
+    whole = bits(modules(contacts, model))
     shuffled = [contacts[i] for i in rng.permutation(len(contacts))]
-    assert bits(modules(shuffled, boards)) == whole
+    assert bits(modules(shuffled, model)) == whole
     for module in range(7):
-        alone = bits(modules(contacts, boards, boards.channels_of([module])))
+        alone = bits(modules(contacts, model, model.channels_of([module])))
         assert alone == {channel: whole[channel] for channel in alone}
 
 
@@ -211,9 +215,9 @@ def test_a_session_says_the_same_live_and_at_once(rng):
     for contact in contacts:
         once.add(contact)
     assert live.methods == (Method.FREE, Method.SURFACE, Method.MODULES)
-    same = {one.channel: one for one in live.snapshot().estimates[Method.MODULES]}
-    assert bits(same) == bits({one.channel: one for one in once.snapshot().estimates[Method.MODULES]})
-    assert bits(same) == bits(modules(contacts, boards_of()))
+    same = {estimate.channel: estimate for estimate in live.snapshot().estimates[Method.MODULES]}
+    assert bits(same) == bits({estimate.channel: estimate for estimate in once.snapshot().estimates[Method.MODULES]})
+    assert bits(same) == bits(modules(contacts, model_of()))
 
 
 def test_without_a_layout_there_is_no_such_method():
@@ -245,7 +249,7 @@ def test_on_a_good_rig_modules_are_twice_as_good_as_taxels():
     for seed in range(1, 5):
         rig, contacts = good_rig(seed)
         found = estimate_taxels(
-            contacts, rig.channels.tolist(), [Method.SURFACE, Method.MODULES], rig.scene.noise, rig.surface, boards=boards_of()
+            contacts, rig.channels.tolist(), [Method.SURFACE, Method.MODULES], rig.scene.noise, rig.surface, model=model_of()
         )
         own, single = (errors(rig, found[method]).mean() for method in (Method.MODULES, Method.SURFACE))
         assert own < 0.6
@@ -257,13 +261,13 @@ def test_ellipses_hold_what_they_should():
     inside = []
     for seed in range(1, 9):
         rig, contacts = good_rig(seed)
-        found = modules(contacts, boards_of())
+        found = modules(contacts, model_of())
         for row, channel in enumerate(rig.channels.tolist()):
-            one = found[channel]
-            values, axes = np.linalg.eigh(one.covariance)
-            off = axes.T @ (one.position - rig.places[row])
+            estimate = found[channel]
+            values, axes = np.linalg.eigh(estimate.covariance)
+            off = axes.T @ (estimate.position - rig.places[row])
             inside.append(np.sum(off[1:] ** 2 / values[1:]) < 5.991)
-    # Eight seeds of seven boards: 97 %.
+    # Eight seeds of seven modules: 97 %.
     assert np.mean(inside) > 0.9
 
 
@@ -271,14 +275,14 @@ def test_pokes_that_touch_two_places_are_doubted_and_harm_little():
     clean, doubled, plain, doubted, honest = [], [], [], [], []
     for seed in range(1, 5):
         rig, contacts = good_rig(seed)
-        clean.append(errors(rig, modules(contacts, boards_of())).mean())
+        clean.append(errors(rig, modules(contacts, model_of())).mean())
         rig, touched = good_rig(seed, 0.08)
-        found = modules(touched, boards_of())
+        found = modules(touched, model_of())
         doubled.append(errors(rig, found).mean())
-        plain.append(errors(rig, modules(touched, boards_of(), doubting=False)).mean())
+        plain.append(errors(rig, modules(touched, model_of(), doubting=False)).mean())
         pure = {contact.poke: contact.force for contact in contacts}
-        wrong = {one.poke for one in touched if one.poke in pure and not np.array_equal(one.force, pure[one.poke])}
-        said = {poke for one in found.values() for poke in one.doubted}
+        wrong = {touch.poke for touch in touched if touch.poke in pure and not np.array_equal(touch.force, pure[touch.poke])}
+        said = {poke for estimate in found.values() for poke in estimate.doubted}
         doubted.append(len(said & wrong) / len(wrong))
         honest.append(len(said - wrong) / (len(touched) - len(wrong)))
     assert np.mean(doubled) < 1.15 * np.mean(clean)
@@ -288,66 +292,73 @@ def test_pokes_that_touch_two_places_are_doubted_and_harm_little():
 
 
 def test_what_was_not_poked_is_said(rng):
-    boards = boards_of()
-    poses = [boards.plan(module) for module in range(7)]
-    found = modules(press(boards, poses, rng, 40, modules=[0, 1]), boards)
-    assert {found[channel].state for channel in boards.channels_of([0, 1])} == {State.ESTIMATED}
-    assert {found[channel].state for channel in boards.channels_of(range(2, 7))} == {State.UNSEEN}
-    assert not modules([], boards)[204].contacts
+    model = model_of()
+    poses = [model.plan(module) for module in range(7)]
+    found = modules(press(model, poses, rng, 40, modules=[0, 1]), model)
+    assert {found[channel].state for channel in model.channels_of([0, 1])} == {State.ESTIMATED}
+    assert {found[channel].state for channel in model.channels_of(range(2, 7))} == {State.UNSEEN}
+    assert not modules([], model)[204].contacts
 
 
 @pytest.mark.parametrize("surface", [True, False])
 def test_one_poke_tells_a_place_and_not_how_the_module_is_turned(surface, rng):
-    boards = boards_of(surface=surface)
-    contact = press(boards, [boards.plan(module) for module in range(7)], rng, 1, modules=[3])[0]
+    model = model_of(surface=surface)
+    contact = press(model, [model.plan(module) for module in range(7)], rng, 1, modules=[3])[0]
     peak = int(contact.channels[contact.responses.argmax()])
     lone = replace(contact, channels=np.array([peak]), responses=np.array([100.0]))
-    found = modules([lone], boards)
-    others = [found[channel] for channel in boards.channels_of([3]) if channel != peak]
-    assert {one.state for one in others} == {State.BLIND}
-    assert all("One poke" in one.reason and one.weakest is not None and one.sd is None for one in others)
+    found = modules([lone], model)
+    others = [found[channel] for channel in model.channels_of([3]) if channel != peak]
+    assert {estimate.state for estimate in others} == {State.BLIND}
+    assert all(
+        estimate.reason.cause is Cause.MODULE_ONE_POKE and estimate.weakest is not None and estimate.sd is None
+        for estimate in others
+    )
     assert found[peak].state is (State.ESTIMATED if surface else State.BLIND)
 
 
 def test_parallel_axes_leave_the_depth_of_a_free_module_open_and_nothing_is_nan(rng):
-    boards = boards_of("flat-patch", surface=False)
-    contacts = press(boards, [boards.plan(module) for module in range(4)], rng, 60, tilt=0.0)
-    found = modules(contacts, boards)
-    assert {one.state for one in found.values()} == {State.BLIND}
-    for one in found.values():
-        assert one.position is None
-        assert abs(one.weakest[2]) > 0.9
-    tilted = modules(press(boards, [boards.plan(module) for module in range(4)], rng, 60, tilt=0.3), boards)
-    assert {one.state for one in tilted.values()} == {State.ESTIMATED}
+    model = model_of("flat-patch", surface=False)
+    contacts = press(model, [model.plan(module) for module in range(4)], rng, 60, tilt=0.0)
+    found = modules(contacts, model)
+    assert {estimate.state for estimate in found.values()} == {State.BLIND}
+    for estimate in found.values():
+        assert estimate.position is None
+        assert abs(estimate.weakest[2]) > 0.9
+    tilted = modules(press(model, [model.plan(module) for module in range(4)], rng, 60, tilt=0.3), model)
+    assert {estimate.state for estimate in tilted.values()} == {State.ESTIMATED}
 
 
 def test_pokes_from_behind_are_said_to_be(rng):
-    boards = boards_of(surface=False)
+    model = model_of(surface=False)
     contacts = [
-        replace(one, force=-one.force, moment=-one.moment) for one in press(boards, [boards.plan(m) for m in range(7)], rng, 60)
+        replace(poke, force=-poke.force, moment=-poke.moment)
+        for poke in press(model, [model.plan(m) for m in range(7)], rng, 60)
     ]
-    assert all(one.state is State.BLIND and "behind" in one.reason for one in modules(contacts, boards).values())
+    assert all(
+        estimate.state is State.BLIND and estimate.reason.cause is Cause.MODULE_BEHIND
+        for estimate in modules(contacts, model).values()
+    )
 
 
 def test_a_dead_taxel_stays_dead_and_its_module_lives(rng):
-    boards = boards_of()
-    contacts = press(boards, [boards.plan(module) for module in range(7)], rng, 70)
-    found = modules(contacts, boards, dead={204: "stuck"})
+    model = model_of()
+    contacts = press(model, [model.plan(module) for module in range(7)], rng, 70)
+    found = modules(contacts, model, dead={204: "stuck"})
     assert found[204].state is State.DEAD
     assert found[205].state is State.ESTIMATED
 
 
-def test_errors_of_arm_poses_that_are_told_make_the_ellipses_larger():
+def test_errors_of_arm_poses_that_are_known_make_the_ellipses_larger():
     rig, contacts = good_rig(1)
     known = replace(rig.scene.noise, pose_turn=0.02, pose_shift=0.002)
-    ledger, surface = ContactTable(contacts), [{}]
-    plain, told = (estimate_modules(ledger, boards_of(), range(7), noise, surface, {}) for noise in (rig.scene.noise, known))
-    assert all(told[channel].rms > 2e-3 + plain[channel].rms for channel in plain)
+    table, surface = ContactTable(contacts), [{}]
+    plain, wider = (estimate_modules(table, model_of(), range(7), noise, surface, {}) for noise in (rig.scene.noise, known))
+    assert all(wider[channel].rms > 2e-3 + plain[channel].rms for channel in plain)
 
 
-def test_grounds_know_how_many_unknowns_a_board_has():
+def test_grounds_know_how_many_unknowns_a_module_has():
     assert (ModulesOnSurface.unknowns, ModulesInSpace.unknowns) == (3, 6)
-    assert isinstance(boards_of("flat-patch").plan(0), ModulePoses)
+    assert isinstance(model_of("flat-patch").plan(0), ModulePoses)
 
 
 def test_contacts_are_off_the_middle_of_the_pads_that_answer_by_what_is_said():
@@ -376,28 +387,36 @@ def test_contacts_are_off_the_middle_of_the_pads_that_answer_by_what_is_said():
 
 @pytest.mark.parametrize(("other", "counts"), [(0.9, True), (1.0, False), (1.1, True)])
 def test_a_poke_between_two_modules_counts_for_the_one_that_answers_more_and_for_none_where_both_do_alike(other, counts, rng):
-    boards = boards_of()
-    poses = [boards.plan(module) for module in range(7)]
-    contact = press(boards, poses, rng, 1, modules=[0])[0]
-    here, there = (int(boards.layout.modules[module].channels[0]) for module in (0, 1))
+    model = model_of()
+    poses = [model.plan(module) for module in range(7)]
+    contact = press(model, poses, rng, 1, modules=[0])[0]
+    here, there = (int(model.layout.modules[module].channels[0]) for module in (0, 1))
     channels = np.sort([here, there])
     responses = np.where(channels == here, 100.0, 100.0 * other)
-    ledger = ContactTable([replace(contact, channels=channels, responses=responses)])
-    evidence = ledger.evidence(boards.channels_of([0, 1]))
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, NOISE, [0, 1])
-    assert touches.boards.tolist() == ([0 if other < 1.0 else 1] if counts else [])
+    table = ContactTable([replace(contact, channels=channels, responses=responses)])
+    evidence = table.evidence(model.channels_of([0, 1]))
+    touches = find_touches(evidence, table.totals(evidence.pokes), model, NOISE, [0, 1])
+    assert touches.modules.tolist() == ([0 if other < 1.0 else 1] if counts else [])
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_without_a_surface_a_pose_that_does_not_settle_is_blind_and_more_pokes_make_it_settle(seed):
     rig, rng = make_rig(RigErrors.noise(), seed), np.random.default_rng(seed)
-    boards = boards_of(surface=False)
+    model = model_of(surface=False)
     contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
     few, many = (
-        estimate_taxels(contacts[:count], rig.channels.tolist(), [Method.MODULES], rig.scene.noise, None, boards=boards)
+        estimate_taxels(contacts[:count], rig.channels.tolist(), [Method.MODULES], rig.scene.noise, None, model=model)
         for count in (20, 80)
     )
-    unsettled = [one for one in few[Method.MODULES].values() if "does not settle" in one.reason]
+    unsettled = [
+        estimate
+        for estimate in few[Method.MODULES].values()
+        if estimate.reason and estimate.reason.cause is Cause.MODULE_MOVING
+    ]
     assert unsettled
-    assert all(one.state is State.BLIND and one.position is None for one in unsettled)
-    assert not [one for one in many[Method.MODULES].values() if "does not settle" in one.reason]
+    assert all(estimate.state is State.BLIND and estimate.position is None for estimate in unsettled)
+    assert not [
+        estimate
+        for estimate in many[Method.MODULES].values()
+        if estimate.reason and estimate.reason.cause is Cause.MODULE_MOVING
+    ]

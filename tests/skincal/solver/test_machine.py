@@ -93,12 +93,13 @@ def answers():
     rig = make_rig(RigErrors.paper(), 1)
     whole = make_surface(rig.surface.vertices, rig.surface.triangles)
     layout = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, whole)
-    contacts = [one for pose in rig.stances for one in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
-    for method in estimate_taxels(
-        contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, boards=layout
-    ).values():
-        for one in method.values():
-            yield from (one.state, *(value.tobytes() for value in (one.position, one.covariance) if value is not None))
+    contacts = [contact for pose in rig.stances for contact in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
+    for method in estimate_taxels(contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, model=layout).values():
+        for estimate in method.values():
+            yield from (
+                estimate.state,
+                *(value.tobytes() for value in (estimate.position, estimate.covariance) if value is not None),
+            )
 
 
 def test_the_solver_does_nothing_that_c_leaves_undefined(tmp_path, monkeypatch):
@@ -130,8 +131,8 @@ def test_a_number_that_stands_in_both_languages_is_the_same(name, here):
 
 def test_both_languages_mean_the_same_tables():
     machine = Machine()
-    assert machine.told("answer_size") == solve.ANSWER.itemsize
-    assert machine.told("surface_size") == ctypes.sizeof(search.SurfaceTable)
+    assert machine.value("answer_size") == solve.ANSWER.itemsize
+    assert machine.value("surface_size") == ctypes.sizeof(search.SurfaceTable)
 
 
 def test_the_logarithm_is_right_to_two_roundings(probe):
@@ -191,7 +192,7 @@ def test_threads_take_turns():
     for thread in threads:
         thread.join()
     assert len(found) == 4
-    assert all(same(alone, one) for one in found)
+    assert all(same(alone, other) for other in found)
 
 
 def test_what_is_kept_stays_while_the_memory_grows():

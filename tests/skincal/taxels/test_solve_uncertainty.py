@@ -7,11 +7,11 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry.wrench import cross_matrix
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import across, gather
+from skincal.taxels.contact_table import across
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import SD_MAX, Method, State
 from skincal.taxels.solve import solve as solve_evidence
-from tests.skincal.estimate_support import solve
+from tests.skincal.estimate_support import gather, solve
 
 NOISE = NoiseSettings()
 FLAT = replace(NOISE, radius=1e9)
@@ -65,12 +65,12 @@ def test_the_95_percent_ellipsoid_covers_the_truth(method, count):
     inside, errors, predicted = 0, [], []
     basis = tangent_basis(normal) if method is Method.SURFACE else np.eye(3)
     for _ in range(TRIALS):
-        one = solve(pokes(rng, count, taxel, normal, sensor_pose(), FLAT), [0], method, FLAT, surface)[0]
-        assert one.state is State.ESTIMATED
-        off = basis.T @ (one.position - taxel)
-        inside += off @ np.linalg.solve(basis.T @ one.covariance @ basis, off) <= LIMIT[len(off)]
-        errors.append(np.linalg.norm(one.position - taxel))
-        predicted.append(one.rms)
+        estimate = solve(pokes(rng, count, taxel, normal, sensor_pose(), FLAT), [0], method, FLAT, surface)[0]
+        assert estimate.state is State.ESTIMATED
+        off = basis.T @ (estimate.position - taxel)
+        inside += off @ np.linalg.solve(basis.T @ estimate.covariance @ basis, off) <= LIMIT[len(off)]
+        errors.append(np.linalg.norm(estimate.position - taxel))
+        predicted.append(estimate.rms)
     assert 0.90 <= inside / TRIALS <= 0.99
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(np.mean(np.square(predicted))), rel=0.2)
 
@@ -82,9 +82,9 @@ def test_the_lever_runs_from_the_sensor_and_not_from_the_links_origin():
     pose, normal = sensor_pose(), np.array([0.0, 0.0, 1.0])
     for taxel, exact in ((pose[:3, 3] + [0, 0, 1e-4], True), (np.array([0.0, 0.0, 0.0]), False)):
         contacts = pokes(rng, 10, taxel, normal, pose, quiet)
-        one = solve(contacts, [0], Method.FREE, only_force, None)[0]
+        estimate = solve(contacts, [0], Method.FREE, only_force, None)[0]
         # At the sensor's own origin an error of the force turns the axis about the taxel and moves it nowhere.
-        assert one.rms < 1e-5 if exact else one.rms > 1e-3
+        assert estimate.rms < 1e-5 if exact else estimate.rms > 1e-3
 
 
 def written_out(evidence, taxel, normal, pose, noise):
@@ -192,16 +192,16 @@ def test_errors_of_the_arms_poses_do_not_average_out_within_a_pose():
     contacts = pokes(rng, 400, taxel, normal, sensor_pose(), FLAT)
     known = replace(FLAT, pose_shift=0.002)
     alone = solve(contacts, [0], Method.FREE, FLAT, None)[0].covariance
-    one = solve(contacts, [0], Method.FREE, known, None)[0].covariance
-    np.testing.assert_allclose(one - alone, 0.002**2 * np.eye(3), atol=1e-9)
+    wider = solve(contacts, [0], Method.FREE, known, None)[0].covariance
+    np.testing.assert_allclose(wider - alone, 0.002**2 * np.eye(3), atol=1e-9)
     turned = replace(FLAT, pose_turn=0.01)
     q = cross_matrix(solve(contacts, [0], Method.FREE, FLAT, None)[0].position - sensor_pose()[:3, 3])
-    one = solve(contacts, [0], Method.FREE, turned, None)[0].covariance
-    np.testing.assert_allclose(one - alone, 1e-4 * q @ q.T, atol=1e-8)
+    wider = solve(contacts, [0], Method.FREE, turned, None)[0].covariance
+    np.testing.assert_allclose(wider - alone, 1e-4 * q @ q.T, atol=1e-8)
     four = [replace(contact, pose=f"{contact.poke % 4}") for contact in contacts]
-    one = solve(four, [0], Method.FREE, known, None)[0].covariance
-    assert np.trace(one - alone) == pytest.approx(3 * 0.002**2 / 4, rel=0.1)
-    assert (solve(four[::-1], [0], Method.FREE, known, None)[0].covariance == one).all()
+    wider = solve(four, [0], Method.FREE, known, None)[0].covariance
+    assert np.trace(wider - alone) == pytest.approx(3 * 0.002**2 / 4, rel=0.1)
+    assert (solve(four[::-1], [0], Method.FREE, known, None)[0].covariance == wider).all()
 
 
 def test_uncertainty_grows_with_noise_and_shrinks_with_pokes():
@@ -225,10 +225,10 @@ def test_beyond_the_limit_the_state_is_blind_and_below_it_is_not():
             contacts.append(
                 Contact(number, 0, 1, force, np.cross(taxel, force), np.array([0]), np.array([9.0]), pose, "", 0, True)
             )
-        one = solve(contacts, [0], Method.FREE, NOISE, None)[0]
-        sds.append(one.sd)
-        assert (one.state is State.BLIND) == (one.sd > SD_MAX)
-        assert abs(one.weakest[2]) > 0.9
+        estimate = solve(contacts, [0], Method.FREE, NOISE, None)[0]
+        sds.append(estimate.sd)
+        assert (estimate.state is State.BLIND) == (estimate.sd > SD_MAX)
+        assert abs(estimate.weakest[2]) > 0.9
     assert sds == sorted(sds, reverse=True)
     assert sds[0] > SD_MAX > sds[-1]
 
@@ -271,7 +271,7 @@ def test_the_solver_loses_no_more_than_its_inputs_last_digit(case):
     spread = float(case.split()[-1]) if "parallel" in case else 0.3
     evidence = axes_near(rng, np.array([0.03, 0.02, 0.1]), spread, weights)
     if case == "heavy along x":
-        # Its rows are almost nought in the first column, which must then not be taken first.
+        # Its rows are almost zero in the first column, which must then not be taken first.
         along_x = np.array([1.0, 1e-7, -2e-7])
         evidence[0][0] = along_x / np.linalg.norm(along_x)
         evidence = made(*evidence[:3])
@@ -279,11 +279,11 @@ def test_the_solver_loses_no_more_than_its_inputs_last_digit(case):
         exact = by_80_digits(mpmath, evidence)
         moves = []
         for _ in range(10):
-            moved = made(*(last_digit(rng, one) for one in evidence[:3]))
+            moved = made(*(last_digit(rng, column) for column in evidence[:3]))
             moves.append(np.linalg.norm(by_80_digits(mpmath, moved) - exact))
     for order in (np.arange(10), np.arange(10)[::-1], rng.permutation(10)):
-        one = made(*(part[order] for part in evidence[:3]))
-        error = np.linalg.norm(solution(*one[3:]).solutions[0] - exact)
+        again = made(*(part[order] for part in evidence[:3]))
+        error = np.linalg.norm(solution(*again[3:]).solutions[0] - exact)
         assert error <= 10 * max(moves) + 1e-15 * np.linalg.norm(exact)
 
 

@@ -21,20 +21,20 @@ def poked(seed, errors="noise"):
     rng = np.random.default_rng(seed)
     rig = make_rig(RigErrors.paper() if errors == "paper" else RigErrors.noise(), seed)
     contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
-    boards = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    model = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
     found = estimate_taxels(
         contacts,
         rig.channels.tolist(),
         [Method.FREE, Method.SURFACE, Method.MODULES],
         rig.scene.noise,
         rig.surface,
-        boards=boards,
+        model=model,
     )
     return rig, found
 
 
 def planned(rig, change):
-    """The boards of a layout with some modules planned otherwise than they are."""
+    """The modules of a layout with some modules planned otherwise than they are."""
     layout = rig.scene.skin.layout
     modules = tuple(change(index, module) for index, module in enumerate(layout.modules))
     return ModuleModel(Layout(modules, layout.width), rig.scene.skin.anchor, rig.surface)
@@ -53,59 +53,57 @@ def test_modules_that_lie_as_planned_are_left_alone(errors, seed):
 def test_a_few_estimates_close_together_fit_any_turn_and_tell_none():
     """Six of a module's taxels, drawn together to half their distance and scattered by 2 mm."""
     rig, _ = poked(1)
-    boards = planned(rig, lambda _, module: module)
+    model = planned(rig, lambda _, module: module)
     for seed in range(40):
         rng, estimates = np.random.default_rng(seed), {}
         for module in range(2):
-            every = boards.channels_of([module])
+            every = model.channels_of([module])
             places = np.array([rig.places[rig.row_of(channel)] for channel in every])
             some = rng.permutation(len(every))[:6]
             near = 0.5 * (places[some] + places[some].mean(axis=0)) + 0.002 * rng.normal(size=(6, 3))
             for row, place in zip(some.tolist(), near, strict=True):
                 normal = rig.normals[rig.row_of(every[row])]
                 estimates[every[row]] = Estimate(every[row], Method.SURFACE, State.ESTIMATED, 3, position=place, normal=normal)
-        for said in find_misfits(boards, estimates):
-            assert said.after < 0.8 * said.before, said.words
+        for said in find_misfits(model, estimates):
+            assert said.after < 0.8 * said.before
 
 
 @pytest.mark.parametrize(("errors", "seed"), CASES)
 @pytest.mark.parametrize("which", [0, 4])
 def test_a_module_that_is_mirrored_is_named(errors, seed, which):
     rig, found = poked(seed, errors)
-    boards = planned(rig, lambda index, module: replace(module, mirror=index == which))
-    (said,) = find_misfits(boards, found[Method.SURFACE])
-    assert (said.kind, said.module) == (MisfitKind.MIRRORED, boards.layout.modules[which].id)
+    model = planned(rig, lambda index, module: replace(module, mirror=index == which))
+    (said,) = find_misfits(model, found[Method.SURFACE])
+    assert (said.kind, said.module) == (MisfitKind.MIRRORED, model.layout.modules[which].id)
     assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
-    assert "mirror" in said.words
 
 
 @pytest.mark.parametrize(("errors", "seed"), CASES)
 @pytest.mark.parametrize("turn", [120, -120])
 def test_a_module_that_is_turned_is_named_with_its_turn(errors, seed, turn):
     rig, found = poked(seed, errors)
-    boards = planned(rig, lambda index, module: replace(module, angle=module.angle - (np.radians(turn) if index == 2 else 0.0)))
-    (said,) = find_misfits(boards, found[Method.SURFACE])
+    model = planned(rig, lambda index, module: replace(module, angle=module.angle - (np.radians(turn) if index == 2 else 0.0)))
+    (said,) = find_misfits(model, found[Method.SURFACE])
     assert (said.kind, said.module) == (MisfitKind.TURNED, 29)
     assert np.degrees(said.turn) == pytest.approx(turn)
     assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
-    assert f"{turn} degrees" in said.words
 
 
-# Where a rig bends the whole skin by more than half a module (seed 3) a swap is told as another mistake.
+# Where a rig bends the whole skin by more than half a module (seed 3) a swap is named as another mistake.
 @pytest.mark.parametrize(("errors", "seed"), CASES[:3])
 def test_modules_that_are_swapped_are_named_both(errors, seed):
     rig, found = poked(seed, errors)
     modules = rig.scene.skin.layout.modules
     other = {1: modules[5], 5: modules[1]}
-    boards = planned(
+    model = planned(
         rig,
         lambda index, module: replace(module, place=other[index].place, angle=other[index].angle) if index in other else module,
     )
-    said = find_misfits(boards, found[Method.SURFACE])
-    assert [(one.kind, one.module, one.other) for one in said] == [
+    said = find_misfits(model, found[Method.SURFACE])
+    assert [(misfit.kind, misfit.module, misfit.other) for misfit in said] == [
         (MisfitKind.SWAPPED, 28, 26), (MisfitKind.SWAPPED, 26, 28)
     ]  # fmt: skip
-    assert all(one.after < 0.5 * one.before for one in said)
+    assert all(misfit.after < 0.5 * misfit.before for misfit in said)
 
 
 def test_neighbours_lie_as_far_apart_as_planned():
@@ -114,7 +112,9 @@ def test_neighbours_lie_as_far_apart_as_planned():
     ratios = {method: spacing_ratio(layout, list(estimates.values())) for method, estimates in found.items()}
     assert 0.98 < ratios[Method.MODULES] < 1.02
     assert all(0.6 < ratio < 1.6 for ratio in ratios.values())
-    true = [replace(one, position=rig.places[row]) for row, one in enumerate(found[Method.SURFACE].values())]
+    true = [replace(estimate, position=rig.places[row]) for row, estimate in enumerate(found[Method.SURFACE].values())]
     assert spacing_ratio(layout, true) == pytest.approx(1.0, abs=0.02)
-    assert spacing_ratio(layout, [replace(one, position=1.1 * one.position) for one in true]) == pytest.approx(1.1, abs=0.03)
+    assert spacing_ratio(layout, [replace(estimate, position=1.1 * estimate.position) for estimate in true]) == pytest.approx(
+        1.1, abs=0.03
+    )
     assert spacing_ratio(layout, []) is None

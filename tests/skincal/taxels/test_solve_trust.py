@@ -1,6 +1,6 @@
 """What pokes that touch two places do to the estimates, and what the trust makes of them.
 
-`python -m tests.skincal.test_estimate_robust` prints the table of a session with and without them. Seeds are 1, 2, 3 ...
+`python -m tests.skincal.taxels.test_solve_trust` prints the table of a session with and without them. Seeds are 1, 2, 3 ...
 """
 
 import os
@@ -69,8 +69,8 @@ def errors(own, guided, seed, twice, gate=all_pass, preset="noise", doubting=Tru
     found = estimate_taxels(kept, rig.channels, PER_TAXEL, rig.scene.noise, rig.surface, doubting=doubting)
     return {
         method: 1e3 * np.array(
-            [np.linalg.norm(one.position - place) for one, place in zip(found[method].values(), rig.places, strict=True)
-             if one.position is not None]
+            [np.linalg.norm(own.position - place) for own, place in zip(found[method].values(), rig.places, strict=True)
+             if own.position is not None]
         )
         for method in PER_TAXEL
     }  # fmt: skip
@@ -80,7 +80,7 @@ def mean_and_worst(own, guided, twice, gate=all_pass, seeds=SEEDS, preset="noise
     """By method: the mean error over taxels and seeds, and the mean over seeds of the worst taxel's error, mm."""
     each = [errors(own, guided, seed, twice, gate, preset, doubting) for seed in range(1, seeds + 1)]
     return {
-        method: (np.mean([one[method].mean() for one in each]), np.mean([one[method].max() for one in each]))
+        method: (np.mean([trial[method].mean() for trial in each]), np.mean([trial[method].max() for trial in each]))
         for method in PER_TAXEL
     }
 
@@ -185,17 +185,17 @@ def test_of_few_contacts_none_is_doubted(count, rng):
 
 
 @pytest.mark.parametrize("count", [8, 12, 30])
-def test_a_miss_of_nought_does_not_take_the_rigs_own_spread_away(count, rng):
-    """Pitches of 10 mm by the rig's own fault, and one of exactly nought: the others must not be doubted for it."""
+def test_a_miss_of_zero_does_not_take_the_rigs_own_spread_away(count, rng):
+    """Pitches of 10 mm by the rig's own fault, and one of exactly zero: the others must not be doubted for it."""
     doubted = []
     for _ in range(40):
         _, contacts = bundle(rng, count)
-        bad = [replace(one, moment=one.moment + rng.normal(0, 0.010) * one.force) for one in contacts]
+        bad = [replace(poke, moment=poke.moment + rng.normal(0, 0.010) * poke.force) for poke in contacts]
         straight = np.array([0.0, 0.0, -8.0])
         exact = replace(bad[0], force=straight, moment=np.cross([0.03, 0.02, 0.1], straight))
         assert float(pitch(exact.force, exact.moment)) == 0.0
         doubted.append(np.sum(trust(ContactTable([exact, *bad[1:]]).evidence([0]), NOISE) < 1.0))
-    # Measured 0.3 to 0.6; 4 to 20 where a mean of logarithms takes the nought as it is.
+    # Measured 0.3 to 0.6; 4 to 20 where a mean of logarithms takes the zero as it is.
     assert np.mean(doubted) < 1.5
 
 
@@ -227,31 +227,31 @@ def test_trust_does_not_depend_on_frame_or_unit(rng):
 def test_extreme_numbers_leave_a_trust_from_0_to_1(rng):
     for size in (1e-9, 1.0, 1e9):
         _, contacts = bundle(rng, 12, wrong=(4,))
-        contacts = [replace(one, force=size * one.force, moment=size * one.moment) for one in contacts]
+        contacts = [replace(poke, force=size * poke.force, moment=size * poke.moment) for poke in contacts]
         same = [replace(contacts[0], poke=number) for number in range(1, 9)]
         for chosen in (contacts, same):
             found = trust(ContactTable(chosen).evidence([0]), NOISE)
             assert ((found >= 0) & (found <= 1)).all()
 
 
-def test_what_is_doubted_is_told(rng):
+def test_what_is_doubted_is_reported(rng):
     _, contacts = bundle(rng, 12, wrong=(4,))
-    one = estimate_taxels(contacts, [0], [Method.FREE], NOISE, None)[Method.FREE][0]
-    assert list(one.doubted) == [4]
-    assert one.doubted[4] < 0.05
+    estimate = estimate_taxels(contacts, [0], [Method.FREE], NOISE, None)[Method.FREE][0]
+    assert list(estimate.doubted) == [4]
+    assert estimate.doubted[4] < 0.05
 
 
 def test_a_session_with_double_touches_differs_from_the_clean_one_in_these_pokes_alone():
     _, clean = session(10, False, 1, False)
     _, doubled = session(10, False, 1, True)
     twins = {contact.poke: contact for contact in clean}
-    differ = [one for one in doubled if one.poke not in twins or (one.force != twins[one.poke].force).any()]
+    differ = [poke for poke in doubled if poke.poke not in twins or (poke.force != twins[poke.poke].force).any()]
     assert 0.05 < len(differ) / len(doubled) < 0.11
-    for one in differ:
-        before = set(twins[one.poke].channels.tolist()) if one.poke in twins else set()
-        assert before <= set(one.channels.tolist()), "what answered the first touch still answers"
-        added = np.linalg.norm(one.force - twins[one.poke].force)
-        assert 0.19 < added / np.linalg.norm(twins[one.poke].force) < 0.53
+    for poke in differ:
+        before = set(twins[poke.poke].channels.tolist()) if poke.poke in twins else set()
+        assert before <= set(poke.channels.tolist()), "what answered the first touch still answers"
+        added = np.linalg.norm(poke.force - twins[poke.poke].force)
+        assert 0.19 < added / np.linalg.norm(twins[poke.poke].force) < 0.53
 
 
 def test_a_recipes_pushes_lean_by_28_degrees_and_turn_by_120_each_round(rng):
@@ -262,8 +262,8 @@ def test_a_recipes_pushes_lean_by_28_degrees_and_turn_by_120_each_round(rng):
     assert lean.std() == pytest.approx(6.0, abs=1.5)
     sideways = pokes.directions + np.cos(np.radians(28.0)) * pokes.normals
     rounds = sideways.reshape(3, -1, 3).mean(axis=1)
-    for one, other in ((0, 1), (1, 2), (2, 0)):
-        cosine = rounds[one] @ rounds[other] / np.linalg.norm(rounds[one]) / np.linalg.norm(rounds[other])
+    for row, other in ((0, 1), (1, 2), (2, 0)):
+        cosine = rounds[row] @ rounds[other] / np.linalg.norm(rounds[row]) / np.linalg.norm(rounds[other])
         assert np.degrees(np.arccos(cosine)) == pytest.approx(120.0, abs=15.0)
 
 
@@ -280,7 +280,8 @@ if __name__ == "__main__":
                 mean, worst = clean[method]
                 cost = 100 * (mean / plain[method][0] - 1)
                 ratios = (
-                    f"{name} x{one[method][0] / mean:.3f}, worst x{one[method][1] / worst:.2f}" for name, one in lines.items()
+                    f"{name} x{pair[method][0] / mean:.3f}, worst x{pair[method][1] / worst:.2f}"
+                    for name, pair in lines.items()
                 )
                 way = f"{own} {'guided' if guided else 'unguided'} {method.value}"
                 sys.stdout.write(
@@ -292,7 +293,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("seed", [202, 1011, 1382, 4828, 6779, 7226])
 def test_where_hardly_a_contact_would_be_left_all_count(seed):
-    """Else a taxel would be told that its axes are parallel, or that no triangle faces them.
+    """Else parallel axes would be blamed, or that no triangle faces them.
 
     Four contacts of very different misses; of 7,226 such draws ten would leave less than two. Whoever takes the rule away sees
     trusts of 0 and 1 here.
@@ -307,6 +308,6 @@ def test_where_hardly_a_contact_would_be_left_all_count(seed):
         moment = np.cross(np.array([0.03, 0.02, 0.1]) + off, force) + torque * force / 8.0
         contacts.append(Contact(number, 0, 1, force, moment, np.array([0]), np.array([50.0]), np.eye(4), "", 0.0, True))
     assert (trust(ContactTable(contacts).evidence([0]), NOISE) == 1.0).all()
-    one = estimate_taxels(contacts, [0], [Method.FREE], NOISE, None)[Method.FREE][0]
-    assert one.doubted == {}
-    assert np.isfinite(one.normal).all()
+    estimate = estimate_taxels(contacts, [0], [Method.FREE], NOISE, None)[Method.FREE][0]
+    assert estimate.doubted == {}
+    assert np.isfinite(estimate.normal).all()

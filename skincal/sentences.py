@@ -1,0 +1,227 @@
+"""Sentences on results, for the operator: the commands print them, the window shows them, files carry some of them.
+
+The mathematics returns numbers and enums; each of them is put into words here and nowhere else. Pure functions: millimetres
+and degrees appear only in their text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
+from skincal.rig.correction import FRAME, UsedCorrection
+from skincal.rig.correction_fit import DOUBTED, FEWEST, FEWEST_POINTS, RigAnswer
+from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis
+from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, StateReason
+
+MOST_NAMED = 4
+"""Modules that one sentence names; of more the first."""
+OF_RIG = 0.005
+"""m. Pokes that pass their landmarks at more under a right frame show errors of the rig: noise and a hand make 1 to 3 mm."""
+
+_STATES = {
+    Cause.UNPOKED: "No accepted poke touched this taxel.",
+    Cause.ONE_AXIS: "One axis only: the depth along it is unknown. Poke once more with another tilt.",
+    Cause.ALIKE_AXES: (
+        "All {count} axes lie within {degrees:.1f} degrees of one direction: the depth along it {depth} (limit {sd_max}). "
+        "Poke with another tilt."
+    ),
+    Cause.AXES_APART: (
+        "The axes pass each other at {mm:.0f} mm from their middle (limit {miss_max}): check the arm poses, or exclude the "
+        "wrong pokes."
+    ),
+    Cause.OPPOSED: "The {count} pokes push from opposite sides: exclude the wrong ones.",
+    Cause.NO_TRIANGLE: (
+        "No triangle of the surface faces the pokes: check that its normals point outward and the wrench's sign."
+    ),
+    Cause.OFF_SURFACE: "The axes pass the surface at {mm:.0f} mm (limit {miss_max}): check the mesh's unit and pose.",
+    Cause.GRAZING: "The pokes graze the surface, so that their axes do not fix a point on it to {sd_max}: poke steeper.",
+    Cause.MODULE_UNPOKED: "No accepted poke touched its module.",
+    Cause.MODULE_UNPLACED: (
+        "Its module answered only beside others, or the plan does not say where it is: poke its own taxels."
+    ),
+    Cause.MODULE_OFF: (
+        "The axes pass its module at {mm:.0f} mm (limit {miss_max}): check the mesh's unit and pose, the arm poses, and which "
+        "channels the module has."
+    ),
+    Cause.MODULE_MOVING: (
+        "Where its module lies does not settle (to {mm:.1f} mm): poke taxels farther apart, with other tilts."
+    ),
+    Cause.MODULE_BEHIND: "The pokes push its module from behind: check the wrench's sign and the surface's normals.",
+    Cause.MODULE_ONE_POKE: "One poke on its module does not tell how that is turned. Poke another of its taxels.",
+    Cause.MODULE_LOOSE: ("The {count} pokes on its module {tell} how that lies: poke taxels farther apart, with other tilts."),
+    Cause.BY_MODULE: "Not poked itself; known by its module.",
+    Cause.MEAN_OF_POSES: "Mean of {count} poses{left_out}.",
+    Cause.BLIND_IN_POSES: "Blind in each of its {count} poses. In the one with most pokes: {inner}",
+    Cause.GIVEN: "{text}",
+}
+"""Sentences on a taxel's state, filled in by `state_sentence`."""
+
+
+def state_sentence(reason: StateReason | None) -> str:
+    """Return why a taxel's state is what it is; empty for None."""
+    if reason is None:
+        return ""
+    size = reason.size
+    return _STATES[reason.cause].format(
+        count=reason.count,
+        mm=0.0 if size is None else size * 1e3,
+        degrees=max(float(np.degrees(reason.angle)), 0.1),
+        depth="is unknown" if size is None else f"is known to {_coarse(size)} only",
+        tell="do not tell" if size is None else f"tell it to worse than {SD_MAX * 1e3:.0f} mm",
+        left_out=f"; {reason.blind} are blind and left out" if reason.blind else "",
+        inner=state_sentence(reason.inner),
+        text=reason.text,
+        miss_max=f"{MISS_MAX * 1e3:.0f} mm",
+        sd_max=f"{SD_MAX * 1e3:.0f} mm",
+    )
+
+
+def _coarse(metres: float) -> str:
+    return f"{metres * 1e3:.0f} mm" if metres < 1.0 else "over 1 m"
+
+
+def misfit_sentence(misfit: Misfit) -> str:
+    """Return what is wrong with a module, what would put it right, and how far its taxels lie off then and now."""
+    turn = f"{np.degrees(misfit.turn):.0f}"
+    too = f", and its angle_deg by {turn} degrees" if misfit.turn else ""
+    what = {
+        MisfitKind.MIRRORED: f"is mirrored against the layout: change its mirror{too}",
+        MisfitKind.TURNED: f"is turned by {turn} degrees: change its angle_deg by that",
+        MisfitKind.SWAPPED: f"lies where module {misfit.other} is planned: give that one its first_channel",
+    }[misfit.kind]
+    off = f"{misfit.after * 1e3:.0f} mm off, not {misfit.before * 1e3:.0f} mm"
+    return f"Module {misfit.module} {what}. Its taxels then lie {off}."
+
+
+def change_words(change: ModuleChange) -> str:
+    """Return what a layout is to say of one module: `"module 17: angle_deg = -60, mirror = true"`."""
+    values = ", ".join(f"{key} = {str(value).lower()}" for key, value in change.keys.items())
+    return f"module {change.module}: {values}"
+
+
+def left_sentences(mend: LayoutMend) -> list[str]:
+    """Return what another layout cannot put right, and why, one sentence each."""
+    return [_unmended_sentence(left) for left in mend.left]
+
+
+def _unmended_sentence(left: Unmended) -> str:
+    numbers = left.modules
+    if left.kind is UnmendedKind.STILL_OFF:
+        return f"Module {numbers[0]} lies {left.off * 1e3:.0f} mm off its place even so: poke the modules beside it."
+    if left.kind is UnmendedKind.NO_RING:
+        start, other = numbers
+        return (
+            f"Module {start} lies where module {other} is planned, but no exchange leads around to it: "
+            f"poke modules {start} and {other} and those beside them, so that it is seen where each of them lies."
+        )
+    if left.kind is UnmendedKind.UNLIKE:
+        return (
+            f"Modules {_named(numbers)} lie in each other's places, but their kinds are different boards: exchange what the "
+            "layout says of their places by hand."
+        )
+    many = len(numbers) > 1
+    return (
+        f"Module{'s' if many else ''} {_named(numbers)} {'do' if many else 'does'} not lie as planned, but no change of the "
+        f"layout lies nearer to {'their' if many else 'its'} taxels: poke {'them' if many else 'it'} more, and look at "
+        f"{'them' if many else 'it'} on the part."
+    )
+
+
+def _named(numbers: Sequence[int]) -> str:
+    named = [str(number) for number in numbers[:MOST_NAMED]]
+    if len(numbers) > MOST_NAMED:
+        return f"{', '.join(named)} and {len(numbers) - MOST_NAMED} more"
+    return " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))
+
+
+def correction_words(used: UsedCorrection) -> str:
+    """Return what was corrected, with the miss before and after; no full stop, since files put it into comments."""
+    after, before = f"{used.after * 1e3:.1f} mm", f"{used.before * 1e3:.1f} mm"
+    who = "they" if used.of == FRAME else "held-out ones"
+    what = "the sensor's frame" if used.of == FRAME else "the rig"
+    misses = f"{who} pass their landmarks at {after} with it, at {before} without"
+    return f"{what} is corrected from {used.pokes} landmark pokes: {misses}"
+
+
+def correction_sentence(used: UsedCorrection) -> str:
+    """Return `correction_words` as a sentence."""
+    words = correction_words(used)
+    return f"{words[0].upper()}{words[1:]}."
+
+
+def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
+    """Return whether a rig can be corrected, then which landmark pokes count less."""
+    if answer.correction is None:
+        needs = f"it needs {FEWEST} pokes at landmarks, {FEWEST_POINTS} different ones"
+        return (f"No correction of the rig: {needs}; {len(answer.trust)} pokes at {answer.points} are there.",)
+    before, after = f"{answer.before * 1e3:.1f} mm", f"{answer.after * 1e3:.1f} mm"
+    misses = f"held-out pokes pass their landmarks at {after} with a correction made without them, at {before} without any"
+    first = f"The rig can be corrected: {misses}." if answer.used else f"The rig is left as it is: {misses}."
+    doubted = [
+        f"Landmark poke {poke} lies {answer.distances[poke] * 1e3:.0f} mm off its landmark and counts "
+        + ("for nothing: was it another point?" if trust <= 0 else f"{trust:.0%}.")
+        for poke, trust in answer.trust.items()
+        if trust < DOUBTED
+    ]
+    return (first, *doubted)
+
+
+def frame_sentence(found: FrameDiagnosis) -> str:
+    """Return what landmark pokes say of the sensor's frame, with the miss as reported and as corrected."""
+    reported = f"{found.miss * 1e3:.0f} mm"
+    if not found.explained:
+        return (
+            f"No known mistake of the frame explains these pokes: they pass their landmarks at {reported}; poke again, and "
+            "look at the landmarks' places."
+        )
+    slip = "."
+    if found.slip is not None:
+        off = f"{found.slip.miss * 1e3:.0f} mm"
+        slip = f", but poke {found.slip.poke} passes {found.slip.name} at {off}: was it another point?"
+    passes = f"{found.corrected_miss * 1e3:.0f} mm{slip}"
+    if found.right:
+        # Right, and off by a centimetre, reads like a contradiction.
+        whose = " That is errors of the rig, not of its frame." if found.corrected_miss > OF_RIG else ""
+        return f"The sensor's frame {'is' if found.sure else 'looks'} right: pokes pass their landmarks at {passes}{whose}"
+    wrong = f"The sensor's frame looks wrong: {_mistake_words(found.correction)}."
+    return f"{wrong} As told, pokes pass their landmarks at {reported}; so corrected, at {passes}"
+
+
+def _mistake_words(found: FrameCorrection) -> str:
+    """Return what is wrong with a frame that needs this correction."""
+    if not np.array_equal(found.motion, np.eye(4)):
+        turn, shift = found.motion[:3, :3], 1e3 * float(np.linalg.norm(found.motion[:3, 3]))
+        # Of a small turn the cosine has no digits, of one near a half turn the sine has none.
+        sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        angle = np.degrees(np.arctan2(sine, np.trace(turn) - 1.0))
+        return (
+            f"the sensor sits elsewhere on the arm than told, by about {angle:.0f} degrees and {shift:.0f} mm, or its "
+            "matrix is far off"
+        )
+    return "; ".join(filter(None, (_axes_words(found.axes), _unit_words(found))))
+
+
+def _unit_words(found: FrameCorrection) -> str:
+    if found.force_scale == GRAVITY:
+        return "the forces are kilogram-force beside newton metres"
+    return {
+        1.0: "",
+        1e-3: "the moments are newton millimetres, not newton metres",
+        1e-2: "the moments are newton centimetres, not newton metres",
+        GRAVITY: "the moments are kilogram-force metres beside newtons",
+    }[found.moment_scale]
+
+
+def _axes_words(axes: np.ndarray) -> str:
+    """Return what an order of the axes with signs is, in words; empty for the one reported."""
+    order, signs = np.abs(axes).argmax(axis=1).tolist(), axes.sum(axis=1).tolist()
+    if order == [0, 1, 2]:
+        turned = ["xyz"[axis] for axis, sign in enumerate(signs) if sign < 0]
+        if len(turned) == 3:
+            return "it reports the reaction: all signs are turned"
+        return f"the sign of {', '.join(turned)} is turned" if turned else ""
+    named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
+    return f"its axes are told in another order: x, y, z are {', '.join(named)}"
