@@ -325,8 +325,8 @@ def resource(name: str) -> Path:
     InputError
         There is no such resource.
     """
-    here = Path(__file__).resolve().parent
-    for folder in (here / "resources", here.parent / "resources"):
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "resources", package.parent / "resources"):
         if (folder / name).exists():
             return folder / name
     raise InputError(f"{name}: no such file ships with skincal; install it again.")

@@ -6,7 +6,7 @@ import pytest
 from skincal.files.export import write_calibration
 from skincal.files.lint import lint
 from skincal.taxels.result import Method
-from tests.skincal.files_support import Part, make_calibration, make_part
+from tests.skincal.files.files_support import Part, make_calibration, make_part
 
 
 @pytest.fixture(scope="module")

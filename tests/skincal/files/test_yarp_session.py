@@ -14,7 +14,7 @@ from skincal.session.road import Road
 from skincal.surface.mesh import load_surface
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.estimate_support import solve
-from tests.skincal.files_support import CHANNELS, Part, make_part
+from tests.skincal.files.files_support import CHANNELS, Part, make_part
 
 EPOCH = 1_420_000_000.0
 TAXELS = (0, 1, 2, 3)

@@ -20,7 +20,7 @@ from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.surface.mesh import load_surface
 from skincal.taxels.result import Estimate, Method, State
-from tests.skincal.files_support import Part, make_calibration, make_contacts, make_part
+from tests.skincal.files.files_support import Part, make_calibration, make_contacts, make_part
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from skincal.files.json_file import read_json
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin import load_layout
 from skincal.taxels.result import Method
-from tests.skincal.test_cli_health import sample
+from tests.skincal.cli.test_cli_health import sample
 
 SAMPLE = resource("sessions/sample")
 TRUTH = SAMPLE / "truth.json"
