@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skincal.contacts.gates import GAP_PERIODS, FinishedPress, answer_limit, finish, judge
-from skincal.contacts.health import ChannelHealth
+from skincal.contacts.channel_health import ChannelHealth
 from skincal.contacts.outcome import Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, Press, turned
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
@@ -48,7 +48,7 @@ _CROWDED = (Reason.TOO_MANY_TAXELS, Reason.NOT_CONNECTED)
 
 
 class Doubt(NamedTuple):
-    """What a poke that dead channels may have spoilt is judged by, whenever more is known of them."""
+    """A poke that dead channels may have spoilt, with all it takes to judge it again once more is known of them."""
 
     poke: FinishedPress
     after: Tare | None
@@ -121,7 +121,7 @@ class ContactDetector:
         if not np.isfinite(sample.wrench).all():
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
         arm_pose = ArmPose(link_from_sensor, pose, self._arm_angles(sample))
-        gap_s = self._clock(sample)
+        gap_s = self._hole(sample)
         self._last = sample
         outcomes = self._rejudge() if self._health.feed(sample.host_s, sample.skin) and self._unused is None else []
         tare = self._tares.tare
@@ -145,7 +145,7 @@ class ContactDetector:
         outcomes: list[Outcome] = []
         press = self._press
         if press is not None:
-            # At least a hair over the limit: the break itself is the loss, however soon it is known.
+            # A hair over the limit at least: the break itself is the loss, however soon it is known.
             lost = 0.0 if host_s is None else host_s - self.last_s
             press.lose(max(lost, GAP_PERIODS * self._period_s * (1 + 1e-9)))
             outcomes += self._end(press)
@@ -218,8 +218,8 @@ class ContactDetector:
             return None
         return sample.angles[list(arm.arm.joints)]
 
-    def _clock(self, sample: Sample) -> float:
-        """Keep the period; return the length of a hole before this sample, else 0."""
+    def _hole(self, sample: Sample) -> float:
+        """Return the length of a hole before this sample, else 0; keep the period."""
         if self._last is None:
             return 0.0
         step = sample.host_s - self._last.host_s
@@ -285,7 +285,7 @@ class ContactDetector:
         return []
 
     def _lifted(self, press: Press, sample: Sample) -> bool:
-        """Tell whether skin lies below its baseline and none above: what was tared away has left."""
+        """Return whether skin lies below its baseline and none above: what was tared away has left."""
         response = (self._scene.skin.polarity * (sample.skin - press.tare.skin))[self._candidates]
         limit = answer_limit(self._scene, self._tares.noise)[self._candidates]
         return bool((response < -limit).any()) and not (response > limit).any()
@@ -325,7 +325,7 @@ class ContactDetector:
         return [self._judge(poke, after, final=True) for poke in waiting]
 
     def _expire(self, host_s: float) -> list[Outcome]:
-        """Make final what waited in vain, so that what waits stays small."""
+        """Make final what waited in vain, so that the list of waiting pokes stays short."""
         outcomes: list[Outcome] = []
         while self._pending and host_s - self._pending[0].end_s > TARE_AGE_MAX_S:
             outcomes.append(self._judge(self._pending.pop(0), None, final=True))
@@ -363,7 +363,7 @@ class ContactDetector:
         self.responses = np.full(self._scene.skin.channels, np.nan)
 
     def _leaning(self, sample: Sample) -> bool:
-        """Tell whether the skin answers against its last known rest: something still presses."""
+        """Return whether the skin answers against its last known rest: something still presses."""
         resting = self._tares.resting
         if resting is None or sample.host_s - self._untared_since > TARE_AGE_MAX_S:
             return False

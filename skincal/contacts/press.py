@@ -1,8 +1,7 @@
-"""The arm's pose with a sample, and how far it has moved since another one.
+"""The poke in progress: its samples, how still it is held, and how far the arm moves meanwhile.
 
-How still a press is: the spread of its force and the travel of its axis over a few samples.
-
-The poke in progress: gathers its samples and finds the stillest window, with memory that does not grow.
+A press is weighed window by window, each `still_s` long: by the relative spread of its force, and by how far its force axis
+travels where the contact is. Only the stillest window is kept, so memory does not grow with the length of a press.
 """
 
 from __future__ import annotations

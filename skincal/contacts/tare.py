@@ -99,7 +99,7 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def is_quiet(window: FloatArray, following: FloatArray) -> bool:
-    """Tell whether the force rests through a window and straight after it.
+    """Return whether the force rests through a window and straight after it.
 
     Parameters
     ----------
@@ -132,9 +132,12 @@ class TareKeeper:
     def __init__(self, settings: ContactSettings, channels: int) -> None:
         self._quiet_s = settings.quiet_s
         self._run: deque[Sample] = deque()
-        self._recent: deque[Tare] = deque(maxlen=8)  # the time from `ONSET_S` before a touch and more
-        self._fresh = 0  # samples since the last tare
+        self._recent: deque[Tare] = deque(maxlen=8)
+        """Tares follow one another by half a window and more: eight reach back beyond `ONSET_S`."""
+        self._fresh = 0
+        """Samples since the last tare."""
         self._blocks = 0
+        """Quiet windows that the noise is averaged over so far."""
         self._variance = np.zeros(channels)
         self.noise: FloatArray = np.zeros(channels)
         """(channels,) float, raw units, sd of each channel at rest; 0 before the first tare."""
@@ -182,7 +185,7 @@ class TareKeeper:
         median, sd = robust_level(np.stack([sample.skin for sample in window]))
         self._learn_noise(sd)
         tare = Tare(
-            time_s=_mean_time(window),
+            time_s=mean_time(window),
             start_s=window[0].host_s,
             end_s=window[-1].host_s,
             wrench=wrench[:quiet].mean(axis=0),
@@ -200,7 +203,8 @@ class TareKeeper:
         self.noise = np.sqrt(self._variance)
 
 
-def _mean_time(window: Sequence[Sample]) -> float:
+def mean_time(window: Sequence[Sample]) -> float:
+    """Return the mean time of samples, host clock, seconds."""
     # From the first time on, so that seconds since boot keep their last digits.
     first = window[0].host_s
     return first + sum(sample.host_s - first for sample in window) / len(window)
