@@ -31,8 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skincal.contacts.gates import GAP_PERIODS, FinishedPress, answer_limit, finish, judge
 from skincal.contacts.channel_health import ChannelHealth
+from skincal.contacts.gates import GAP_PERIODS, FinishedPress, answer_limit, finish, judge
 from skincal.contacts.outcome import Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, Press, turned
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper

@@ -224,7 +224,7 @@ def test_the_sky_of_a_taxel_is_what_its_contacts_say_of_it():
     followed = after(60)
     says, contacts = followed.guidance, followed.contacts
     for channel in says.channels[says.own >= 2].tolist()[:5]:
-        sky = followed.guide.sky(channel, followed.session.evidence)
+        sky = followed.guide.axis_diversity(channel, followed.session.evidence)
         assert sky is not None
         touching = {p: c for p, c in contacts.items() if channel in c.channels}
         assert len(sky.pushes) == len(touching)
@@ -248,7 +248,7 @@ def test_the_best_side_in_the_sky_of_the_target_is_the_one_that_is_asked_for(pok
     for _ in range(3 if pokes == 3 else 0):
         followed.poke()
     target = followed.guidance.target
-    sky = followed.guide.sky(target.channel, followed.session.evidence)
+    sky = followed.guide.axis_diversity(target.channel, followed.session.evidence)
     assert sky is not None
     np.testing.assert_array_equal(sky.tried[sky.worth.argmax()], target.push)
     assert sky.worth.max() > 0
@@ -257,23 +257,23 @@ def test_the_best_side_in_the_sky_of_the_target_is_the_one_that_is_asked_for(pok
 
 def test_a_taxel_without_contacts_has_an_empty_sky_and_a_stranger_none():
     followed = Followed()
-    assert guide().sky(0, followed.session.evidence) is None, "nothing was told yet"
+    assert guide().axis_diversity(0, followed.session.evidence) is None, "nothing was told yet"
     target = followed.guidance.target
-    sky = followed.guide.sky(target.channel, followed.session.evidence)
+    sky = followed.guide.axis_diversity(target.channel, followed.session.evidence)
     assert sky is not None
     assert (sky.pushes.shape, sky.offsets.shape, sky.own.shape, sky.diversity) == ((0, 3), (0, 3), (0,), 0.0)
-    assert followed.guide.sky(10**6, followed.session.evidence) is None
+    assert followed.guide.axis_diversity(10**6, followed.session.evidence) is None
 
 
 def test_a_side_that_was_skipped_is_worth_nothing():
     followed = Followed(seed=3)
     first = followed.guidance.target
-    open_ = followed.guide.sky(first.channel, followed.session.evidence)
+    open_ = followed.guide.axis_diversity(first.channel, followed.session.evidence)
     assert open_ is not None
     assert (open_.worth > 0).all()
     for _ in range(SKIPPED):
         followed.guide._skips.setdefault(followed.guide._knowledge.row(first.channel), []).append(first.push)
-    sky = followed.guide.sky(first.channel, followed.session.evidence)
+    sky = followed.guide.axis_diversity(first.channel, followed.session.evidence)
     assert sky is not None
     np.testing.assert_array_equal(sky.worth == 0.0, sky.tried @ first.push > np.cos(np.radians(25.0)))
     np.testing.assert_array_equal(sky.worth[sky.worth > 0], open_.worth[sky.worth > 0])
