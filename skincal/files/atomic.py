@@ -52,6 +52,6 @@ def _keep_old(path: Path) -> None:
     try:
         spare.hardlink_to(path)
     except OSError:
-        # A file system without hard links, such as FAT: copy.
+        # A file system without hard links, such as FAT: the second name costs a copy.
         spare.write_bytes(path.read_bytes())
     spare.replace(backup)

@@ -142,7 +142,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
     lines = [
         f"skincal {calibration.version}, {method.value} method, metres in {_word(calibration.scene.link)}",
         f"{placed} of {len(estimates)} taxels have a position; rows of six zeros are no positions",
-        *(one.words for one in calibration.corrections),
+        *(used.words for used in calibration.corrections),
     ]
     for state in State:
         channels = [estimate.channel for estimate in estimates if estimate.state is state and estimate.position is None]

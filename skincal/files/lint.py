@@ -27,7 +27,7 @@ SAME_PLACE = 1e-6
 UNIT_TOLERANCE = 1e-6
 """A unit vector of doubles is unit to 1e-15; more than this was never normalised."""
 CHIRALITY_TAXELS = 6
-"""Taxels of a module from which its handedness is told: three more than a plane fit uses up."""
+"""Least taxels of a module whose handedness is judged: three more than a plane fit uses up."""
 CHIRALITY_RATIO = 0.6
 """The mirrored layout must fit this much better to say so; the paper's modules fit 2.1 mm straight, 10.4 mm mirrored."""
 NEIGHBOUR_SPACINGS = 1.3
@@ -149,7 +149,7 @@ def _mirrored(taxels: PlacedTaxels, layout: Layout) -> list[str]:
 
 
 def _looks_mirrored(pads: FloatArray, positions: FloatArray, normal: FloatArray) -> bool:
-    """Tell whether the mirror image of `pads` (k, 2) fits `positions` (k, 3), seen against `normal`, clearly better."""
+    """Return whether the mirror image of `pads` (k, 2) fits `positions` (k, 3), seen against `normal`, clearly better."""
     turn = cross_matrix(normal)
     across = turn @ np.eye(3)[np.abs(normal).argmin()]
     across = across / np.linalg.norm(across)

@@ -25,9 +25,9 @@ class Origin(Enum):
     TRUTH = "truth"
     """A simulated rig's: where its taxels are."""
     FILE = "file"
-    """A file that the operator chose: as true as whoever wrote it made it."""
+    """A file that the operator chose: as true as it was made."""
     PLAN = "plan"
-    """The scene's layout laid on the part: boards stretch and are glued askew, so it may lie a few millimetres off."""
+    """The scene's layout laid on the part: modules stretch and are glued askew, so it may lie a few millimetres off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

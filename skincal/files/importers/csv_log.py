@@ -11,8 +11,8 @@ With a header, columns are found by name, in any order and case:
 Without a header, the first column is the time in seconds and the others follow in this order; joints are degrees. Fields
 are separated by comma, semicolon (then a comma is a decimal point), tab or spaces.
 
-Each row becomes the line `<number> <seconds> <values>` of a YARP log, joints in degrees, which is the plainest form of the
-same content that a decoder reads; the session's journal holds these lines.
+Each row becomes the line `<number> <seconds> <values>` of a YARP log, joints in degrees: the plainest form of the same content
+that a decoder reads. The session's journal holds these lines, not the rows.
 """
 
 from __future__ import annotations
@@ -247,5 +247,5 @@ def _value(row: list[str], at: int, factor: float) -> str:
     if not row[at]:
         return "nan"
     value = _to_float(row[at])
-    # What is no number goes on as it is: the decoder counts it.
+    # What is no number goes on as it is, so that the decoder counts it.
     return repr(value * factor) if value is not None else row[at].replace(" ", "?")

@@ -1,7 +1,7 @@
-"""Recorded lines with their stamps, put on one clock and merged, so that a recording plays as a live rig would.
+"""Recorded lines with their stamps, put on a common clock and merged, so that a recording plays as a live rig would.
 
 Stamps of a recording jump: a clock is set back, messages come out of order, a program hangs. Each file is read twice: first
-`scan` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of one
+`scan` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of a common
 clock that never runs backwards. Neither holds more than a line of each file.
 
 - A stamp a little before the one before it (`OUT_OF_ORDER`) is a message that came late: it is placed at the time of the
@@ -35,7 +35,7 @@ GAP_INTERVALS = 5.0
 GAP_MIN = 0.1
 """s. ...if it is also longer than this: a poke's still window is 0.3 s."""
 SHARED_JUMP = 0.2
-"""s. Two clocks set back by amounts this near were one clock: the amount is known to within an interval of each file."""
+"""s. Two clocks set back by amounts this near were the same clock: the amount is known to within an interval of each file."""
 ASTRAY_LINES = 3
 """Lines. A clock that was set stays set; a stamp that was written wrong is right again after so many."""
 SPAN_MAX = 1e8
@@ -76,7 +76,7 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class RecordedTimes:
-    """What a first reading of a file tells."""
+    """What a first reading of a file's stamps finds."""
 
     name: str
     lines: int
@@ -117,7 +117,7 @@ class RecordedTimes:
 
 @dataclass(frozen=True, slots=True)
 class _Leap:
-    """A stamp far from the one before it, until it is sure whether the clock was set or the stamp written wrong."""
+    """A stamp far from the one before it, until it is clear whether the clock was set or the stamp written wrong."""
 
     line: int
     highest: float
@@ -163,7 +163,7 @@ class _Scan:
             self._settle()
 
     def _far(self, stamp: float) -> None:
-        """Take a stamp far from the one before it: back where the clock was before a leap, or a leap of its own."""
+        """Note a stamp far from the one before it: back where the clock was before a leap, or a new leap."""
         leap = self.leap
         if leap is not None and abs(stamp - leap.highest) <= OUT_OF_ORDER:
             self.astray.update(range(leap.line, self.lines))
@@ -205,7 +205,7 @@ class _Scan:
 
     def timeline(self, name: str) -> RecordedTimes:
         if self.leap is not None and self.leap.pause > SPAN_MAX:
-            # The last lines of the file: nothing after them can tell, but no recording pauses for years.
+            # The last lines of the file: no line after them decides it, but no recording pauses for years.
             self.astray.update(range(self.leap.line, self.lines))
             self.latest, self.leap = self.leap.highest + self.leap.shift, None
         self._settle()
@@ -315,7 +315,7 @@ def _placed(timeline: RecordedTimes, lines: Iterator[RecordedLine], origin: floa
 
 
 def _chunks(timeline: RecordedTimes, lines: Iterator[_Placed], *, together: bool) -> Iterator[Chunk]:
-    """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is one alone.
+    """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is a chunk alone.
 
     The clock of a decoder takes a chunk's time for the arrival of each of its lines, and the least delay for the true one: the
     last line's is right, the others only look late. A clock's first line has no other to be measured by.

@@ -37,11 +37,11 @@ STAMPS_APART = 10.0
 EPOCH_MIN = 1e8
 """s. A stamp of a computer's clock is later (1973); no force, angle or raw value of a taxel is as large."""
 GRAMMAR_LINES = 50
-"""Lines from which the grammar of an old log is told."""
+"""Lines from which the grammar of an old log is found."""
 BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
 TOO_LONG = b"...\n"
-"""No record, so that it is counted as one that cannot be read."""
+"""Stands for a line that is too long: no record, so that it is counted as unreadable."""
 FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
 """Number of stamps to the name of the decoder..."""
 BY_RECEIVER = "yarp-rx"
@@ -96,7 +96,7 @@ class _Contents:
     widths: Counter[int] = field(default_factory=Counter[int])
     """Number of lines by their number of values, plain vectors only."""
     levels: set[float] | None = field(default_factory=set[float])
-    """Distinct values of a skin; None once they are not those of a binarised one."""
+    """Distinct values of a skin; None once they are not those of a binarised skin."""
 
 
 def read_yarp(
@@ -131,7 +131,7 @@ def read_yarp(
         findings += [*log.findings, *timeline.sentences(), *sentences]
     check_overlap(timelines)
     findings += _clock_findings(logs)
-    # A frame takes the last angles before it, so those must not come later than it; a wrench may: frames wait for it.
+    # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
     joints_alone = [log.name for log in logs if log.stream is Stream.JOINTS]
     chunks = merged(agree(timelines), [log.lines for log in logs], joints_alone)
     return tuple(log.link for log in logs), chunks, tuple(findings)
@@ -229,7 +229,7 @@ def _whole_lines(path: Path) -> Iterator[bytes]:
 
 
 def _ends_open(path: Path) -> bool:
-    """Tell whether the last line of a file has no end."""
+    """Return whether the last line of a file has no end."""
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(size - 1, 0))
@@ -296,7 +296,7 @@ def _levels(words: list[bytes], levels: set[float]) -> set[float] | None:
 
 
 def _check_width(log: _Log, contents: _Contents) -> None:
-    """Tell a skin's log from a wrench's before all of its lines are refused."""
+    """Refuse a wrench log whose lines have another width, before each of them is refused by the decoder."""
     if log.stream is Stream.WRENCH and contents.widths and 6 not in contents.widths:
         width = contents.widths.most_common(1)[0][0]
         raise InputError(f"{log.path}: its lines hold {width} values; expected six, fx fy fz mx my mz: is this the F/T log?")
