@@ -33,7 +33,7 @@ def print_result(result: Mapping[str, Any], as_json: bool) -> None:
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     """Count pokes by what became of them."""
     records, named = snapshot.pokes, snapshot.at_landmarks
-    # A poke at a landmark is none of the skin's, be it that no taxel answered: that is no fault.
+    # A poke at a landmark is not meant for the skin: that no taxel answered is no fault there.
     reasons = Counter(
         r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection) and r.outcome.poke not in named
     )
@@ -83,7 +83,7 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
 
 
 _BESIDE = {"excluded": "excluded", "at_landmarks": "at landmarks"}
-"""Counts that are told where there are some, and in which words."""
+"""Counts that are named only where they are not 0, and in which words."""
 
 
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
@@ -124,7 +124,7 @@ def loss_lines(losses: Mapping[str, Any]) -> list[str]:
 
 
 def link_notes(links: Sequence[LinkHealth]) -> list[str]:
-    """Return what the boards of open links got wrong or said last."""
+    """Return what the devices of open links got wrong or said last."""
     return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]
 
 

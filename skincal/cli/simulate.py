@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 SESSION_POKES = 252
-"""Pokes of a recorded session unless told: three for each taxel of the paper's forearm."""
+"""Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
 
 
 class Errors(Enum):
@@ -49,7 +49,7 @@ class OperatorKind(Enum):
 
 
 class Wire(Enum):
-    """What the simulated boards speak."""
+    """What the simulated devices send."""
 
     SKB = "skb"
     SKT = "skt"
@@ -86,7 +86,7 @@ def simulate(
         typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
     ] = 1.0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
-    wire: Annotated[Wire, typer.Option(help="What the boards speak: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
+    wire: Annotated[Wire, typer.Option(help="What the devices send: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
     as_json: Json = False,
 ) -> None:
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
@@ -97,6 +97,7 @@ def simulate(
     """
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.operator import Habits
+    from skincal.simulate.rig import RigErrors
 
     loaded = find_scene(scene)
     if serve == (out is not None):
@@ -109,7 +110,7 @@ def simulate(
         surface=_surface(loaded),
         pokes=pokes,
         seed=seed,
-        errors=_errors(errors),
+        errors={Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors](),
         poses=tuple(name.strip() for name in poses.split(",") if name.strip()),
         habits=(Habits.careful() if careful else Habits()).at_pace(pace),
         settings=DeviceSettings(format=wire.value),
@@ -132,12 +133,6 @@ class _Play:
     poses: tuple[str, ...]
     habits: Habits
     settings: DeviceSettings
-
-
-def _errors(errors: Errors) -> RigErrors:
-    from skincal.simulate.rig import RigErrors
-
-    return {Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors]()
 
 
 def _surface(scene: Scene) -> Surface | None:
