@@ -1,6 +1,6 @@
 """A scene: what there is to calibrate, read from a TOML file.
 
-It decides which solvers, layers, panels and imports exist: what a scene does not have is None here and costs nothing.
+It decides which methods, layers of the view and panels exist: what a scene does not have is None here and costs nothing.
 The file's lengths are metres and its angles degrees unless the key ends in a unit; see `docs/scene.md`.
 """
 
@@ -95,8 +95,8 @@ class NoiseSettings:
     moment: float = 0.010
     """N m, sd of each moment component: likewise; the FT45 resolves 0.005 N m."""
     contact: float = 0.0015
-    """m, sd of the contact about the taxel that answers most, each direction in the skin: by hand one aims to 2 mm, and where
-    the tip lands farther off, a neighbour answers more."""
+    """m, sd of the contact about the taxel that answers most, each direction in the skin: a hand aims to 2 mm, and where the tip
+    lands farther off, a neighbour answers more."""
     reach: float = 0.0025
     """m, how far beside the tip the skin answers: a taxel that the tip misses by this much, each direction, more than the one
     that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.foam`)."""
@@ -155,7 +155,7 @@ class Scene:
 
 
 def load_scene(path: Path) -> Scene:
-    """Read a scene file and the layout it names; the mesh is left to `skincal.surface`, which costs more.
+    """Read a scene file and the layout it names; the mesh is read elsewhere, which costs more.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
         wanted: type = int if isinstance(default, int) else float
         key = _IN_DEGREES.get(item.name, item.name)
         value = table.take(key, wanted, default)
-        # What is 0 unless given may be given as 0.
+        # 0 is allowed only where it is the default: it switches that noise off.
         if not (value > 0 or value == default):
             expected = "0 or a number above" if default == 0 else "a number above 0"
             raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")

@@ -1,6 +1,6 @@
 """Channels, modules and their flat layout: what the maker of the skin knows.
 
-A module is a rigid or flexible board with taxels at known places of its own plane. The layout puts modules in one
+A module is a rigid or flexible carrier with taxels at known places of its own plane. The layout puts modules in one
 plane, unrolled: p = c + R(theta) (mirror ? (-x, y) : (x, y)), the rule of the iCub's `skinGui` files
 (`SkinMeshThreadPort.cpp`). Lengths are metres, angles radians.
 """
@@ -38,6 +38,7 @@ def _mm(points: list[tuple[float, float]]) -> FloatArray:
 _AT_ONCE = 256
 """Taxels whose neighbours are looked for at once: 17 MB of differences to 4,200 taxels."""
 _NONE = float("nan")
+"""Coordinate of a pad that is no taxel."""
 KINDS: dict[str, ModuleKind] = {
     # icub-main app/skinGui, Triangle.h: the paper's 12-taxel triangle, side 30 mm.
     "triangle_12": ModuleKind(
@@ -82,7 +83,7 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Module:
-    """One board of the skin, in the layout's plane."""
+    """A carrier of several taxels, in the layout's plane."""
 
     id: int
     kind: ModuleKind
@@ -192,7 +193,7 @@ def read_layout(text: str, path: Path, width: int) -> Layout:
 
     Parameters
     ----------
-    path : of the file, for what is said of it
+    path : of the file, for the sentences about it
     width : channels of a skin frame
 
     Raises
@@ -214,19 +215,19 @@ def read_layout(text: str, path: Path, width: int) -> Layout:
 
 
 def _check_owners(modules: tuple[Module, ...], path: Path) -> None:
-    taken: dict[int, int] = {}
+    owner: dict[int, int] = {}
     ids: set[int] = set()
     for module in modules:
         if module.id in ids:
             raise InputError(f"{path}: two modules have the id {module.id}; each module has its own: correct one.")
         ids.add(module.id)
         for channel in module.channels:
-            if int(channel) in taken:
+            if int(channel) in owner:
                 raise InputError(
-                    f"{path}: channel {channel} belongs to modules {taken[int(channel)]} and {module.id}; "
+                    f"{path}: channel {channel} belongs to modules {owner[int(channel)]} and {module.id}; "
                     "each channel has one place: correct first_channel."
                 )
-            taken[int(channel)] = module.id
+            owner[int(channel)] = module.id
 
 
 def _read_kind(name: str, table: Table) -> ModuleKind:

@@ -1,4 +1,4 @@
-"""A table of a TOML file, read so that what is missing, of another kind or not known is named with where it stands."""
+"""A table of a TOML file, read so that each missing, wrong or unknown value is named with its place in the file."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
 
 
 class Table:
-    """Gives out each value once; `done` names what was not asked for.
+    """Gives out each value once; `done` refuses what was not asked for.
 
     Parameters
     ----------
