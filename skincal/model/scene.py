@@ -95,8 +95,8 @@ class NoiseSettings:
     moment: float = 0.010
     """N m, sd of each moment component: likewise; the FT45 resolves 0.005 N m."""
     contact: float = 0.0015
-    """m, sd of the contact about the taxel that answers most, each direction in the skin: a hand aims to 2 mm, and where the tip
-    lands farther off, a neighbour answers more."""
+    """m, sd of the contact about the taxel that answers most, each direction in the skin: a hand aims to 2 mm, and where the
+    tip lands farther off, a neighbour answers more."""
     reach: float = 0.0025
     """m, how far beside the tip the skin answers: a taxel that the tip misses by this much, each direction, more than the one
     that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.foam`)."""

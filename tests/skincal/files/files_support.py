@@ -17,11 +17,11 @@ from skincal.taxels.result import Estimate, Method, State
 CHANNELS = 48
 RADIUS = 0.040
 SCENE = """
-name = "bent-board"
+name = "bent-part"
 link = "r_forearm_dh_frame"
 [skin]
 channels = 48
-modules = "boards.toml"
+modules = "modules.toml"
 [skin.anchor]
 at_mm = [0, 0]
 point_mm = [0, 100, 40]
@@ -67,7 +67,7 @@ def make_part(folder: Path) -> Part:
     """Write scene, modules and a tube of 40 mm radius along y into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "tube.obj").write_text(_tube())
-    (folder / "boards.toml").write_text(MODULES)
+    (folder / "modules.toml").write_text(MODULES)
     (folder / "scene.toml").write_text(SCENE)
     scene = load_scene(folder / "scene.toml")
     layout = scene.skin.layout
