@@ -243,7 +243,9 @@ def _correct(session: Session) -> None:
     if not session.landmark_pokes:
         raise InputError("--correct needs pokes at landmarks; this session has none.")
     frame, rig = _landmark_findings(session)
+    # A frame's correction changes what is found of the rig, so both are looked at again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
+        # Offered again, it is the same correction renewed: nothing more is gained.
         if action.of in session.corrections:
             break
         if action.of == FRAME and frame is not None and not frame.sure:
@@ -314,6 +316,7 @@ def _write_all(pipeline: Road, folder: Path, part: str | None) -> tuple[list[str
     def write(format_: ExportFormat, name: str, method: Method) -> None:
         path = folder / name
         for sentence in write_calibration(calibration, format_.value, path, method, part):
+            # Several formats of the same calibration have the same faults.
             if sentence not in findings:
                 findings.append(sentence)
         files.append(str(path))

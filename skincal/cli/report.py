@@ -53,6 +53,7 @@ def method_summary(
 
     `spacing_ratio` is how far neighbours lie apart over how far the layout plans it; None without a layout.
     """
+    # All states are written, also those of no taxel, so that a program finds each key.
     states = Counter(e.state.value for e in estimates)
     rms = [e.rms * 1e3 for e in estimates if e.rms is not None]
     summary: dict[str, Any] = {
@@ -82,8 +83,8 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
     return {"links": counts, "frames_without_wrench": unpaired}
 
 
+# Counts that are named only where they are not 0, and in which words.
 _BESIDE = {"excluded": "excluded", "at_landmarks": "at landmarks"}
-"""Counts that are named only where they are not 0, and in which words."""
 
 
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
@@ -130,6 +131,7 @@ def link_notes(links: Sequence[LinkHealth]) -> list[str]:
 
 def silent_links(links: Sequence[LinkHealth]) -> str:
     """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
+    # The device's own last words say more than what can be guessed from its bytes.
     silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
     return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
 

@@ -177,6 +177,7 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
     from skincal.simulate.serve import Server
     from skincal.simulate.session import truth
 
+    # Streams of their own: another operator meets the same rig and the same devices.
     rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)
     rig = Rig(play.scene, play.surface, play.errors, rig_rng)
     if operator is OperatorKind.TOLD:
@@ -208,6 +209,7 @@ def _run(server: Server, told: Told | Guided | None) -> None:
         stop.set()
 
     signal.signal(signal.SIGTERM, end)
+    # A daemon: it waits in a read that nothing can interrupt.
     threading.Thread(target=_listen, args=(told, stop), name="orders", daemon=True).start()
     try:
         server.run(stop)

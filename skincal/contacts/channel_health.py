@@ -39,8 +39,8 @@ CROWD = 32
 """Answers. A poke with more, such as a palm, says nothing about single channels."""
 NEIGHBOUR = 1.2
 """Spacings of the layout between direct neighbours, at most."""
+# How the sentence on each kind begins.
 _NO_NUMBER, _STUCK, _ALWAYS_ON = "gives no number", "stuck", "always on"
-"""How the sentence on each kind begins."""
 
 
 class ChannelHealth:
@@ -116,6 +116,7 @@ class ChannelHealth:
         assert self._places is not None
         places = self._places[answered]
         distance = np.linalg.norm(self._places[:, None] - places[None], axis=-1)
+        # A taxel is not another one of those that answered.
         distance[np.flatnonzero(answered), np.arange(len(places))] = np.inf
         nearest = distance.min(axis=1)
         return np.where(np.isfinite(nearest), nearest, 0.0)
@@ -157,6 +158,7 @@ class ChannelHealth:
         assert self._last is not None
         rest = host_s - self._changed_s[self._candidates]
         value = self._last[self._candidates]
+        # Only on a skin whose typical channel changes in most frames does an exact rest mean anything.
         restless = float(np.median(self._changes[self._candidates])) >= RESTLESS * self._frames
         for channel in self._candidates[(rest >= STUCK_S) & restless]:
             dead[int(channel)] = f"{_STUCK}: exactly {self._last[channel]:g} for {STUCK_S:g} s or more while the others vary"

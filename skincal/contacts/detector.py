@@ -41,10 +41,10 @@ from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.model.readings import Sample
 from skincal.model.scene import Scene
 
+# Samples whose median spacing is the period; enough to outvote a few missing frames.
 _PERIOD_SAMPLES = 15
-"""Samples whose median spacing is the period; enough to outvote a few missing frames."""
+# Reasons that may fall away once a channel is found to be dead.
 _CROWDED = (Reason.TOO_MANY_TAXELS, Reason.NOT_CONNECTED)
-"""Reasons that may fall away once a channel is found to be dead."""
 
 
 class Doubt(NamedTuple):
@@ -119,6 +119,7 @@ class ContactDetector:
         The pokes that ended with this sample, and those that became final, in the order of their numbers.
         """
         if not np.isfinite(sample.wrench).all():
+            # NaN would spoil every mean; a saturated sample is counted, and its poke is rejected.
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
         arm_pose = ArmPose(link_from_sensor, pose, self._arm_angles(sample))
         gap_s = self._hole(sample)
@@ -233,6 +234,7 @@ class ContactDetector:
     def _idle(self, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
         outcomes: list[Outcome] = []
         if gap_s > 0:
+            # A quiet window is made of successive samples.
             self._tares.interrupt()
         if self._tare_pose is not None and self._turned(self._tare_pose, pose):
             outcomes += self._settle(None)
@@ -333,6 +335,7 @@ class ContactDetector:
 
     def _judge(self, poke: FinishedPress, after: Tare | None, *, final: bool) -> Outcome:
         outcome = judge(poke, self._scene, after, final, self._left_out())
+        # A first judgement is not kept: the final one follows.
         if final and _is_crowded(outcome):
             self._doubts[poke.number] = Doubt(poke, after), outcome
         return outcome

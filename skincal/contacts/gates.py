@@ -222,6 +222,7 @@ def widest_gap(places: FloatArray) -> float:
     ----------
     places : (k, 2) float, metres, k >= 1
     """
+    # Prim's algorithm: the place nearest to the tree joins it, and brings its own distances.
     distance = np.linalg.norm(places[0] - places, axis=1)
     inside = np.zeros(len(places), dtype=bool)
     inside[0] = True
@@ -265,6 +266,7 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
 
 def _means(window: StillWindow) -> StillMean:
     samples = window.samples
+    # The arm hardly moves within the window; the pose of its middle stands for all.
     middle = window.poses[len(samples) // 2]
     return StillMean(
         start_s=samples[0].host_s,

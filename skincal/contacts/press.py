@@ -54,8 +54,8 @@ def _rotation(first: FloatArray, second: FloatArray) -> float:
 CONTACT_REACH = 0.1
 """m. The contact lies at most so far along the force axis from its point nearest to the sensor's origin: the radius of a
 robot's limb and more."""
+# Standard errors by which a travel must exceed its limit: noise alone moves few still presses by more.
 _SURE = 2.0
-"""Standard errors by which a travel must exceed its limit: noise alone moves few still presses by more."""
 
 
 def force_spread(force: FloatArray) -> float:
@@ -203,6 +203,7 @@ class Press:
         """Take one sample of the press."""
         self.end_s = sample.host_s
         if sample.saturated:
+            # Its force is not known, and a still window must not reach across it.
             self.saturated += 1
             self.still = 0.0
             self._window.clear()

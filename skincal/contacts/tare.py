@@ -36,8 +36,8 @@ MOST_WINDOW = 1024
 """Samples. A window holds no more, however fast the device says it is: memory stays small."""
 NOISE_BLOCKS = 16
 """Quiet windows over which a channel's noise is averaged: ten samples alone give it to 25 %."""
+# Interquartile range of a normal distribution in standard deviations.
 _IQR_OF_SD = 1.349
-"""Interquartile range of a normal distribution in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +87,7 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     count = values.shape[0] - np.isnan(values).sum(axis=0)
     last = np.maximum(count - 1, 0)
 
+    # Linear between the two nearest values in order, each column with its own count.
     def at(share: float) -> FloatArray:
         place = share * last
         low = place.astype(np.int64)
@@ -132,12 +133,12 @@ class TareKeeper:
     def __init__(self, settings: ContactSettings, channels: int) -> None:
         self._quiet_s = settings.quiet_s
         self._run: deque[Sample] = deque()
+        # Tares follow one another by half a window and more: eight reach back beyond `ONSET_S`.
         self._recent: deque[Tare] = deque(maxlen=8)
-        """Tares follow one another by half a window and more: eight reach back beyond `ONSET_S`."""
+        # Samples since the last tare.
         self._fresh = 0
-        """Samples since the last tare."""
+        # Quiet windows that the noise is averaged over so far.
         self._blocks = 0
-        """Quiet windows that the noise is averaged over so far."""
         self._variance = np.zeros(channels)
         self.noise: FloatArray = np.zeros(channels)
         """(channels,) float, raw units, sd of each channel at rest; 0 before the first tare."""
@@ -198,6 +199,7 @@ class TareKeeper:
 
     def _learn_noise(self, sd: FloatArray) -> None:
         self._blocks = min(self._blocks + 1, NOISE_BLOCKS)
+        # A running mean of the variance: of the first blocks all alike, then the newest weigh one in `NOISE_BLOCKS`.
         known = np.isfinite(sd)
         self._variance[known] += (sd[known] ** 2 - self._variance[known]) / self._blocks
         self.noise = np.sqrt(self._variance)

@@ -121,12 +121,12 @@ class _Part:
     """What the scene says about the part's shape."""
 
     surface: Surface | None
+    # The layout as planned, where there is no surface.
     laid: LaidSkin | None
-    """The layout as planned, where there is no surface."""
+    # Sentences on the mesh itself.
     findings: tuple[str, ...] = ()
-    """Sentences on the mesh itself."""
+    # Why a check could not be done, or says little.
     troubles: tuple[str, ...] = ()
-    """Why a check could not be done, or says little."""
 
 
 def write_calibration(
@@ -154,6 +154,7 @@ def write_calibration(
     """
     if format not in FORMATS:
         raise InputError(f"the format is {format!r}; expected one of {', '.join(FORMATS)}.")
+    # Refuses a method without estimates before the mesh is loaded.
     calibration.of(method)
     shape = _part(calibration)
     text = _text(calibration, format, method, part, shape)
@@ -203,6 +204,7 @@ def _changed_ns(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns
     except OSError:
+        # `load_surface` says what is wrong with it.
         return 0
 
 

@@ -84,6 +84,7 @@ def _at_origin(taxels: PlacedTaxels) -> list[str]:
 
 
 def _same_place(taxels: PlacedTaxels) -> list[str]:
+    # Neighbouring cells are not compared: copies agree in every digit.
     cells = np.round(taxels.positions / SAME_PLACE).astype(np.int64)
     _, group, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     shared = taxels.channels[count[group.ravel()] > 1]
@@ -150,6 +151,7 @@ def _mirrored(taxels: PlacedTaxels, layout: Layout) -> list[str]:
 
 def _looks_mirrored(pads: FloatArray, positions: FloatArray, normal: FloatArray) -> bool:
     """Return whether the mirror image of `pads` (k, 2) fits `positions` (k, 3), seen against `normal`, clearly better."""
+    # Two directions across the normal: the plane in which the pads are compared.
     turn = cross_matrix(normal)
     across = turn @ np.eye(3)[np.abs(normal).argmin()]
     across = across / np.linalg.norm(across)
@@ -171,6 +173,7 @@ def _spacing(taxels: PlacedTaxels, layout: Layout) -> list[str]:
     ratios: list[float] = []
     for module in layout.modules:
         own, placed = _pads_of(module, taxels)
+        # Every pair of the module's taxels once.
         first, second = np.triu_indices(len(own), 1)
         pads, positions = module.pads[own], taxels.positions[placed]
         planned = np.linalg.norm(pads[first] - pads[second], axis=1)

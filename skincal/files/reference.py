@@ -82,6 +82,7 @@ def load_reference(path: Path, link: str, channels: Collection[int], origin: Ori
         As for `read_reference`; also if the file is of another link or knows none of the channels.
     """
     named, places = _read(path)
+    # An iCub file names no link; the operator answers for it.
     if named and named != link:
         raise InputError(f"{path}: its places are in the frame of {named!r}; the scene calibrates {link!r}.")
     if not places.keys() & set(channels):

@@ -38,8 +38,8 @@ REACHED = 1.35
 that do are nearer."""
 MOST_CUBES = 2.0**20
 """Of the grid in which neighbours are looked for, along each side: their numbers fit into 64 bits."""
+# Least weight of a neighbour: it hardly counts.
 _HARDLY = 1e-3
-"""Least weight of a neighbour: it hardly counts."""
 FORCE = 9.0
 """N, the middle of what a hand presses (6 to 12)."""
 
@@ -161,6 +161,7 @@ def _covariances(state: ChoiceState, rows: IntArray) -> FloatArray:
         found = np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
     else:
         found = _inverse(state.information[rows])
+    # Where the solver's own error is larger, it counts.
     total = np.trace(found, axis1=1, axis2=2)
     return found * np.maximum(state.solved[rows] ** 2 / total, 1.0)[:, None, None]
 
@@ -189,6 +190,7 @@ def gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: floa
     before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
     total, less = _lowered(state, rows, before, touched, weights, noise)
     after = np.sqrt(np.maximum(total - less, 0.0))
+    # Nothing is gained below half the wanted error: what is known well is not polished further.
     floor = state.wanted / 2.0
     lower = np.maximum(np.sqrt(total), floor) - np.maximum(after, floor)
     lower *= (weights > 0)[:, None] * state.open[touched][:, None]
@@ -210,6 +212,7 @@ def _lowered(
     precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), noise)
     # The chance that it answers at all is about its share of the strongest answer.
     beside = _inverse(precision).reshape(m, d, k, 2, 2) / weights[:, None, :, None, None]
+    # The trace of S J'(D + J S J')^-1 J S, by which the contact lowers that of S.
     moved: FloatArray = pairs @ before[:, None]
     spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
     inverse = _inverse(spread)
@@ -240,10 +243,10 @@ class Cover:
         self.places, triangles = spread(surface, SPACING)
         self.normals: FloatArray = surface.normals[triangles]
         self._poked: FloatArray = np.full(len(self.places), np.inf)
+        # (n,) float, metres, from each place to the nearest poke, and to the nearest that was answered.
         self._answered: FloatArray = np.full(len(self.places), np.inf)
-        """(n,) float, metres, from each place to the nearest poke, and to the nearest that was answered."""
+        # Where each poke was, (3,) metres, and whether a taxel answered.
         self._pokes: dict[int, tuple[FloatArray, bool]] = {}
-        """Where each poke was, (3,) metres, and whether a taxel answered."""
         self._counted = set[int]()
         self._left_out = np.zeros(len(self.places), dtype=bool)
 
@@ -256,6 +259,7 @@ class Cover:
 
     def keep(self, numbers: Collection[int]) -> None:
         """Count the pokes among `numbers` alone: others were taken back."""
+        # Distances to the nearest poke only shrink while pokes come; once a poke is gone they are computed again.
         there = self._pokes.keys() & set(numbers)
         if not self._counted <= there:
             self._counted = set[int]()
@@ -306,6 +310,7 @@ def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
     """
     corners = surface.corners
     longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
+    # Pieces of at most half the spacing; what lies too near together is thinned out afterwards.
     steps = np.ceil(2.0 * longest / spacing).astype(np.int64).clip(min=1)
     places, triangles = list[FloatArray](), list[IntArray]()
     for count in np.unique(steps).tolist():
@@ -334,6 +339,7 @@ def _thinned(places: FloatArray, apart: float) -> IntArray:
 
 def _lattice(count: int) -> FloatArray:
     """Return (n, 3) barycentric coordinates of the middles of the `count`^2 equal triangles into which a triangle is cut."""
+    # Pieces that stand as the triangle does, and those upside down between them.
     up = [(i, j) for i in range(count) for j in range(count - i)]
     down = [(i, j) for i in range(count - 1) for j in range(count - 1 - i)]
     pairs = np.array([(i + 1 / 3, j + 1 / 3) for i, j in up] + [(i + 2 / 3, j + 2 / 3) for i, j in down]) / count

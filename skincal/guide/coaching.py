@@ -92,6 +92,7 @@ def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) 
     if not cosine > FLAT:
         return None
     point = axis_point(felt.force, felt.moment)
+    # Along the axis to the plane through the target on the skin.
     contact = point + float((point - skin) @ normal) / cosine * push
     return Coaching(
         contact=contact,

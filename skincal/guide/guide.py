@@ -91,10 +91,10 @@ class Guide:
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._pokes = PokeHistory(plan.channels, self.settings)
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
+        # (n,) channels that the plan puts nowhere: no taxels until they answer.
         self._loose: BoolArray = np.isnan(plan.places[:, 0])
-        """(n,) channels that the plan puts nowhere: no taxels until they answer."""
+        # m, sd of what the rig moves all estimates by, each direction.
         self._rig: float = 0.0
-        """m, sd of what the rig moves all estimates by, each direction."""
         self._gains_of: GuidePhase | None = None
         self._gains = np.full((count, candidates.TRIES), -np.inf)
         self._stale = np.ones(count, dtype=bool)
@@ -102,14 +102,14 @@ class Guide:
         self._lay_out()
         self._state: candidates.ChoiceState | None = None
         self._last: Target | None = None
+        # Index of the last target and of its push, as long as nothing but its numbers changed.
         self._kept: tuple[int, int] | None = None
-        """Index of the last target and of its push, as long as nothing but its numbers changed."""
+        # Of the cover, where the last target is one of its places.
         self._place: int | None = None
-        """Of the cover, where the last target is one of its places."""
+        # The sides of each taxel, by its index, that were skipped.
         self._skips: dict[int, list[FloatArray]] = {}
-        """The sides of each taxel, by its index, that were skipped."""
+        # Index of the taxel that was skipped last, until the next poke.
         self._not_now = -1
-        """Index of the taxel that was skipped last, until the next poke."""
         self._estimates: list[Estimate | None] = [None] * count
         self._needs: list[tuple[Need, ...]] = [()] * count
         self._nothing = float(np.sqrt(3.0)) * self.settings.unknown
@@ -135,6 +135,7 @@ class Guide:
         """
         dirty = self._follow(contacts, estimates, rejections, rig)
         if dirty:
+            # A contact that the method doubts says less here, too.
             doubted = {each.channel: each.doubted for each in estimates[self.method] if each.channel in dirty}
             found = evidence(dirty)
             pairs = zip(found.channels[found.taxels].tolist(), found.pokes.tolist(), strict=True)
@@ -177,6 +178,7 @@ class Guide:
         self._cover_with(fresh, contacts.keys() | rejections.keys())
         if rows or rig != self._rig:
             self._stale[:] |= rig != self._rig
+            # Places on the mesh have the depth that few free pokes leave open.
             self._rig, best = rig, estimates.get(Method.SURFACE) or estimates[Method.FREE]
             self._places = believed(self.plan, best, rig)
             self._find_loose(rows, best)
@@ -294,6 +296,7 @@ class Guide:
     def _given_up(self) -> dict[int, Why]:
         """Return which taxels are asked for no more though they need something, by their index."""
         know, settings, unanswered = self._knowledge, self.settings, self._pokes.unanswered
+        # Of thousands of taxels only these can be given up: the rest is not looked at.
         tried_often = (know.own >= settings.patience) | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable < settings.diversity:
             tried_often |= know.own >= settings.own_pokes
@@ -341,6 +344,7 @@ class Guide:
             row = self._in_turn(rows, seconds)
             push = self._push(row)
         else:
+            # What a poke gains in a second: the way of the hand counts.
             near = self._near(rows, seconds)
             gains = self._fresh_gains(state, rows[near], phase) / seconds[near, None]
             best = int(gains.argmax())

@@ -84,6 +84,7 @@ class Knowledge:
         every = information(evidence.pairs, lever, evidence.forces, square, self.noise) * evidence.trust[:, None, None]
         self.information[rows] += np.add.reduceat(every, starts, axis=0)
         self.diversity[rows] = diversity(evidence)
+        # The strongest answer of a poke has weight 1 (k_j = t_j / max t).
         self.own[rows] = np.add.reduceat((evidence.weights == 1.0).astype(np.int64), starts)
         self.contacts[rows] = evidence.counts
         shares = (evidence.weights**2 * evidence.trust)[:, None]
@@ -115,6 +116,7 @@ def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArra
     last = _last_own(evidence)
     there = last >= 0
     total = np.trace(whole, axis1=1, axis2=2)
+    # A trace of the trace: a single axis leaves a direction open, and the system must be solved all the same.
     held = np.where(total > 0, 1e-9 * total, 1.0)[:, None, None] * np.eye(size)
     without = whole - np.where(there[:, None, None], squares[last], 0.0)
     rest = pull - np.where(there[:, None], pulls[last], 0.0)

@@ -50,10 +50,10 @@ class LandmarkRound:
     """Follows the landmark pokes of a session."""
 
     def __init__(self) -> None:
+        # Pose and name.
         self._skipped = set[tuple[str, str]]()
-        """Pose and name."""
+        # Poses in which none is asked for.
         self._left_out = set[str]()
-        """Poses in which none is asked for."""
 
     def plan(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> list[LandmarkTarget]:
         """Return all landmarks that are asked for in an arm pose, in order; see `next`."""

@@ -88,9 +88,11 @@ def believed(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.
     count = int(module.max(initial=-1)) + 1
     own = _drawn(rest[known], precision[known], module[known], count, float(np.hypot(MODULE, UNLIKE * rig)))
     if not count:
+        # No channel is on a module: each taxel stands for itself.
         return _with_own(plan.places.copy(), measured, precision, np.zeros(3))
     moved = whole + own
     skin = _share(WHOLE, rig) * whole + _share(MODULE, UNLIKE * rig) * own
+    # The tool is sent where the skin is; the rig's share of what the estimates are off stays out of the places.
     return _with_own(plan.places + skin[module], measured, precision, (moved - skin)[module])
 
 
@@ -106,6 +108,7 @@ def _measured(estimates: Sequence[Estimate]) -> tuple[FloatArray, FloatArray]:
         if estimate.position is not None and estimate.covariance is not None:
             positions[row], covariances[row] = estimate.position, estimate.covariance
     precision = np.asarray(np.linalg.inv(covariances + FLOOR**2 * np.eye(3)), dtype=np.float64)
+    # What was not measured pulls at nothing.
     precision[np.isnan(positions[:, 0])] = 0.0
     return positions, precision
 

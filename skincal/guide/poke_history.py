@@ -75,10 +75,10 @@ class PokeHistory:
         self.channels = channels
         self.contacts: dict[int, Contact] = {}
         self._felt: dict[int, Felt] = {}
+        # Of each poke what it was counted in, and at which index.
         self._meant: dict[int, list[tuple[IntArray, int]]] = {}
-        """Of each poke what it was counted in, and at which index."""
+        # Numbers of all pokes there ever were, whatever they ended as.
         self._known = set[int]()
-        """Numbers of all pokes there ever were, whatever they ended as."""
         self.asked: IntArray = np.zeros(len(channels), dtype=np.int64)
         """(n,) how often each taxel was the target of an accepted poke."""
         self.unanswered: IntArray = np.zeros(len(channels), dtype=np.int64)
@@ -90,6 +90,7 @@ class PokeHistory:
 
     def rows(self, channels: IntArray) -> IntArray:
         """Return (n,) the indices of channels, -1 for those that are no taxels."""
+        # `searchsorted` gives a place for unknown channels too.
         at = np.searchsorted(self.channels, channels).clip(max=len(self.channels) - 1)
         return np.where(self.channels[at] == channels, at, -1)
 
@@ -118,6 +119,7 @@ class PokeHistory:
         gone : numbers of contacts that were taken out
         """
         gone = [poke for poke in self.contacts if poke not in contacts]
+        # A contact that is another object than before was reported again, with the tare after it.
         new = [poke for poke, contact in contacts.items() if self.contacts.get(poke) is not contact]
         fresh: list[Contact | Rejection] = [contacts[poke] for poke in new if poke not in self._known]
         fresh += [rejection for poke, rejection in rejections.items() if poke not in self._known]
@@ -177,6 +179,7 @@ class PokeHistory:
         rows = self.rows(np.concatenate([contact.channels for contact in contacts]))
         responses = np.where(rows >= 0, np.concatenate([contact.responses for contact in contacts]), 0.0)
         peaks = rows[[a + int(responses[a:b].argmax()) for a, b in pairwise(starts.tolist())]]
+        # The weighted offsets from the strongest taxel, and in the last column the weights.
         sums = np.zeros((len(contacts), 4))
         np.add.at(sums[:, :3], owner, responses[:, None] * np.nan_to_num(places[rows] - places[peaks][owner]))
         np.add.at(sums[:, 3], owner, responses)

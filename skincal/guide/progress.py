@@ -264,13 +264,14 @@ class Tilt:
         mean, sd = PRIOR
         self._log: FloatArray = -0.5 * ((ANGLES - mean) / sd) ** 2
         self._demand = settings.usable_tilt
+        # rad, the tilts of the last pokes, as long as each was far less than asked for.
         self._short: list[float] = []
-        """rad, the tilts of the last pokes, as long as each was far less than asked for."""
         self._hits = 0
 
     @property
     def friction(self) -> float:
         """The tilt, rad, that friction holds, as likely as not."""
+        # The median over the angles; the largest is taken out first, so that not all exponentials underflow.
         likely = np.exp(self._log - self._log.max()).cumsum()
         return float(ANGLES[int((likely >= likely[-1] / 2.0).argmax())])
 
@@ -287,6 +288,7 @@ class Tilt:
         """Count pokes that leaned `tilts`, (n,) rad, from the normal, NaN where that is not known; or take them out again."""
         more, less = (SLIDES[1], SLIDES[0]) if slid else (1.0 - SLIDES[1], 1.0 - SLIDES[0])
         known: FloatArray = tilts[np.isfinite(tilts)]
+        # For each angle: how many of the pokes leaned more than it would hold.
         beyond: IntArray = np.sum(known[:, None] > ANGLES, axis=0)
         likelihood = beyond * np.log(more) + (len(known) - beyond) * np.log(less)
         self._log += -likelihood if taken_out else likelihood
@@ -344,6 +346,7 @@ class Turns:
         here = first[self.modules[rows[first]] == module]
         each = np.maximum(self.own, self.asked - 1)
         here = here[_first(each[rows[here]])]
+        # Taxels of the module that were poked more often than those due, as far as their places are known.
         more = (self.modules == module) & (each > each[rows[here[0]]]) & np.isfinite(self.places).all(axis=1)
         if not more.any():
             return int(rows[here[seconds[here].argmin()]])

@@ -65,6 +65,7 @@ class Check:
     def chance(self) -> float:
         """Chance, 0 to 1, that as many or more fall outside though the predicted errors are true."""
         outside, share = self.checked - self.inside, OUTSIDE_SHARE
+        # The binomial probability that fewer fall outside.
         below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
         return max(0.0, 1.0 - below)
 
@@ -197,6 +198,7 @@ def _distances(answers: Evidence, out: IntArray, solution: Solution, method: Met
         there = (solution.surface.triangles >= 0) & (known.sds <= SD_MAX)
     else:
         raise ValueError(f"the {method.value} method was not solved")
+    # What is not known is set to 0 to keep the algebra finite, and becomes NaN at the end.
     covariances = np.where(there[:, None, None], known.covariances, 0.0)
     places = np.where(there[:, None], places, 0.0)
     pairs, lever = answers.pairs[out], places - answers.sensors[out]

@@ -19,8 +19,8 @@ from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.model.tables import Table, check_metres, read_toml
 
+# Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
-"""Settings that the file gives in degrees, by the name that says so."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -189,6 +189,7 @@ def load_scene(path: Path) -> Scene:
         landmarks=_read_landmarks(root, path),
         text=text,
     )
+    # At the end, when everything known was asked for: what is left is misspelt.
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
         if part is not None:
             part.done()
@@ -224,6 +225,7 @@ def _read_surface(table: Table, path: Path) -> SurfaceSpec:
 
 def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:
     pose: FloatArray = table.array(key, (4, 4), default)
+    # A matrix written with a few digits is rotation enough; a mirrored or scaled one is not.
     rotation = pose[:3, :3]
     if (
         np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
@@ -283,6 +285,7 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
     for item in fields(kind):
         default: Any = item.default
         wanted: type = int if isinstance(default, int) else float
+        # The type of the default says which kind of number is expected.
         key = _IN_DEGREES.get(item.name, item.name)
         value = table.take(key, wanted, default)
         # 0 is allowed only where it is the default: it switches that noise off.
@@ -326,6 +329,7 @@ def resource(name: str) -> Path:
         There is no such resource.
     """
     package = Path(__file__).resolve().parents[1]
+    # Installed, the resources lie within the package; in a checkout beside it.
     for folder in (package / "resources", package.parent / "resources"):
         if (folder / name).exists():
             return folder / name

@@ -62,6 +62,7 @@ class Table:
 
     def take(self, key: str, kind: type, default: Any = ...) -> Any:
         """Return a value of this kind; a whole number counts as a number, true and false do not."""
+        # An ellipsis stands for no default, since None is one.
         if key not in self._values:
             if default is ...:
                 raise InputError(f"{self.where}: {key} is missing; expected {_name(kind)}.")
@@ -69,6 +70,7 @@ class Table:
         value = self._values.pop(key)
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
+        # To Python true and false are whole numbers.
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             raise InputError(f"{self.where}: {key} is {value!r}; expected {_name(kind)}.")
         if isinstance(value, float) and not np.isfinite(value):
@@ -84,6 +86,7 @@ class Table:
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError):
+            # Rows of different lengths, or words: nothing that fits any shape.
             array = np.empty(0)
         fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
         if not fits or not (np.isfinite(array) | (gaps & np.isnan(array))).all():

@@ -43,8 +43,8 @@ _MILLI = ("nmm", "n.mm")
 class _Columns:
     """Which fields of a row are what, and what turns them into seconds and the values of a log line."""
 
+    # Fields of a row.
     width: int
-    """Fields of a row."""
     time: int
     to_s: float
     number: int | None
@@ -129,8 +129,10 @@ def read_csv(
 def _rows(path: Path, separator: str | None) -> Iterator[list[str]]:
     """Give the fields of each row, in quotes or not; empty lines and lines that begin with # are left out."""
     try:
+        # Spreadsheets begin a file with a byte order mark.
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for text in file:
+                # A tab at an end stands beside an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):
                     fields = line.split(separator)
@@ -156,6 +158,7 @@ def _open_table(stream: Stream, path: Path) -> _Table:
 
 
 def _to_float(field: str) -> float | None:
+    # `float` takes 1_000 for a number.
     if "_" in field:
         return None
     try:

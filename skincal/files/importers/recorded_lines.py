@@ -122,8 +122,8 @@ class _Leap:
     line: int
     highest: float
     shift: float
+    # s. What passed if the clock is right; 0 where it went back.
     pause: float
-    """s. What passed if the clock is right; 0 where it went back."""
     jump: Jump | None
 
 
@@ -190,6 +190,7 @@ class _Scan:
         return median(self.intervals) if self.intervals else 0.0
 
     def _pause(self, pause: float) -> None:
+        # Until the usual interval is known, long pauses are kept and judged at the end.
         if len(self.intervals) < FIRST_INTERVALS:
             self.intervals.append(pause)
             if len(self.intervals) == FIRST_INTERVALS:
@@ -240,6 +241,7 @@ def agree(timelines: Sequence[RecordedTimes]) -> tuple[RecordedTimes, ...]:
     known: list[float] = []
     agreed: list[RecordedTimes] = []
     for timeline in timelines:
+        # The amount that the first file saw holds for all that saw nearly the same.
         jumps = tuple(replace(jump, back=_nearest(jump.back, known)) for jump in timeline.jumps)
         known += [jump.back for jump in jumps if jump.back not in known]
         agreed.append(replace(timeline, jumps=jumps))
@@ -298,8 +300,8 @@ class _Placed:
 
     host_ns: int
     data: bytes
+    # Its stamp follows on the one before; else the decoder's clock starts anew with it.
     steady: bool
-    """Its stamp follows on the one before; else the decoder's clock starts anew with it."""
 
 
 def _placed(timeline: RecordedTimes, lines: Iterator[RecordedLine], origin: float) -> Iterator[_Placed]:

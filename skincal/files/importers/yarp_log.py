@@ -57,8 +57,8 @@ class _Log:
     stream: Stream
     path: Path
     stamps: int
+    # `"tx"` or `"rx"`: whose clock the lines are placed by; empty where the log does not say.
     clock: str
-    """`"tx"` or `"rx"`: whose clock the lines are placed by; empty where the log does not say."""
     decoder: str
     findings: tuple[str, ...]
 
@@ -85,18 +85,18 @@ class _Log:
 class _Contents:
     """What a first reading of a log counts."""
 
+    # Lines whose first stamp is 0: their sender gave none.
     untimed: int = 0
-    """Lines whose first stamp is 0: their sender gave none."""
     empty: int = 0
     unreadable: int = 0
     cut: bool = False
     nested: bool = False
+    # Six-axis sensors in `measures:o`; 0 in a log of plain vectors.
     sensors: int = 0
-    """Six-axis sensors in `measures:o`; 0 in a log of plain vectors."""
+    # Number of lines by their number of values, plain vectors only.
     widths: Counter[int] = field(default_factory=Counter[int])
-    """Number of lines by their number of values, plain vectors only."""
+    # Distinct values of a skin; None once they are not those of a binarised skin.
     levels: set[float] | None = field(default_factory=set[float])
-    """Distinct values of a skin; None once they are not those of a binarised skin."""
 
 
 def read_yarp(
@@ -194,6 +194,7 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
             return len(clocks), clocks[-1], []
         raise InputError(f"{path.with_name(INFO)}: Stamp is {found.group(1)!r}; expected tx, rx or tx+rx.")
     head = [line for data in islice(_whole_lines(path), GRAMMAR_LINES) if (line := split_line(data, 2)) is not None]
+    # No Stamp line: where most of the first lines have a second time, all lines have.
     two = sum(_is_second_stamp(line) for line in head) * 2 > len(head) > 0
     return (2, "rx", []) if two else (1, "", [])
 
@@ -231,6 +232,7 @@ def _whole_lines(path: Path) -> Iterator[bytes]:
 def _ends_open(path: Path) -> bool:
     """Return whether the last line of a file has no end."""
     with path.open("rb") as file:
+        # The last byte alone: logs are large.
         size = file.seek(0, 2)
         file.seek(max(size - 1, 0))
         return size > 0 and file.read(1) != b"\n"
