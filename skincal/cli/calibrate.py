@@ -245,7 +245,7 @@ def _correct(session: Session) -> None:
     frame, rig = _landmark_findings(session)
     # A frame's correction changes what is found of the rig, so both are looked at again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
-        # Offered again, it is the same correction renewed: nothing more is gained.
+        # Each kind is used once, or what is found again and again would never end.
         if action.of in session.corrections:
             break
         if action.of == FRAME and frame is not None and not frame.sure:

@@ -65,25 +65,27 @@ class Bench:
         row = self.rig.row_of(channel)
         return self.rig.places[row], self.rig.normals[row]
 
+    def beside(self, row):
+        """Where the middle of a taxel's contacts lies beside it."""
+        return self.guide.axis_diversity(int(PART.plan.channels[row]), self.session.evidence).beside
 
-def edge_channel():
-    """The taxel whose neighbours lie most on one side."""
+
+def edge_taxel():
+    """The taxel whose neighbours lie most on one side, and how far beside it their middle is."""
     neighbours = candidates.find_answering(PART.plan.places, PART.spacing, PART.scene.noise)
-    pulls = candidates.pulls(PART.plan.places, neighbours)
-    return int(PART.plan.channels[np.linalg.norm(pulls, axis=1).argmax()])
+    pulls = np.linalg.norm(candidates.pulls(PART.plan.places, neighbours), axis=1)
+    return int(pulls.argmax()), pulls.max()
 
 
 def test_a_taxel_at_the_edge_that_is_poked_at_its_place_is_balanced():
-    bench, channel = Bench(), edge_channel()
-    place, normal = bench.true(channel)
+    bench, (row, pull) = Bench(), edge_taxel()
+    place, normal = bench.true(int(PART.plan.channels[row]))
     for _ in range(4):
         bench.poke(place, -normal)
-    row = int(np.searchsorted(PART.plan.channels, channel))
     assert bench.guidance.own[row] == 4
-    beside = float(np.linalg.norm(bench.guide._knowledge.beside[row]))
-    assert beside < SETTINGS.balance
+    assert np.linalg.norm(bench.beside(row)) < SETTINGS.balance
     # The middle of those that answer lies well inside.
-    assert np.linalg.norm(bench.guide._pulls[row]) > SETTINGS.balance
+    assert pull > SETTINGS.balance
 
 
 def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
@@ -94,7 +96,7 @@ def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
     aside /= np.linalg.norm(aside)
     for _ in range(4):
         bench.poke(place + 0.002 * aside, -normal)
-    beside = bench.guide._knowledge.beside[40]
+    beside = bench.beside(40)
     assert beside @ aside > 0.0007
     assert abs(beside @ aside) > np.linalg.norm(beside - (beside @ aside) * aside)
 
@@ -106,7 +108,7 @@ def test_a_poke_early_on_is_not_taken_to_lie_aside_when_the_whole_skin_is_found_
         place, normal = bench.true(int(PART.plan.channels[row]))
         for _ in range(2):
             bench.poke(place, -normal)
-    beside = np.linalg.norm(bench.guide._knowledge.beside[0:84:4], axis=1)
+    beside = np.linalg.norm([bench.beside(row) for row in range(0, 84, 4)], axis=1)
     assert np.median(beside) < 0.0008
 
 

@@ -179,9 +179,9 @@ def test_what_is_doubted_counts_less_for_the_guide():
     followed = after(60)
     estimates, plain, doubting = followed.session.snapshot().estimates, guide(), guide()
     row = int(followed.guidance.own.argmax())
-    one = estimates[Method.FREE][row]
-    poke = followed.session.evidence([one.channel]).pokes[0]
-    mistrusted = [replace(each, doubted={int(poke): 0.0}) if each is one else each for each in estimates[Method.FREE]]
+    mistrusted = list(estimates[Method.FREE])
+    poke = followed.session.evidence([mistrusted[row].channel]).pokes[0]
+    mistrusted[row] = replace(mistrusted[row], doubted={int(poke): 0.0})
     plain.update(followed.contacts, estimates, followed.session.evidence)
     doubting.update(followed.contacts, {**estimates, Method.FREE: mistrusted}, followed.session.evidence)
     known, less = (np.trace(each._knowledge.information, axis1=1, axis2=2) for each in (plain, doubting))
