@@ -180,16 +180,11 @@ class ContactDetector:
         """Return the poke in progress, its force axis in the link frame (the sensor frame while the pose is unknown)."""
         press = self._press
         force, moment = np.zeros(3), np.zeros(3)
-        tare = self._tares.tare
         if press is not None and self._last is not None and not self._last.saturated:
             wrench = self._last.wrench - press.tare.wrench
             force, moment = move_wrench(np.eye(4) if link_from_sensor is None else link_from_sensor, wrench[:3], wrench[3:])
         pressing = bool(force @ force > 0.0)
-        channels: IntArray = np.empty(0, dtype=np.int64)
-        if tare is not None:
-            above = self.responses > answer_limit(self._scene, self._tares.noise)
-            unused = self._left_out()
-            channels = np.array([c for c in self._candidates[above[self._candidates]] if int(c) not in unused], dtype=np.int64)
+        channels = self._answering(self.responses)
         return Progress(
             phase=self._phase(),
             force=force,
@@ -370,10 +365,13 @@ class ContactDetector:
         resting = self._tares.resting
         if resting is None or sample.host_s - self._untared_since > TARE_AGE_MAX_S:
             return False
-        response = self._scene.skin.polarity * (sample.skin - resting)
-        above = (response > answer_limit(self._scene, self._tares.noise))[self._candidates]
+        return len(self._answering(self._scene.skin.polarity * (sample.skin - resting))) > 0
+
+    def _answering(self, responses: FloatArray) -> IntArray:
+        """Return the channels in use whose response, (channels,), is above their limit; NaN is not."""
+        above = (responses > answer_limit(self._scene, self._tares.noise))[self._candidates]
         unused = self._left_out()
-        return any(int(channel) not in unused for channel in self._candidates[above])
+        return np.array([channel for channel in self._candidates[above].tolist() if channel not in unused], dtype=np.int64)
 
 
 def _is_crowded(outcome: Outcome) -> bool:

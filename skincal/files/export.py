@@ -63,9 +63,7 @@ def _csv_row(calibration: Calibration, estimate: Estimate) -> list[str]:
 
 
 def _vector(vector: FloatArray | None) -> list[str]:
-    if vector is None:
-        return ["", "", ""]
-    return [_number(value) for value in vector.tolist()]
+    return ["", "", ""] if vector is None else [_number(value) for value in vector.tolist()]
 
 
 def _number(value: float | None) -> str:

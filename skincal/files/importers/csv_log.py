@@ -64,7 +64,6 @@ class _Skipped:
 class _Table:
     """One CSV file and how its rows are read."""
 
-    name: str
     stream: Stream
     path: Path
     separator: str | None
@@ -73,7 +72,7 @@ class _Table:
 
     @property
     def link(self) -> LinkSpec:
-        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), "csv")
+        return LinkSpec(self.stream.value, f"file:{self.path}", (self.stream,), "csv")
 
     def lines(self, skipped: _Skipped | None = None) -> Iterator[RecordedLine]:
         """Give each row with its time; count the rows that have none."""
@@ -107,8 +106,8 @@ def read_csv(
     findings: list[str] = []
     timelines: list[RecordedTimes] = []
     for table in tables:
-        skipped = _Skipped()
-        timeline = scan(table.name, (line.stamp for line in table.lines(skipped)))
+        skipped, name = _Skipped(), table.stream.value
+        timeline = scan(name, (line.stamp for line in table.lines(skipped)))
         if not timeline.lines:
             raise InputError(
                 f"{table.path}: no row with a time was found; expected a row a reading, its time and its values. A time "
@@ -117,12 +116,12 @@ def read_csv(
         timelines.append(timeline)
         findings += timeline.sentences()
         if table.columns.finding:
-            findings.append(f"{table.name}: {table.columns.finding}")
+            findings.append(f"{name}: {table.columns.finding}")
         if skipped.rows:
-            findings.append(f"{table.name}: {plural(skipped.rows, 'row')} without a time: left out.")
+            findings.append(f"{name}: {plural(skipped.rows, 'row')} without a time: left out.")
     check_overlap(timelines)
-    joints_alone = [table.name for table in tables if table.stream is Stream.JOINTS]
-    chunks = merged(agree(timelines), [table.lines for table in tables], joints_alone)
+    # A frame gets the last angles before it, so these must not come later.
+    chunks = merged(agree(timelines), [table.lines for table in tables], (Stream.JOINTS.value,))
     return tuple(table.link for table in tables), chunks, tuple(findings)
 
 
@@ -154,7 +153,7 @@ def _open_table(stream: Stream, path: Path) -> _Table:
         columns = _named_columns(stream, [name.lower() for name in row], path)
     else:
         columns = _columns_by_place(stream, len(row), path)
-    return _Table(stream.value, stream, path, separator, header, columns)
+    return _Table(stream, path, separator, header, columns)
 
 
 def _to_float(field: str) -> float | None:

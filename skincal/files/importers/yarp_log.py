@@ -132,8 +132,7 @@ def read_yarp(
     check_overlap(timelines)
     findings += _clock_findings(logs)
     # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
-    joints_alone = [log.name for log in logs if log.stream is Stream.JOINTS]
-    chunks = merged(agree(timelines), [log.lines for log in logs], joints_alone)
+    chunks = merged(agree(timelines), [log.lines for log in logs], (Stream.JOINTS.value,))
     return tuple(log.link for log in logs), chunks, tuple(findings)
 
 
