@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -208,16 +208,17 @@ def _written(value: object, keys: Keys) -> dict[str, Any]:
     return {key: _plain(getattr(value, name)) for key, name, _ in keys}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Return a field as JSON has it: arrays as nested lists, with null for a number that is not finite."""
     if isinstance(value, np.ndarray):
         return _plain(value.tolist())
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_plain(item) for item in cast("list[object]", value)]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.generic):
-        return value.item()
+        number: Any = value.item()
+        return number
     return value.value if isinstance(value, State) else value
 
 
