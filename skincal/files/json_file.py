@@ -210,15 +210,12 @@ def _written(value: object, keys: Keys) -> dict[str, Any]:
 
 def _plain(value: object) -> Any:
     """Return a field as JSON has it: arrays as nested lists, with null for a number that is not finite."""
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, list):
         return [_plain(item) for item in cast("list[object]", value)]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.generic):
-        number: Any = value.item()
-        return number
     return value.value if isinstance(value, State) else value
 
 
