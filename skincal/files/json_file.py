@@ -210,12 +210,14 @@ def _written(value: object, keys: Keys) -> dict[str, Any]:
 
 def _plain(value: object) -> Any:
     """Return a field as JSON has it: arrays as nested lists, with null for a number that is not finite."""
-    if isinstance(value, np.ndarray | np.generic):
+    if isinstance(value, np.ndarray):
         return _plain(value.tolist())
     if isinstance(value, list):
         return [_plain(item) for item in cast("list[object]", value)]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.generic):
+        return cast("np.generic[Any]", value).item()
     return value.value if isinstance(value, State) else value
 
 

@@ -419,6 +419,8 @@ def test_progress_gives_the_axis_in_the_link_frame():
     np.testing.assert_allclose(np.cross(progress.force, contact - progress.axis_point), 0.0, atol=1e-9)
     assert progress.channels.tolist() == [3, 7]
     assert progress.still == 1.0
+    detector.use_all_but({7})
+    assert detector.progress(pose).channels.tolist() == [3], "a channel that is left out answers nothing"
 
 
 def test_a_slower_device_is_followed():
