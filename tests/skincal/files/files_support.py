@@ -12,7 +12,7 @@ from skincal.contacts.outcome import Contact
 from skincal.files.calibration import Calibration
 from skincal.geometry.arrays import FloatArray
 from skincal.model.scene import Scene, load_scene
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Estimate, Method, Rival, State
 
 CHANNELS = 48
 RADIUS = 0.040
@@ -117,7 +117,19 @@ def make_calibration(part: Part, unseen: tuple[int, ...] = (), blind: tuple[int,
             if channel in unseen:
                 items.append(Estimate(channel, method, State.UNSEEN, 0, reason="No accepted poke touched this taxel."))
             elif channel in blind:
-                items.append(Estimate(channel, method, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]), reason="One axis."))
+                items.append(
+                    Estimate(
+                        channel,
+                        method,
+                        State.BLIND,
+                        1,
+                        weakest=np.array([0.0, 0.0, 1.0]),
+                        reason="One axis.",
+                        foot=np.array([0.01, 1 / 3, -0.02]),
+                        rival=Rival(np.array([0.0, 1 / 7, 0.1]), 5, 1.5),
+                        doubted={7: 1 / 3},
+                    )
+                )
             else:
                 items.append(
                     estimate(channel, method, part.places[channel] + shift * part.normals[channel], part.normals[channel])

@@ -19,7 +19,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.surface.mesh import load_surface
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Estimate, Method, Rival, State
 from tests.skincal.files.files_support import Part, make_calibration, make_contacts, make_part
 
 
@@ -38,7 +38,8 @@ def same(one: object, other: object) -> bool:
 
 
 def fields_of(value: object) -> list[object]:
-    return [getattr(value, name) for name in value.__slots__]
+    values = [getattr(value, name) for name in value.__slots__]
+    return [item for each in values for item in (fields_of(each) if isinstance(each, Rival) else [each])]
 
 
 def test_json_gives_contacts_and_estimates_back_bit_for_bit(part, tmp_path):
