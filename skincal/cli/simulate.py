@@ -148,7 +148,7 @@ def _record(play: _Play, out: Path, as_json: bool) -> None:
     from skincal.files.reference import TRUTH_NAME, read_reference
     from skincal.simulate.session import simulate_session
 
-    road = simulate_session(
+    pipeline = simulate_session(
         play.scene,
         play.surface,
         out,
@@ -160,7 +160,7 @@ def _record(play: _Play, out: Path, as_json: bool) -> None:
         settings=play.settings,
         progress=_show_progress if sys.stderr.isatty() else None,
     )
-    finish(road, out, as_json, reference=read_reference(out / TRUTH_NAME))
+    finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
 
 
 def _show_progress(pokes: int) -> None:
@@ -181,14 +181,14 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
     rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)
     rig = Rig(play.scene, play.surface, play.errors, rig_rng)
     if operator is OperatorKind.TOLD:
-        someone: Auto | Told = Told(rig, play.habits, operator_rng)
+        hand: Auto | Told = Told(rig, play.habits, operator_rng)
     else:
         kind = Guided if operator is OperatorKind.GUIDED else Auto
-        someone = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
-    line = Timeline(rig, someone, device_rng, play.settings)
+        hand = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
+    line = Timeline(rig, hand, device_rng, play.settings)
     with Server(line, tcp=tcp) as server:
         _print_links(server, truth(rig) if with_truth else {})
-        _run(server, someone if isinstance(someone, Told | Guided) else None)
+        _run(server, hand if isinstance(hand, Told | Guided) else None)
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
@@ -201,7 +201,7 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def _run(server: Server, told: Told | Guided | None) -> None:
+def _run(server: Server, listener: Told | Guided | None) -> None:
     """Serve until stdin closes, Ctrl-C or a termination signal."""
     stop = threading.Event()
 
@@ -210,22 +210,22 @@ def _run(server: Server, told: Told | Guided | None) -> None:
 
     signal.signal(signal.SIGTERM, end)
     # A daemon: it waits in a read that nothing can interrupt.
-    threading.Thread(target=_listen, args=(told, stop), name="orders", daemon=True).start()
+    threading.Thread(target=_listen, args=(listener, stop), name="orders", daemon=True).start()
     try:
         server.run(stop)
     except KeyboardInterrupt:
         typer.echo("stopped", err=True)
 
 
-def _listen(told: Told | Guided | None, stop: threading.Event) -> None:
+def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
     from skincal.simulate.orders import read_order
 
     for line in sys.stdin:
         try:
             order = read_order(line)
-            if order is not None and told is not None:
-                told.accept(order)
+            if order is not None and listener is not None:
+                listener.accept(order)
         except InputError as error:
             typer.echo(f"skincal: {error}", err=True)
     stop.set()

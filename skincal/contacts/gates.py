@@ -350,7 +350,7 @@ def _rejected(poke: GatedPoke, objection: Objection, final: bool) -> Rejection:
         unit=objection.unit,
         channels=poke.channels,
         final=final,
-        # Without a pose nobody can say where the force was in the link frame.
+        # Without a pose the force has no place in the link frame.
         force=None if pose is None else poke.force,
         moment=None if pose is None else poke.moment,
         link_from_sensor=pose,

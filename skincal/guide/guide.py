@@ -70,7 +70,7 @@ class Guide:
     method : the solver whose needs count
     spacing : m, usual distance of neighbours
     cover : places to poke while it is unknown where the taxels are; None with a layout
-    on_surface : whether a mesh tells the depth; modules that lie free in space need tilted pushes for it
+    on_surface : whether a mesh gives the depth; modules that lie free in space need tilted pushes for it
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Which landmark to poke next: a few in each arm pose, at the start and after each change of pose.
 
-Three in the first pose tell a wrong frame from a right one, and a correction of the rig is found from a few in every pose. They
-come before pokes on the skin, which are worth more on a corrected rig, and any of them may be skipped.
+Three in the first pose show whether the sensor's frame is right, and a correction of the rig is found from a few in every pose.
+They come before pokes on the skin, which are worth more on a corrected rig, and any of them may be skipped.
 """
 
 from __future__ import annotations
