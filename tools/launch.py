@@ -23,7 +23,7 @@ CHECKS = {
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
 """Name of each check, and what Python is told to run it; the tests come last."""
-PLAYED = "tests/skincal/test_cli_layout.py"
+PLAYED = "tests/skincal/cli/test_cli_layout.py"
 """Plays a session's bytes again and again, which takes a minute."""
 HALVES = (("-m", "not quiet", "tests", "--ignore=tests/app", f"--ignore={PLAYED}"), ("-m", "not quiet", "tests/app", PLAYED))
 """The tests, in two parts that take about as long."""

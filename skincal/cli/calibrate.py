@@ -1,4 +1,7 @@
-"""`solve` and `export`: from a recorded session to estimates and calibration files."""
+"""`solve` and `export`: from a recorded session to estimates, calibration files and a corrected layout.
+
+Imports that cost time stand in the functions that need them: `--help` must answer at once.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
     from skincal.geometry.arrays import FloatArray
+    from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
     from skincal.session.road import Road
@@ -90,28 +94,27 @@ def solve(
 ) -> None:
     """Estimate every taxel of a session by each method of its scene."""
     from skincal.cli import report
-    from skincal.cli.layouts import layout_result
     from skincal.files.reference import read_reference
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
-    road = _opened(session, replay, speed, layout)
+    pipeline = _opened(session, replay, speed, layout)
     if correct:
-        _correct(road.session)
-    snapshot = road.snapshot()
+        _correct(pipeline.session)
+    snapshot = pipeline.snapshot()
     counts = report.poke_counts(snapshot)
-    plan = road.session.scene.skin.layout
+    plan = pipeline.session.scene.skin.layout
     methods = {method.value: report.method_summary(items, known, plan) for method, items in snapshot.estimates.items()}
     if per_pose:
-        methods |= _per_pose(road, known)
-    rig, rig_lines = _corrected(road, known)
+        methods |= _per_pose(pipeline, known)
+    rig, rig_lines = _corrected(pipeline, known)
     methods |= rig.pop("methods", {})
     # Before anything is written: its file may be refused.
-    modules, module_lines = layout_result(road.session, layout, layout_out)
-    files, written = ([], []) if out is None else _write_all(road, out, part)
-    findings = [*road.findings, *written]
-    totals = road.totals()
+    modules, module_lines = _layout_result(pipeline.session, layout, layout_out)
+    files, written = ([], []) if out is None else _write_all(pipeline, out, part)
+    findings = [*pipeline.findings, *written]
+    totals = pipeline.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
     text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
@@ -142,11 +145,11 @@ def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path |
     return replay(session, speed, layout=layout) if from_bytes else load(session, layout)
 
 
-def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
+def _per_pose(pipeline: Road, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
     from skincal.cli import report
     from skincal.methods import average_over_poses
 
-    session = road.session
+    session = pipeline.session
     summaries: dict[str, Any] = {}
     for method in session.snapshot().estimates:
         averaged = average_over_poses(
@@ -158,24 +161,84 @@ def _per_pose(road: Road, known: Mapping[int, FloatArray] | None) -> dict[str, A
     return summaries
 
 
-def _from_landmarks(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
-    from skincal.rig.correction_fit import correct_rig
-    from skincal.rig.frame_check import diagnose
-    from skincal.session.known_points import landmark_normals
+def _layout_result(session: Session, used: Path | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
+    """Return what is wrong with the layout, as JSON and in lines; write the corrected one where that is wanted.
 
-    known = {one.name: one for one in session.landmarks}
-    pokes = session.landmark_pokes
-    normals = landmark_normals([known[one.name] for one in pokes], session.surface)
-    return diagnose(pokes, normals), correct_rig(session.rig_request())
+    Modules are judged by the estimates of the surface method where there is one, else by those of free.
 
-
-def _correct(session: Session) -> None:
-    """Use what landmark pokes offer, the frame first; the recording stays as it is.
+    Parameters
+    ----------
+    used : the layout's file where it is not the session's own
+    out : file for the corrected layout; None writes none
 
     Raises
     ------
     InputError
-        They offer nothing that is sure.
+        There is no layout to correct, or the file cannot be written.
+    """
+    from skincal.files.layout_file import write_layout
+    from skincal.modules.health import judged_modules, mend_modules
+    from skincal.sentences import left_sentences, misfit_sentence
+
+    lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
+    result: dict[str, Any] = {"misfits": [], "layout": {"used": _name(used), "changes": [], "left": [], "written": None}}
+    if session.boards is None:
+        if out is not None:
+            raise InputError(
+                "--layout-out corrects a layout, and the scene has none; expected modules in its [skin], or --layout."
+            )
+        return result, lines
+    known = session.snapshot().estimates
+    estimates = {estimate.channel: estimate for estimate in known.get(Method.SURFACE) or known.get(Method.FREE, ())}
+    mend = mend_modules(session.boards, estimates)
+    written = out if mend.changes else None
+    if written is not None:
+        write_layout(session.boards.layout, mend, written)
+    misfits = [misfit_sentence(misfit) for misfit in mend.misfits]
+    changes = [{"module": change.module, **change.keys} for change in mend.changes]
+    layout = {"used": _name(used), "changes": changes, "left": left_sentences(mend), "written": _name(written)}
+    lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.boards, estimates))]
+    return {"misfits": misfits, "layout": layout}, lines
+
+
+def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
+    """Return the lines on the correction, without the misfits themselves."""
+    from skincal.sentences import change_words, left_sentences
+
+    changes, left = "; ".join(change_words(change) for change in mend.changes), left_sentences(mend)
+    if mend.changes and out is not None:
+        return [*left, f"corrected {changes}", f"wrote {out}; `skincal solve SESSION --layout {out}` solves with it"]
+    if mend.changes:
+        return [*left, f"the corrected layout says {changes}; --layout-out FILE writes it"]
+    if out is None:
+        return left
+    found = f"none of {judged} modules looks mirrored, turned or swapped" if judged else "too little is known of every module"
+    why = "nothing that was found can be put right by it" if mend.misfits else found
+    return [*left, f"{out} is not written: {why}"]
+
+
+def _name(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
+    from skincal.rig.correction_fit import correct_rig
+    from skincal.rig.frame_check import diagnose
+    from skincal.session.known_points import landmark_normals
+
+    known = {landmark.name: landmark for landmark in session.landmarks}
+    pokes = session.landmark_pokes
+    normals = landmark_normals([known[poke.name] for poke in pokes], session.surface)
+    return diagnose(pokes, normals), correct_rig(session.rig_request())
+
+
+def _correct(session: Session) -> None:
+    """Use the corrections that landmark pokes offer, the frame first; the recording stays as it is.
+
+    Raises
+    ------
+    InputError
+        They offer nothing that is certain.
     """
     from skincal.rig.correction import FRAME
     from skincal.sentences import frame_sentence, rig_sentences
@@ -183,24 +246,26 @@ def _correct(session: Session) -> None:
 
     if not session.landmark_pokes:
         raise InputError("--correct needs pokes at landmarks; this session has none.")
-    frame, rig = _from_landmarks(session)
+    frame, rig = _landmark_findings(session)
+    # A frame's correction changes what is found of the rig, so both are looked at again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
+        # Each kind is used once, or what is found again and again would never end.
         if action.of in session.corrections:
             break
         if action.of == FRAME and frame is not None and not frame.sure:
             raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
         session.act(action)
-        frame, rig = _from_landmarks(session)
+        frame, rig = _landmark_findings(session)
     if not session.corrections:
         raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
 
-def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
-    """Return what pokes at landmarks tell of the rig, as JSON and in lines; nothing where there is none of them.
+def _corrected(pipeline: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
+    """Return what landmark pokes say about the rig, as JSON and in lines; nothing where there are none.
 
-    Where no correction is in use, the estimates under the one that is found stand beside the others.
+    Where no correction is in use, the estimates under the one that was found stand beside the others.
     """
-    session = road.session
+    session = pipeline.session
     if not session.landmark_pokes:
         return {}, []
     from skincal.cli import report
@@ -208,10 +273,10 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
     from skincal.rig.correction import RIG
     from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 
-    frame, answer = _from_landmarks(session)
+    frame, answer = _landmark_findings(session)
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
     rig["corrections"] = [
-        {"of": one.of, "before_mm": one.before * 1e3, "after_mm": one.after * 1e3} for one in session.corrections.values()
+        {"of": used.of, "before_mm": used.before * 1e3, "after_mm": used.after * 1e3} for used in session.corrections.values()
     ]
     if frame is not None:
         words = frame_sentence(frame)
@@ -233,7 +298,7 @@ def _corrected(road: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict
 
 
 def _calibration(session: Session) -> Calibration:
-    """Return what the files are written from, with what landmark pokes say of a correction of the rig."""
+    """Return what the files are written from, with what landmark pokes say about a correction of the rig."""
     if not session.landmark_pokes:
         return session.calibration()
     from skincal.files.calibration import landmark_check
@@ -242,7 +307,7 @@ def _calibration(session: Session) -> Calibration:
     return replace(session.calibration(), landmark_check=landmark_check(correct_rig(session.rig_request())))
 
 
-def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
+def _write_all(pipeline: Road, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
     """Write every format for every method the scene has; return the files and what was found."""
     from skincal.files.export import write_calibration
 
@@ -250,13 +315,14 @@ def _write_all(road: Road, folder: Path, part: str | None) -> tuple[list[str], l
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
-    calibration = _calibration(road.session)
+    calibration = _calibration(pipeline.session)
     files: list[str] = []
     findings: list[str] = []
 
     def write(format_: ExportFormat, name: str, method: Method) -> None:
         path = folder / name
         for sentence in write_calibration(calibration, format_.value, path, method, part):
+            # Several formats of the same calibration have the same faults.
             if sentence not in findings:
                 findings.append(sentence)
         files.append(str(path))
@@ -289,17 +355,17 @@ def export(
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
-    road = _opened(session, replay, None, layout)
+    pipeline = _opened(session, replay, None, layout)
     if correct:
-        _correct(road.session)
-    calibration = _calibration(road.session)
+        _correct(pipeline.session)
+    calibration = _calibration(pipeline.session)
     chosen = method or (Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE)
     if chosen not in calibration.estimates:
         lacks = "surface" if chosen is Method.SURFACE else "layout"
         known = " or ".join(method.value for method in calibration.estimates)
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
-    findings = [*road.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
-    summary = report.method_summary(calibration.estimates[chosen], None, road.session.scene.skin.layout)
+    findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
+    summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": str(layout)}
     text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]
     result = {"file": str(out), "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}

@@ -227,8 +227,8 @@ class Silence:
     """Says once that an open link sends nothing, and that it sends again."""
 
     def __init__(self) -> None:
+        # Of each link that is open: when it opened or sent last.
         self._heard_ns: dict[str, int] = {}
-        """Of each link that is open: when it opened or sent last."""
         self._silent: set[str] = set()
         self._again: list[str] = []
 

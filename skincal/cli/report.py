@@ -33,7 +33,7 @@ def print_result(result: Mapping[str, Any], as_json: bool) -> None:
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     """Count pokes by what became of them."""
     records, named = snapshot.pokes, snapshot.at_landmarks
-    # A poke at a landmark is none of the skin's, be it that no taxel answered: that is no fault.
+    # A poke at a landmark is not meant for the skin: that no taxel answered is no fault there.
     reasons = Counter(
         r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection) and r.outcome.poke not in named
     )
@@ -53,6 +53,7 @@ def method_summary(
 
     `spacing_ratio` is how far neighbours lie apart over how far the layout plans it; None without a layout.
     """
+    # All states are written, also those of no taxel, so that a program finds each key.
     states = Counter(e.state.value for e in estimates)
     rms = [e.rms * 1e3 for e in estimates if e.rms is not None]
     summary: dict[str, Any] = {
@@ -82,8 +83,8 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
     return {"links": counts, "frames_without_wrench": unpaired}
 
 
+# Counts that are named only where they are not 0, and in which words.
 _BESIDE = {"excluded": "excluded", "at_landmarks": "at landmarks"}
-"""Counts that are told where there are some, and in which words."""
 
 
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
@@ -124,12 +125,13 @@ def loss_lines(losses: Mapping[str, Any]) -> list[str]:
 
 
 def link_notes(links: Sequence[LinkHealth]) -> list[str]:
-    """Return what the boards of open links got wrong or said last."""
+    """Return what the devices of open links got wrong or said last."""
     return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]
 
 
 def silent_links(links: Sequence[LinkHealth]) -> str:
     """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
+    # The device's own last words say more than what can be guessed from its bytes.
     silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
     return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 SESSION_POKES = 252
-"""Pokes of a recorded session unless told: three for each taxel of the paper's forearm."""
+"""Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
 
 
 class Errors(Enum):
@@ -48,7 +48,7 @@ class OperatorKind(Enum):
 
 
 class Wire(Enum):
-    """What the simulated boards speak."""
+    """What the simulated devices send."""
 
     SKB = "skb"
     SKT = "skt"
@@ -85,7 +85,7 @@ def simulate(
         typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
     ] = 1.0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
-    wire: Annotated[Wire, typer.Option(help="What the boards speak: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
+    wire: Annotated[Wire, typer.Option(help="What the devices send: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
     as_json: Json = False,
 ) -> None:
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
@@ -95,6 +95,7 @@ def simulate(
     of the part), wait (nothing is to be poked), or any (nobody guides); until the first of them it pokes as auto does.
     """
     from skincal.simulate.device import DeviceSettings
+    from skincal.simulate.faults import RigErrors
     from skincal.simulate.operator import Habits
 
     loaded = find_scene(scene)
@@ -108,7 +109,7 @@ def simulate(
         surface=_surface(loaded),
         pokes=pokes,
         seed=seed,
-        errors=_errors(errors),
+        errors={Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors](),
         poses=tuple(name.strip() for name in poses.split(",") if name.strip()),
         habits=(Habits.careful() if careful else Habits()).at_pace(pace),
         settings=DeviceSettings(format=wire.value),
@@ -133,12 +134,6 @@ class _Play:
     settings: DeviceSettings
 
 
-def _errors(errors: Errors) -> RigErrors:
-    from skincal.simulate.faults import RigErrors
-
-    return {Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors]()
-
-
 def _surface(scene: Scene) -> Surface | None:
     if scene.surface is None:
         return None
@@ -152,7 +147,7 @@ def _record(play: _Play, out: Path, as_json: bool) -> None:
     from skincal.files.reference import TRUTH_NAME, read_reference
     from skincal.simulate.session import simulate_session
 
-    road = simulate_session(
+    pipeline = simulate_session(
         play.scene,
         play.surface,
         out,
@@ -164,7 +159,7 @@ def _record(play: _Play, out: Path, as_json: bool) -> None:
         settings=play.settings,
         progress=_show_progress if sys.stderr.isatty() else None,
     )
-    finish(road, out, as_json, reference=read_reference(out / TRUTH_NAME))
+    finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
 
 
 def _show_progress(pokes: int) -> None:
@@ -180,17 +175,18 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
     from skincal.simulate.serve import Server
     from skincal.simulate.session import truth
 
+    # Streams of their own: another operator meets the same rig and the same devices.
     rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)
     rig = Rig(play.scene, play.surface, play.errors, rig_rng)
     if operator is OperatorKind.TOLD:
-        someone: Auto | Told = Told(rig, play.habits, operator_rng)
+        hand: Auto | Told = Told(rig, play.habits, operator_rng)
     else:
         kind = Guided if operator is OperatorKind.GUIDED else Auto
-        someone = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
-    line = DeviceTimeline(rig, someone, device_rng, play.settings)
+        hand = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
+    line = DeviceTimeline(rig, hand, device_rng, play.settings)
     with Server(line, tcp=tcp) as server:
         _print_links(server, truth(rig) if with_truth else {})
-        _run(server, someone if isinstance(someone, Told | Guided) else None)
+        _run(server, hand if isinstance(hand, Told | Guided) else None)
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
@@ -203,7 +199,7 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def _run(server: Server, told: Told | Guided | None) -> None:
+def _run(server: Server, listener: Told | Guided | None) -> None:
     """Serve until stdin closes, Ctrl-C or a termination signal."""
     stop = threading.Event()
 
@@ -211,22 +207,23 @@ def _run(server: Server, told: Told | Guided | None) -> None:
         stop.set()
 
     signal.signal(signal.SIGTERM, end)
-    threading.Thread(target=_listen, args=(told, stop), name="orders", daemon=True).start()
+    # A daemon: it waits in a read that nothing can interrupt.
+    threading.Thread(target=_listen, args=(listener, stop), name="orders", daemon=True).start()
     try:
         server.run(stop)
     except KeyboardInterrupt:
         typer.echo("stopped", err=True)
 
 
-def _listen(told: Told | Guided | None, stop: threading.Event) -> None:
+def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
     from skincal.simulate.orders import read_order
 
     for line in sys.stdin:
         try:
             order = read_order(line)
-            if order is not None and told is not None:
-                told.accept(order)
+            if order is not None and listener is not None:
+                listener.accept(order)
         except InputError as error:
             typer.echo(f"skincal: {error}", err=True)
     stop.set()

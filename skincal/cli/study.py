@@ -45,6 +45,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def _command(name: str) -> Callable[..., None]:
+    # Typer reads the options from a function's signature: each study gets a function of its own.
     def command(quick: Quick = False, as_json: Json = False, out: Out = None) -> None:
         folder = DEFAULT_FOLDER if out is None and not as_json else out
         if folder is not None:

@@ -31,8 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skincal.contacts.channel_health import ChannelHealth
 from skincal.contacts.gates import GAP_PERIODS, FinishedPress, answer_limit, finish, judge
-from skincal.contacts.health import ChannelHealth
 from skincal.contacts.outcome import Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, Press, turned
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
@@ -41,14 +41,14 @@ from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.model.readings import Sample
 from skincal.model.scene import Scene
 
+# Samples whose median spacing is the period; enough to outvote a few missing frames.
 _PERIOD_SAMPLES = 15
-"""Samples whose median spacing is the period; enough to outvote a few missing frames."""
+# Reasons that may fall away once a channel is found to be dead.
 _CROWDED = (Reason.TOO_MANY_TAXELS, Reason.NOT_CONNECTED)
-"""Reasons that may fall away once a channel is found to be dead."""
 
 
 class Doubt(NamedTuple):
-    """What a poke that dead channels may have spoilt is judged by, whenever more is known of them."""
+    """A poke that dead channels may have spoilt, with all it takes to judge it again once more is known of them."""
 
     poke: FinishedPress
     after: Tare | None
@@ -119,9 +119,10 @@ class ContactDetector:
         The pokes that ended with this sample, and those that became final, in the order of their numbers.
         """
         if not np.isfinite(sample.wrench).all():
+            # NaN would spoil every mean; a saturated sample is counted, and its poke is rejected.
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
         arm_pose = ArmPose(link_from_sensor, pose, self._arm_angles(sample))
-        gap_s = self._clock(sample)
+        gap_s = self._hole(sample)
         self._last = sample
         outcomes = self._rejudge() if self._health.feed(sample.host_s, sample.skin) and self._unused is None else []
         tare = self._tares.tare
@@ -145,7 +146,7 @@ class ContactDetector:
         outcomes: list[Outcome] = []
         press = self._press
         if press is not None:
-            # At least a hair over the limit: the break itself is the loss, however soon it is known.
+            # A hair over the limit at least: the break itself is the loss, however soon it is known.
             lost = 0.0 if host_s is None else host_s - self.last_s
             press.lose(max(lost, GAP_PERIODS * self._period_s * (1 + 1e-9)))
             outcomes += self._end(press)
@@ -179,16 +180,11 @@ class ContactDetector:
         """Return the poke in progress, its force axis in the link frame (the sensor frame while the pose is unknown)."""
         press = self._press
         force, moment = np.zeros(3), np.zeros(3)
-        tare = self._tares.tare
         if press is not None and self._last is not None and not self._last.saturated:
             wrench = self._last.wrench - press.tare.wrench
             force, moment = move_wrench(np.eye(4) if link_from_sensor is None else link_from_sensor, wrench[:3], wrench[3:])
         pressing = bool(force @ force > 0.0)
-        channels: IntArray = np.empty(0, dtype=np.int64)
-        if tare is not None:
-            above = self.responses > answer_limit(self._scene, self._tares.noise)
-            unused = self._left_out()
-            channels = np.array([c for c in self._candidates[above[self._candidates]] if int(c) not in unused], dtype=np.int64)
+        channels = self._answering(self.responses)
         return Progress(
             phase=self._phase(),
             force=force,
@@ -218,8 +214,8 @@ class ContactDetector:
             return None
         return sample.angles[list(arm.arm.joints)]
 
-    def _clock(self, sample: Sample) -> float:
-        """Keep the period; return the length of a hole before this sample, else 0."""
+    def _hole(self, sample: Sample) -> float:
+        """Return the length of a hole before this sample, else 0; keep the period."""
         if self._last is None:
             return 0.0
         step = sample.host_s - self._last.host_s
@@ -233,6 +229,7 @@ class ContactDetector:
     def _idle(self, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
         outcomes: list[Outcome] = []
         if gap_s > 0:
+            # A quiet window is made of successive samples.
             self._tares.interrupt()
         if self._tare_pose is not None and self._turned(self._tare_pose, pose):
             outcomes += self._settle(None)
@@ -285,7 +282,7 @@ class ContactDetector:
         return []
 
     def _lifted(self, press: Press, sample: Sample) -> bool:
-        """Tell whether skin lies below its baseline and none above: what was tared away has left."""
+        """Return whether skin lies below its baseline and none above: what was tared away has left."""
         response = (self._scene.skin.polarity * (sample.skin - press.tare.skin))[self._candidates]
         limit = answer_limit(self._scene, self._tares.noise)[self._candidates]
         return bool((response < -limit).any()) and not (response > limit).any()
@@ -325,7 +322,7 @@ class ContactDetector:
         return [self._judge(poke, after, final=True) for poke in waiting]
 
     def _expire(self, host_s: float) -> list[Outcome]:
-        """Make final what waited in vain, so that what waits stays small."""
+        """Make final what waited in vain, so that the list of waiting pokes stays short."""
         outcomes: list[Outcome] = []
         while self._pending and host_s - self._pending[0].end_s > TARE_AGE_MAX_S:
             outcomes.append(self._judge(self._pending.pop(0), None, final=True))
@@ -333,6 +330,7 @@ class ContactDetector:
 
     def _judge(self, poke: FinishedPress, after: Tare | None, *, final: bool) -> Outcome:
         outcome = judge(poke, self._scene, after, final, self._left_out())
+        # A first judgement is not kept: the final one follows.
         if final and _is_crowded(outcome):
             self._doubts[poke.number] = Doubt(poke, after), outcome
         return outcome
@@ -363,14 +361,17 @@ class ContactDetector:
         self.responses = np.full(self._scene.skin.channels, np.nan)
 
     def _leaning(self, sample: Sample) -> bool:
-        """Tell whether the skin answers against its last known rest: something still presses."""
+        """Return whether the skin answers against its last known rest: something still presses."""
         resting = self._tares.resting
         if resting is None or sample.host_s - self._untared_since > TARE_AGE_MAX_S:
             return False
-        response = self._scene.skin.polarity * (sample.skin - resting)
-        above = (response > answer_limit(self._scene, self._tares.noise))[self._candidates]
+        return len(self._answering(self._scene.skin.polarity * (sample.skin - resting))) > 0
+
+    def _answering(self, responses: FloatArray) -> IntArray:
+        """Return the channels in use whose response, (channels,), is above their limit; NaN is not."""
+        above = (responses > answer_limit(self._scene, self._tares.noise))[self._candidates]
         unused = self._left_out()
-        return any(int(channel) not in unused for channel in self._candidates[above])
+        return np.array([channel for channel in self._candidates[above].tolist() if channel not in unused], dtype=np.int64)
 
 
 def _is_crowded(outcome: Outcome) -> bool:

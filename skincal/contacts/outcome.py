@@ -1,4 +1,4 @@
-"""What a poke ends as."""
+"""What a poke ends as, a contact or a rejection with its reason, and how the poke in progress stands."""
 
 from __future__ import annotations
 

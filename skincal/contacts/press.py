@@ -1,8 +1,7 @@
-"""The arm's pose with a sample, and how far it has moved since another one.
+"""The poke in progress: its samples, how still it is held, and how far the arm moves meanwhile.
 
-How still a press is: the spread of its force and the travel of its axis over a few samples.
-
-The poke in progress: gathers its samples and finds the stillest window, with memory that does not grow.
+A press is weighed window by window, each `still_s` long: by the relative spread of its force, and by how far its force axis
+travels where the contact is. Only the stillest window is kept, so memory does not grow with the length of a press.
 """
 
 from __future__ import annotations
@@ -55,8 +54,8 @@ def _rotation(first: FloatArray, second: FloatArray) -> float:
 CONTACT_REACH = 0.1
 """m. The contact lies at most so far along the force axis from its point nearest to the sensor's origin: the radius of a
 robot's limb and more."""
+# Standard errors by which a travel must exceed its limit: noise alone moves few still presses by more.
 _SURE = 2.0
-"""Standard errors by which a travel must exceed its limit: noise alone moves few still presses by more."""
 
 
 def force_spread(force: FloatArray) -> float:
@@ -204,6 +203,7 @@ class Press:
         """Take one sample of the press."""
         self.end_s = sample.host_s
         if sample.saturated:
+            # Its force is not known, and a still window must not reach across it.
             self.saturated += 1
             self.still = 0.0
             self._window.clear()

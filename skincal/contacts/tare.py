@@ -36,8 +36,8 @@ MOST_WINDOW = 1024
 """Samples. A window holds no more, however fast the device says it is: memory stays small."""
 NOISE_BLOCKS = 16
 """Quiet windows over which a channel's noise is averaged: ten samples alone give it to 25 %."""
+# Interquartile range of a normal distribution in standard deviations.
 _IQR_OF_SD = 1.349
-"""Interquartile range of a normal distribution in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +87,7 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     count = values.shape[0] - np.isnan(values).sum(axis=0)
     last = np.maximum(count - 1, 0)
 
+    # Linear between the two nearest values in order, each column with its own count.
     def at(share: float) -> FloatArray:
         place = share * last
         low = place.astype(np.int64)
@@ -99,7 +100,7 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def is_quiet(window: FloatArray, following: FloatArray) -> bool:
-    """Tell whether the force rests through a window and straight after it.
+    """Return whether the force rests through a window and straight after it.
 
     Parameters
     ----------
@@ -132,8 +133,11 @@ class TareKeeper:
     def __init__(self, settings: ContactSettings, channels: int) -> None:
         self._quiet_s = settings.quiet_s
         self._run: deque[Sample] = deque()
-        self._recent: deque[Tare] = deque(maxlen=8)  # the time from `ONSET_S` before a touch and more
-        self._fresh = 0  # samples since the last tare
+        # Tares follow one another by half a window and more: eight reach back beyond `ONSET_S`.
+        self._recent: deque[Tare] = deque(maxlen=8)
+        # Samples since the last tare.
+        self._fresh = 0
+        # Quiet windows that the noise is averaged over so far.
         self._blocks = 0
         self._variance = np.zeros(channels)
         self.noise: FloatArray = np.zeros(channels)
@@ -182,7 +186,7 @@ class TareKeeper:
         median, sd = robust_level(np.stack([sample.skin for sample in window]))
         self._learn_noise(sd)
         tare = Tare(
-            time_s=_mean_time(window),
+            time_s=mean_time(window),
             start_s=window[0].host_s,
             end_s=window[-1].host_s,
             wrench=wrench[:quiet].mean(axis=0),
@@ -195,12 +199,14 @@ class TareKeeper:
 
     def _learn_noise(self, sd: FloatArray) -> None:
         self._blocks = min(self._blocks + 1, NOISE_BLOCKS)
+        # A running mean of the variance: of the first blocks all alike, then the newest weigh one in `NOISE_BLOCKS`.
         known = np.isfinite(sd)
         self._variance[known] += (sd[known] ** 2 - self._variance[known]) / self._blocks
         self.noise = np.sqrt(self._variance)
 
 
-def _mean_time(window: Sequence[Sample]) -> float:
+def mean_time(window: Sequence[Sample]) -> float:
+    """Return the mean time of samples, host clock, seconds."""
     # From the first time on, so that seconds since boot keep their last digits.
     first = window[0].host_s
     return first + sum(sample.host_s - first for sample in window) / len(window)

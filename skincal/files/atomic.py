@@ -30,6 +30,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def _replace(path: Path, data: bytes) -> None:
+    # With the process's number: another program may be writing the same file.
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
@@ -52,6 +53,6 @@ def _keep_old(path: Path) -> None:
     try:
         spare.hardlink_to(path)
     except OSError:
-        # A file system without hard links, such as FAT: copy.
+        # A file system without hard links, such as FAT: the second name costs a copy.
         spare.write_bytes(path.read_bytes())
     spare.replace(backup)

@@ -18,20 +18,20 @@ from skincal.taxels.result import Estimate, Method
 
 @dataclass(frozen=True, slots=True)
 class LandmarkCheck:
-    """How well held-out landmark pokes are foretold with a correction of the rig, and without it."""
+    """How well held-out landmark pokes are predicted with a correction of the rig, and without it."""
 
     pokes: int
     """How many landmark pokes it was tried with."""
     before: float
-    """m: at what distance they pass their landmarks as the rig tells, root mean square."""
+    """m: at what distance they pass their landmarks as the rig reports them, root mean square."""
     after: float
     """m: the same of held-out ones under a correction made without them."""
     worth_using: bool
-    """Whether these are foretold so much better that the correction is offered."""
+    """Whether these are predicted so much better that the correction is offered."""
 
 
 def landmark_check(answer: RigAnswer) -> LandmarkCheck | None:
-    """Return what came out of a search for a correction; None where there were too few pokes to try it."""
+    """Return what a search for a correction found; None where there were too few pokes for it."""
     if answer.correction is None:
         return None
     return LandmarkCheck(len(answer.trust), answer.before, answer.after, answer.used)
@@ -47,7 +47,7 @@ class Calibration:
     estimates: Mapping[Method, tuple[Estimate, ...]]
     """For each method one estimate a taxel, in the order of `channels`."""
     contacts: tuple[Contact, ...]
-    """Accepted contacts, as the rig told them; those whose poke is in `excluded` did not count."""
+    """Accepted contacts, as the rig reported them; those whose poke is in `excluded` did not count."""
     mesh_sha256: str | None
     """Of the mesh file that the surface method used; None without a surface."""
     version: str
@@ -57,12 +57,11 @@ class Calibration:
     dead: Mapping[int, str] = field(default_factory=dict[int, str])
     """Channels that were not used, with the reason."""
     corrections: tuple[UsedCorrection, ...] = ()
-    """Of what the rig tells: the estimates are those of the contacts under them, one after another."""
-
+    """Of what the rig reports, applied in this order before the estimates were computed."""
     landmark_pokes: tuple[LandmarkPoke, ...] = ()
-    """Pokes at known points of the part, as the rig told them; those whose poke is in `excluded` did not count."""
+    """Pokes at known points of the part, as the rig reported them; those whose poke is in `excluded` did not count."""
     landmark_check: LandmarkCheck | None = None
-    """What they say of a correction of the rig, used or not; None where nobody tried."""
+    """What they say about a correction of the rig, used or not; None where none was searched for."""
 
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.

@@ -1,8 +1,7 @@
-"""A calibration as CSV: one row a channel and method.
+"""Write a calibration in one of four formats, and say what is wrong with it and what it leaves out.
 
-A calibration as a point cloud that MeshLab, CloudCompare and ParaView open.
-
-Write a calibration in one format, and say what is wrong with it and what it leaves out.
+CSV (a row for each channel and method) and PLY (a point cloud for MeshLab, CloudCompare and ParaView) are made here; `icub.py`
+and `json_file.py` make the other two. A fault that `lint.py` finds is reported and does not stop the writing.
 """
 
 from __future__ import annotations
@@ -66,9 +65,7 @@ def _csv_row(calibration: Calibration, estimate: Estimate) -> list[str]:
 
 
 def _vector(vector: FloatArray | None) -> list[str]:
-    if vector is None:
-        return ["", "", ""]
-    return [_number(value) for value in vector.tolist()]
+    return ["", "", ""] if vector is None else [_number(value) for value in vector.tolist()]
 
 
 def _number(value: float | None) -> str:
@@ -76,7 +73,7 @@ def _number(value: float | None) -> str:
 
 
 METHOD_CODE = {Method.FREE: 0, Method.SURFACE: 1, Method.MODULES: 2}
-"""PLY has no text properties."""
+"""Of the property `method`: PLY has no text properties."""
 
 
 def ply_text(calibration: Calibration, method: Method) -> str:
@@ -91,7 +88,7 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "format ascii 1.0",
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {_one_line(calibration.scene.link)}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
-        *(f"comment {correction_words(one)}" for one in calibration.corrections),
+        *(f"comment {correction_words(used)}" for used in calibration.corrections),
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
         "property int channel",
@@ -121,15 +118,15 @@ FORMATS = ("icub", "json", "csv", "ply")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """What the scene says of the part's shape."""
+    """What the scene says about the part's shape."""
 
     surface: Surface | None
+    # The layout as planned, where there is no surface.
     laid: LaidSkin | None
-    """Where there is no surface."""
-    findings: tuple[str, ...]
-    """On the mesh itself."""
-    troubles: tuple[str, ...]
-    """Why a check could not be done, or says little."""
+    # Sentences on the mesh itself.
+    findings: tuple[str, ...] = ()
+    # Why a check could not be done, or says little.
+    troubles: tuple[str, ...] = ()
 
 
 def write_calibration(
@@ -157,11 +154,12 @@ def write_calibration(
     """
     if format not in FORMATS:
         raise InputError(f"the format is {format!r}; expected one of {', '.join(FORMATS)}.")
+    # Refuses a method without estimates before the mesh is loaded.
     calibration.of(method)
     shape = _part(calibration)
     text = _text(calibration, format, method, part, shape)
     methods = (method,) if format in ("icub", "ply") else tuple(calibration.estimates)
-    sentences = [*(f"{correction_words(one)}." for one in calibration.corrections), *shape.troubles]
+    sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
         sentences += _left_out(calibration.of(each), each, format)
@@ -182,15 +180,15 @@ def _text(calibration: Calibration, format_: str, method: Method, part: str | No
 
 
 def _part(calibration: Calibration) -> _Part:
-    """Load what the scene says of the shape; a missing mesh must not keep a calibration from being written."""
+    """Load the part's shape; a missing mesh must not keep a calibration from being written."""
     scene = calibration.scene
     try:
         if scene.surface is None:
             laid = None if scene.skin.layout is None else lay(scene.skin.layout, scene.skin.anchor, None)
-            return _Part(None, laid, (), ())
+            return _Part(None, laid)
         surface, found = _load(scene.surface, _changed_ns(scene.surface.path))
     except InputError as error:
-        return _Part(None, None, (), (f"the positions were not compared with the part's shape: {error}",))
+        return _Part(None, None, troubles=(f"the positions were not compared with the part's shape: {error}",))
     same = surface.sha256 == calibration.mesh_sha256
     trouble = f"{scene.surface.path}: the mesh changed since the estimates were computed; solve again."
     return _Part(surface, None, tuple(finding.sentence for finding in found), () if same else (trouble,))
@@ -206,6 +204,7 @@ def _changed_ns(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns
     except OSError:
+        # `load_surface` says what is wrong with it.
         return 0
 
 

@@ -98,6 +98,7 @@ def representatives(layout: Layout | None, width: int, placed: IntArray) -> IntA
     if layout is None:
         mapping[placed] = placed
         return mapping
+    # All pads first: what is a thermal pad of one module may be a taxel's channel of another.
     for module in layout.modules:
         last = module.first_channel + len(module.kind.pads)
         mapping[module.first_channel : last] = THERMAL_PAD
@@ -143,7 +144,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
     lines = [
         f"skincal {calibration.version}, {method.value} method, metres in {_word(calibration.scene.link)}",
         f"{placed} of {len(estimates)} taxels have a position; rows of six zeros are no positions",
-        *(correction_words(one) for one in calibration.corrections),
+        *(correction_words(used) for used in calibration.corrections),
     ]
     for state in State:
         channels = [estimate.channel for estimate in estimates if estimate.state is state and estimate.position is None]
@@ -206,6 +207,7 @@ def _content_lines(text: str) -> list[tuple[int, str]]:
     for number, raw in enumerate(text.splitlines(), start=1):
         line = re.sub(r"//.*|(^|\s)#.*", "", raw)
         line = " ".join(f"{pending} {line}".split())
+        # A list over several lines is named by the first of them.
         first = first if pending else number
         if line.count("(") > line.count(")"):
             pending = line
@@ -243,6 +245,7 @@ def _read_mapping(text: str | None, where: str) -> IntArray:
 
 
 def _unit_normals(rows: FloatArray) -> tuple[FloatArray, list[str]]:
+    # Published files have normals of length 0.6 to 1.
     lengths = np.linalg.norm(rows[:, 3:], axis=1)
     known = lengths > 0
     off = known & (np.abs(lengths - 1.0) > UNIT_TOLERANCE)

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.files.calibration import Calibration, LandmarkCheck
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.rig.correction import Correction, UsedCorrection
@@ -35,14 +35,77 @@ CONTACT_UNITS = {
 }  # fmt: skip
 """Unit after the name of each setting; empty for a plain number or where the name has it."""
 NOISE_UNITS = {
-    "force": "N",
-    "moment": "Nm",
-    "contact": "m",
-    "reach": "m",
-    "radius": "m",
-    "pose_turn": "rad",
-    "pose_shift": "m",
-}
+    "force": "N", "moment": "Nm", "contact": "m", "reach": "m", "radius": "m", "pose_turn": "rad", "pose_shift": "m",
+}  # fmt: skip
+
+
+def _as_is(value: Any) -> Any:
+    return value
+
+
+def _known(value: float | None) -> float:
+    """Return a number, NaN for null."""
+    return math.nan if value is None else value
+
+
+def _floats(values: list[Any] | None) -> FloatArray | None:
+    """Return an array, with NaN for each null within; None for null."""
+    return None if values is None else np.array(values, dtype=float)
+
+
+def _integers(values: list[int]) -> IntArray:
+    return np.array(values, dtype=np.int64)
+
+
+Keys: TypeAlias = tuple[tuple[str, str, Callable[[Any], Any]], ...]
+"""Of a value's fields that are written alike: key in the file, name of the field, and how the field is read back."""
+CONTACT_KEYS: Keys = (
+    ("poke", "poke", _as_is),
+    ("start_s", "start_s", _as_is),
+    ("end_s", "end_s", _as_is),
+    ("force_sensor_N", "force", _floats),
+    ("moment_sensor_Nm", "moment", _floats),
+    ("channels", "channels", _integers),
+    ("responses_raw", "responses", _floats),
+    ("link_from_sensor_m", "link_from_sensor", _floats),
+    ("pose", "pose", _as_is),
+    ("tare_change_N", "tare_change", _known),
+    ("final", "final", _as_is),
+)
+LANDMARK_KEYS: Keys = (
+    ("poke", "poke", _as_is),
+    ("landmark", "name", _as_is),
+    ("landmark_place_m", "place", _floats),
+    ("force_sensor_N", "force", _floats),
+    ("moment_sensor_Nm", "moment", _floats),
+    ("link_from_sensor_m", "link_from_sensor", _floats),
+    ("pose", "pose", _as_is),
+)
+CHECK_KEYS: Keys = (
+    ("landmark_pokes", "pokes", _as_is),
+    ("miss_before_m", "before", _known),
+    ("miss_after_m", "after", _known),
+    ("worth_using", "worth_using", _as_is),
+)
+
+
+def _given_reason(text: str) -> StateReason | None:
+    return StateReason(Cause.GIVEN, text=text) if text else None
+
+
+ESTIMATE_KEYS: Keys = (
+    ("state", "state", State),
+    ("contacts", "contacts", _as_is),
+    ("position_m", "position", _floats),
+    ("normal", "normal", _floats),
+    ("covariance_m2", "covariance", _floats),
+    ("weakest", "weakest", _floats),
+    ("sd_m", "sd", _as_is),
+    ("rms_m", "rms", _as_is),
+    ("triangle", "triangle", _as_is),
+    ("reason", "reason", _given_reason),
+    ("foot_m", "foot", _floats),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,23 +124,23 @@ class CalibrationFile:
     noise: NoiseSettings
     channels: tuple[int, ...]
     contacts: tuple[Contact, ...]
-    """Accepted contacts as the rig told them, in their order; those in `excluded` did not count."""
+    """Accepted contacts as the rig reported them, in their order; those in `excluded` did not count."""
     excluded: tuple[int, ...]
     """Numbers of the pokes that the operator took out."""
     dead: Mapping[int, str]
     estimates: Mapping[Method, tuple[Estimate, ...]]
     corrections: tuple[UsedCorrection, ...] = ()
-    """Of what the rig told, to be applied one after another."""
+    """Of what the rig reported, to be applied one after another."""
     landmark_pokes: tuple[LandmarkPoke, ...] = ()
-    """Pokes at known points as the rig told them, in their order; those in `excluded` did not count."""
+    """Pokes at known points as the rig reported them, in their order; those in `excluded` did not count."""
     landmark_check: LandmarkCheck | None = None
 
     @property
     def used_contacts(self) -> tuple[Contact, ...]:
         """Contacts from which the estimates were computed, as they were corrected."""
         used = [contact for contact in self.contacts if contact.poke not in self.excluded]
-        for one in self.corrections:
-            used = [one.correction.corrected(contact) for contact in used]
+        for step in self.corrections:
+            used = [step.correction.corrected(contact) for contact in used]
         return tuple(used)
 
 
@@ -89,11 +152,18 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
     mesh_findings : sentences on the mesh, from `skincal.mesh.load.load_surface`
     """
     scene = calibration.scene
+    layout = scene.skin.layout
+    check = calibration.landmark_check
     document = {
         "format": FORMAT,
         "skincal_version": calibration.version,
         "frame": scene.link,
-        "scene": {"name": scene.name, "file": scene.path.name, "text": scene.text, "modules_text": modules_text(calibration)},
+        "scene": {
+            "name": scene.name,
+            "file": scene.path.name,
+            "text": scene.text,
+            "modules_text": None if layout is None else layout.text or None,
+        },
         "mesh": None
         if scene.surface is None
         else {"file": scene.surface.path.name, "sha256": calibration.mesh_sha256, "findings": list(mesh_findings)},
@@ -101,11 +171,11 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         "noise": _settings(scene.noise, NOISE_UNITS),
         "channels": [int(channel) for channel in calibration.channels],
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
-        "corrections": [_correction(one) for one in calibration.corrections],
-        "landmark_check": _check(calibration.landmark_check),
-        "landmark_pokes": [_landmark_poke(poke) for poke in calibration.landmark_pokes],
+        "corrections": [_correction(used) for used in calibration.corrections],
+        "landmark_check": None if check is None else _written(check, CHECK_KEYS),
+        "landmark_pokes": [_written(poke, LANDMARK_KEYS) for poke in calibration.landmark_pokes],
         "excluded_pokes": [int(poke) for poke in calibration.excluded],
-        "contacts": [_contact(contact) for contact in calibration.contacts],
+        "contacts": [_written(contact, CONTACT_KEYS) for contact in calibration.contacts],
         "estimates": {
             method.value: [_estimate(calibration, estimate) for estimate in estimates]
             for method, estimates in calibration.estimates.items()
@@ -133,12 +203,6 @@ def _compact(value: object) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
 
 
-def modules_text(calibration: Calibration) -> str | None:
-    """Return the text of the layout that was used, as it was read; None without one."""
-    layout = calibration.scene.skin.layout
-    return None if layout is None else layout.text or None
-
-
 def _settings(settings: ContactSettings | NoiseSettings, units: Mapping[str, str]) -> dict[str, float]:
     return {_with_unit(item.name, units): getattr(settings, item.name) for item in fields(settings)}
 
@@ -147,33 +211,21 @@ def _with_unit(name: str, units: Mapping[str, str]) -> str:
     return f"{name}_{units[name]}" if units[name] else name
 
 
-def _number(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)
+def _written(value: object, keys: Keys) -> dict[str, Any]:
+    return {key: _plain(getattr(value, name)) for key, name, _ in keys}
 
 
-def _array(array: FloatArray | None) -> Any:
-    """Return nested lists of numbers, with None for what is not finite."""
-    if array is None:
-        return None
-    if array.ndim > 1:
-        return [_array(row) for row in array]
-    return [_number(value) for value in array.tolist()]
-
-
-def _contact(contact: Contact) -> dict[str, Any]:
-    return {
-        "poke": int(contact.poke),
-        "start_s": float(contact.start_s),
-        "end_s": float(contact.end_s),
-        "force_sensor_N": _array(contact.force),
-        "moment_sensor_Nm": _array(contact.moment),
-        "channels": contact.channels.tolist(),
-        "responses_raw": _array(contact.responses),
-        "link_from_sensor_m": _array(contact.link_from_sensor),
-        "pose": contact.pose,
-        "tare_change_N": _number(contact.tare_change),
-        "final": bool(contact.final),
-    }
+def _plain(value: object) -> Any:
+    """Return a field as JSON has it: arrays as nested lists, with null for a number that is not finite."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list):
+        return [_plain(item) for item in cast("list[object]", value)]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.generic):
+        return cast("np.generic[Any]", value).item()
+    return value.value if isinstance(value, State) else value
 
 
 def _correction(used: UsedCorrection) -> dict[str, Any]:
@@ -183,32 +235,9 @@ def _correction(used: UsedCorrection) -> dict[str, Any]:
         "landmark_pokes": int(used.pokes),
         "miss_before_m": float(used.before),
         "miss_after_m": float(used.after),
-        "wrench_matrix": _array(found.matrix),
-        "sensor_motion_m": _array(found.everywhere),
-        "pose_motions_m": {name: _array(motion) for name, motion in sorted(found.motions.items())},
-    }
-
-
-def _check(check: LandmarkCheck | None) -> dict[str, Any] | None:
-    if check is None:
-        return None
-    return {
-        "landmark_pokes": int(check.pokes),
-        "miss_before_m": _number(check.before),
-        "miss_after_m": _number(check.after),
-        "worth_using": bool(check.worth_using),
-    }
-
-
-def _landmark_poke(poke: LandmarkPoke) -> dict[str, Any]:
-    return {
-        "poke": int(poke.poke),
-        "landmark": poke.name,
-        "landmark_place_m": _array(poke.place),
-        "force_sensor_N": _array(poke.force),
-        "moment_sensor_Nm": _array(poke.moment),
-        "link_from_sensor_m": _array(poke.link_from_sensor),
-        "pose": poke.pose,
+        "wrench_matrix": _plain(found.matrix),
+        "sensor_motion_m": _plain(found.everywhere),
+        "pose_motions_m": {name: _plain(motion) for name, motion in sorted(found.motions.items())},
     }
 
 
@@ -217,19 +246,10 @@ def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
     return {
         "channel": int(estimate.channel),
         "module": calibration.module_id(estimate.channel),
-        "state": estimate.state.value,
-        "contacts": int(estimate.contacts),
-        "position_m": _array(estimate.position),
-        "normal": _array(estimate.normal),
-        "covariance_m2": _array(estimate.covariance),
-        "weakest": _array(estimate.weakest),
-        "sd_m": _number(estimate.sd),
-        "rms_m": _number(estimate.rms),
-        "triangle": None if estimate.triangle is None else int(estimate.triangle),
+        **_written(estimate, ESTIMATE_KEYS),
         "reason": state_sentence(estimate.reason),
-        "foot_m": _array(estimate.foot),
         "rival": None if rival is None else {
-            "position_m": _array(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
+            "position_m": _plain(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
         },
         "doubted": {str(poke): trust for poke, trust in sorted(estimate.doubted.items())},
     }  # fmt: skip
@@ -263,7 +283,7 @@ def read_json(path: Path) -> CalibrationFile:
 
 def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
     mesh: dict[str, Any] = document["mesh"] or {"sha256": None, "findings": []}
-    newer = document["format"] == FORMAT
+    newer, check = document["format"] == FORMAT, document.get("landmark_check")
     return CalibrationFile(
         version=document["skincal_version"],
         frame=document["frame"],
@@ -271,80 +291,40 @@ def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
         modules_text=document["scene"]["modules_text"],
         mesh_sha256=mesh["sha256"],
         mesh_findings=tuple(mesh["findings"]),
-        contact_settings=ContactSettings(**_plain_settings(document["contact_settings"], CONTACT_UNITS)),
-        noise=NoiseSettings(**_plain_settings(document["noise"], NOISE_UNITS)),
+        contact_settings=ContactSettings(**_read_settings(document["contact_settings"], CONTACT_UNITS)),
+        noise=NoiseSettings(**_read_settings(document["noise"], NOISE_UNITS)),
         channels=tuple(document["channels"]),
-        contacts=tuple(_read_contact(contact) for contact in document["contacts"]),
+        contacts=tuple(Contact(**_read(values, CONTACT_KEYS)) for values in document["contacts"]),
         excluded=tuple(document["excluded_pokes"]),
         dead={int(channel): reason for channel, reason in document["dead_channels"].items()},
         estimates={
-            Method(name): tuple(_read_estimate(item, Method(name)) for item in items)
+            Method(name): tuple(_read_estimate(values, Method(name)) for values in items)
             for name, items in document["estimates"].items()
         },
-        corrections=tuple(_read_correction(one) for one in document["corrections"]) if newer else (),
-        landmark_pokes=tuple(_read_landmark_poke(one) for one in document.get("landmark_pokes", ())),
-        landmark_check=_read_check(document.get("landmark_check")),
+        corrections=tuple(_read_correction(values) for values in document["corrections"]) if newer else (),
+        landmark_pokes=tuple(LandmarkPoke(**_read(values, LANDMARK_KEYS)) for values in document.get("landmark_pokes", ())),
+        landmark_check=None if check is None else LandmarkCheck(**_read(check, CHECK_KEYS)),
     )
 
 
-def _plain_settings(values: dict[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
+def _read_settings(values: dict[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
     return {name: values[_with_unit(name, units)] for name in units}
 
 
-def _read_array(values: list[Any]) -> FloatArray:
-    """Return an array of floats; None in the lists becomes NaN."""
-    return np.array(values, dtype=float)
-
-
-def _read_optional(values: list[Any] | None) -> FloatArray | None:
-    return None if values is None else _read_array(values)
-
-
-def _read_contact(values: dict[str, Any]) -> Contact:
-    change = values["tare_change_N"]
-    return Contact(
-        poke=values["poke"],
-        start_s=values["start_s"],
-        end_s=values["end_s"],
-        force=_read_array(values["force_sensor_N"]),
-        moment=_read_array(values["moment_sensor_Nm"]),
-        channels=np.array(values["channels"], dtype=np.int64),
-        responses=_read_array(values["responses_raw"]),
-        link_from_sensor=_read_array(values["link_from_sensor_m"]),
-        pose=values["pose"],
-        tare_change=math.nan if change is None else change,
-        final=values["final"],
-    )
+def _read(values: dict[str, Any], keys: Keys) -> dict[str, Any]:
+    return {name: read(values[key]) for key, name, read in keys}
 
 
 def _read_correction(values: dict[str, Any]) -> UsedCorrection:
-    motions = {name: _read_array(motion) for name, motion in values["pose_motions_m"].items()}
+    motions = {name: np.array(motion, dtype=float) for name, motion in values["pose_motions_m"].items()}
+    matrix, everywhere = (np.array(values[key], dtype=float) for key in ("wrench_matrix", "sensor_motion_m"))
     return UsedCorrection(
         of=values["of"],
-        correction=Correction(_read_array(values["wrench_matrix"]), _read_array(values["sensor_motion_m"]), motions),
+        correction=Correction(matrix, everywhere, motions),
         before=values["miss_before_m"],
         after=values["miss_after_m"],
         pokes=values["landmark_pokes"],
     )
-
-
-def _read_landmark_poke(values: dict[str, Any]) -> LandmarkPoke:
-    return LandmarkPoke(
-        poke=values["poke"],
-        name=values["landmark"],
-        place=_read_array(values["landmark_place_m"]),
-        force=_read_array(values["force_sensor_N"]),
-        moment=_read_array(values["moment_sensor_Nm"]),
-        link_from_sensor=_read_array(values["link_from_sensor_m"]),
-        pose=values["pose"],
-    )
-
-
-def _read_check(values: dict[str, Any] | None) -> LandmarkCheck | None:
-    if values is None:
-        return None
-    misses = [math.nan if values[key] is None else values[key] for key in ("miss_before_m", "miss_after_m")]
-    return LandmarkCheck(values["landmark_pokes"], misses[0], misses[1], values["worth_using"])
 
 
 def _read_estimate(values: dict[str, Any], method: Method) -> Estimate:
@@ -352,17 +332,7 @@ def _read_estimate(values: dict[str, Any], method: Method) -> Estimate:
     return Estimate(
         channel=values["channel"],
         method=method,
-        state=State(values["state"]),
-        contacts=values["contacts"],
-        position=_read_optional(values["position_m"]),
-        normal=_read_optional(values["normal"]),
-        covariance=_read_optional(values["covariance_m2"]),
-        weakest=_read_optional(values["weakest"]),
-        sd=values["sd_m"],
-        rms=values["rms_m"],
-        triangle=values["triangle"],
-        reason=StateReason(Cause.GIVEN, text=values["reason"]) if values["reason"] else None,
-        foot=_read_optional(values["foot_m"]),
-        rival=None if rival is None else Rival(_read_array(rival["position_m"]), rival["triangle"], rival["odds"]),
+        **_read(values, ESTIMATE_KEYS),
+        rival=None if rival is None else Rival(np.array(rival["position_m"], dtype=float), rival["triangle"], rival["odds"]),
         doubted={int(poke): trust for poke, trust in values["doubted"].items()},
     )

@@ -1,4 +1,4 @@
-"""The corrected layout as a file: the text of the one that was read, with what changes in it and all else as it was.
+"""The corrected layout as a file: the text that was read, with the changes in it and all else as it was.
 
 Comments, the order and the writing of what does not change stay, so that the two files can be compared line by line. What is
 written is read back and must say what was meant.
@@ -40,7 +40,7 @@ def write_layout(given: Layout, mend: LayoutMend, path: Path) -> None:
         raise InputError(f"{path}: the layout was read from no file, so there is none to correct; expected one that was.")
     if _same_file(path, given.path):
         raise InputError(
-            f"{path}: is the layout that was read, which is kept as it is; choose another name, such as {_beside(path)}."
+            f"{path}: is the layout that was read, which is kept as it is; choose another name, such as corrected-{path.name}."
         )
     text = corrected_text(given.text, mend.changes)
     _check(read_layout(text, path, given.width), mend.layout, path)
@@ -56,11 +56,11 @@ def corrected_text(text: str, changes: Sequence[ModuleChange]) -> str:
     InputError
         It is written in a way that can be read, but not changed.
     """
-    # Only here: a layout is corrected once, and nothing else needs it.
+    # Imported here: a layout is corrected once, and nothing else needs tomlkit.
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
-    # What is added ends in a line feed; so does all else while it is worked on.
+    # tomlkit ends what it adds in a line feed, so the rest gets line feeds too until it is done.
     windows = "\r\n" in text
     try:
         document = tomlkit.parse(text.replace("\r\n", "\n"))
@@ -77,7 +77,7 @@ def corrected_text(text: str, changes: Sequence[ModuleChange]) -> str:
 
 
 def _put(table: MutableMapping[str, Any], key: str, value: float | bool | int) -> None:
-    """Give a table a value: in its place where it has one, else below its last, above comments that lead to the next table."""
+    """Set a value of a table: in its place where there is one, else below the last value, above comments on the next table."""
     from tomlkit.items import Item, Table
 
     tail: list[Item] = []
@@ -92,14 +92,14 @@ def _put(table: MutableMapping[str, Any], key: str, value: float | bool | int) -
 
 def _check(found: Layout, meant: Layout, path: Path) -> None:
     """Refuse a file that says something else than was meant."""
-    for one, other in zip(found.modules, meant.modules, strict=False):
-        turn = abs(float(np.angle(np.exp(1j * (one.angle - other.angle)))))
-        same = (one.id, one.first_channel, one.mirror) == (other.id, other.first_channel, other.mirror)
-        if not same or turn > SAME or not np.array_equal(one.place, other.place):
+    for module, wanted in zip(found.modules, meant.modules, strict=False):
+        turn = abs(float(np.angle(np.exp(1j * (module.angle - wanted.angle)))))
+        same = (module.id, module.first_channel, module.mirror) == (wanted.id, wanted.first_channel, wanted.mirror)
+        if not same or turn > SAME or not np.array_equal(module.place, wanted.place):
             raise InputError(
-                f"{path}: module {other.id} would not be read as it was meant; change the layout by hand: "
-                f"first_channel = {other.first_channel}, angle_deg = {np.degrees(other.angle):g}, "
-                f"mirror = {str(other.mirror).lower()}."
+                f"{path}: module {wanted.id} would not be read as it was meant; change the layout by hand: "
+                f"first_channel = {wanted.first_channel}, angle_deg = {np.degrees(wanted.angle):g}, "
+                f"mirror = {str(wanted.mirror).lower()}."
             )
     if len(found.modules) != len(meant.modules):
         raise InputError(f"{path}: {len(found.modules)} modules would be read; {len(meant.modules)} were expected.")
@@ -110,7 +110,3 @@ def _same_file(path: Path, other: Path) -> bool:
         return path.samefile(other)
     except OSError:
         return path.absolute() == other.absolute()
-
-
-def _beside(path: Path) -> str:
-    return f"corrected-{path.name}"

@@ -27,7 +27,7 @@ SAME_PLACE = 1e-6
 UNIT_TOLERANCE = 1e-6
 """A unit vector of doubles is unit to 1e-15; more than this was never normalised."""
 CHIRALITY_TAXELS = 6
-"""Taxels of a module from which its handedness is told: three more than a plane fit uses up."""
+"""Least taxels of a module whose handedness is judged: three more than a plane fit uses up."""
 CHIRALITY_RATIO = 0.6
 """The mirrored layout must fit this much better to say so; the paper's modules fit 2.1 mm straight, 10.4 mm mirrored."""
 NEIGHBOUR_SPACINGS = 1.3
@@ -84,6 +84,7 @@ def _at_origin(taxels: PlacedTaxels) -> list[str]:
 
 
 def _same_place(taxels: PlacedTaxels) -> list[str]:
+    # Neighbouring cells are not compared: copies agree in every digit.
     cells = np.round(taxels.positions / SAME_PLACE).astype(np.int64)
     _, group, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     shared = taxels.channels[count[group.ravel()] > 1]
@@ -149,7 +150,8 @@ def _mirrored(taxels: PlacedTaxels, layout: Layout) -> list[str]:
 
 
 def _looks_mirrored(pads: FloatArray, positions: FloatArray, normal: FloatArray) -> bool:
-    """Tell whether the mirror image of `pads` (k, 2) fits `positions` (k, 3), seen against `normal`, clearly better."""
+    """Return whether the mirror image of `pads` (k, 2) fits `positions` (k, 3), seen against `normal`, clearly better."""
+    # Two directions across the normal: the plane in which the pads are compared.
     turn = cross_matrix(normal)
     across = turn @ np.eye(3)[np.abs(normal).argmin()]
     across = across / np.linalg.norm(across)
@@ -171,6 +173,7 @@ def _spacing(taxels: PlacedTaxels, layout: Layout) -> list[str]:
     ratios: list[float] = []
     for module in layout.modules:
         own, placed = _pads_of(module, taxels)
+        # Every pair of the module's taxels once.
         first, second = np.triu_indices(len(own), 1)
         pads, positions = module.pads[own], taxels.positions[placed]
         planned = np.linalg.norm(pads[first] - pads[second], axis=1)

@@ -25,9 +25,9 @@ class Origin(Enum):
     TRUTH = "truth"
     """A simulated rig's: where its taxels are."""
     FILE = "file"
-    """A file that the operator chose: as true as whoever wrote it made it."""
+    """A file that the operator chose: as true as it was made."""
     PLAN = "plan"
-    """The scene's layout laid on the part: boards stretch and are glued askew, so it may lie a few millimetres off."""
+    """The scene's layout laid on the part: modules stretch and are glued askew, so it may lie a few millimetres off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +82,7 @@ def load_reference(path: Path, link: str, channels: Collection[int], origin: Ori
         As for `read_reference`; also if the file is of another link or knows none of the channels.
     """
     named, places = _read(path)
+    # An iCub file names no link; the operator answers for it.
     if named and named != link:
         raise InputError(f"{path}: its places are in the frame of {named!r}; the scene calibrates {link!r}.")
     if not places.keys() & set(channels):

@@ -25,6 +25,7 @@ class DhLink:
 
     def transform(self, angle: float) -> FloatArray:
         """Return the (4, 4) pose of this joint's outer frame in its inner one at `angle` radians."""
+        # Turn by theta and shift by d about and along z, then shift by a and turn by alpha along and about x.
         theta = angle + self.offset
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(self.alpha), np.sin(self.alpha)
         return np.array(

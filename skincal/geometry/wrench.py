@@ -49,7 +49,7 @@ def pitch(force: FloatArray, moment: FloatArray) -> FloatArray:
 
     Returns
     -------
-    (...) float, signed; beyond the noise it tells a second contact or a torque.
+    (...) float, signed; beyond the noise it shows a second contact or a torque.
     """
     return np.asarray(np.sum(force * moment, axis=-1) / np.sum(force * force, axis=-1))
 
@@ -75,5 +75,5 @@ def move_wrench(link_from_sensor: FloatArray, force: FloatArray, moment: FloatAr
 
 
 def _turn(rotation: FloatArray, v: FloatArray) -> FloatArray:
-    """Return Q v for each of many: no matrix product, whose rounding may depend on how many are turned at once."""
+    """Return Q v for each of many: not as a matrix product, whose rounding may depend on how many are turned at once."""
     return rotation[..., 0] * v[..., 0:1] + rotation[..., 1] * v[..., 1:2] + rotation[..., 2] * v[..., 2:3]

@@ -1,13 +1,13 @@
-"""Which poke tells most for the time it takes.
+"""Which poke says most for the time it takes, and where to poke while it is unknown where the taxels are.
 
 A poke at a believed place from some side is expected to be answered by the taxels around it, the weaker the farther. For each
 of them the predicted covariance S shrinks by S J'(D + J S J')^-1 J S, with J the poke's two rows and D their noise
 (A-optimal); what counts is by how much the predicted rms error goes down, until it is as small as wanted.
 
-Two phases: a sweep, in which pokes between taxels are welcome since they tell of several; then own pokes, since pure greed
-keeps poking between taxels, and pulls their estimates together.
+Two phases: a sweep, in which pokes between taxels are welcome since they say something about several; then own pokes, since
+pure greed keeps poking between taxels, and pulls their estimates together.
 
-Where to poke while nobody knows where the taxels are: evenly over the surface, around those that showed themselves first.
+Without a layout the surface is covered evenly (`Cover`), first around the taxels that answered.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ REACHED = 1.35
 that do are nearer."""
 MOST_CUBES = 2.0**20
 """Of the grid in which neighbours are looked for, along each side: their numbers fit into 64 bits."""
+# Least weight of a neighbour: it hardly counts.
 _HARDLY = 1e-3
-"""Least weight of a neighbour: it hardly counts."""
 FORCE = 9.0
 """N, the middle of what a hand presses (6 to 12)."""
 
@@ -64,20 +64,20 @@ def find_answering(places: FloatArray, spacing: float, noise: NoiseSettings, mos
     count = len(places)
     rows, weights = np.tile(np.arange(count)[:, None], (1, most + 1)), np.zeros((count, most + 1))
     weights[:, 0] = 1.0
-    one, other, apart = _pairs(places, REACHED * spacing)
-    one, other, apart = np.concatenate([one, other]), np.concatenate([other, one]), np.concatenate([apart, apart])
-    order = np.lexsort((other, apart, one))
-    one, other, apart = one[order], other[order], apart[order]
-    # How many nearer ones each has: its place in its own row.
-    rank = np.arange(len(one)) - np.searchsorted(one, one, side="left")
+    near, far, apart = _pairs(places, REACHED * spacing)
+    taxel, other, apart = np.concatenate([near, far]), np.concatenate([far, near]), np.concatenate([apart, apart])
+    order = np.lexsort((other, apart, taxel))
+    taxel, other, apart = taxel[order], other[order], apart[order]
+    # How many nearer neighbours the taxel has: the neighbour's place in its row.
+    rank = np.arange(len(taxel)) - np.searchsorted(taxel, taxel, side="left")
     kept = rank < most
-    rows[one[kept], 1 + rank[kept]] = other[kept]
-    weights[one[kept], 1 + rank[kept]] = np.exp(-((apart[kept] / (2.0 * noise.reach)) ** 2))
+    rows[taxel[kept], 1 + rank[kept]] = other[kept]
+    weights[taxel[kept], 1 + rank[kept]] = np.exp(-((apart[kept] / (2.0 * noise.reach)) ** 2))
     return AnsweringTaxels(rows, weights)
 
 
 def pulls(places: FloatArray, neighbours: AnsweringTaxels) -> FloatArray:
-    """Return (n, 3) how far beside each taxel the middle of the expected answers lies when it is poked right upon, metres."""
+    """Return (n, 3) how far beside each taxel the middle of the expected answers lies when it is poked at its place, metres."""
     off = np.nan_to_num(places[neighbours.rows] - places[:, None])
     shares = neighbours.weights[:, :, None]
     return np.asarray(np.sum(shares * off, axis=1) / np.sum(shares, axis=1), dtype=np.float64)
@@ -86,8 +86,8 @@ def pulls(places: FloatArray, neighbours: AnsweringTaxels) -> FloatArray:
 def _pairs(places: FloatArray, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
     """Return all pairs of `places` (n, 3) within `reach`, metres, each once, and how far they are apart.
 
-    Each is compared with those of its own cube of a grid and of the cubes around it, half of them, since the others look back:
-    all pairs of 4,200 taxels would take 400 MB, and a tree of scipy's half a second to import.
+    Each is compared with those of its own cube of a grid and of half of the cubes around it; the other half finds it in turn.
+    All pairs of 4,200 taxels would take 400 MB, and scipy's tree half a second to import.
     """
     known = np.flatnonzero(np.isfinite(places).all(axis=1))
     if not len(known):
@@ -96,7 +96,7 @@ def _pairs(places: FloatArray, reach: float) -> tuple[IntArray, IntArray, FloatA
     # A little wider than the reach, so that rounding puts no pair two cubes apart.
     side = max(reach * (1.0 + 1e-9), float((high - low).max()) / MOST_CUBES, np.finfo(float).tiny)
     cubes = ((places[known] - low) / side).astype(np.int64)
-    # Numbered so that the last coordinate runs fastest, and none has a neighbour round the corner.
+    # Numbered so that the last coordinate runs fastest, with a gap so that no cube neighbours the next row's.
     wide, deep = int(cubes[:, 1].max()) + 3, int(cubes[:, 2].max()) + 3
     keys = (cubes[:, 0] * wide + cubes[:, 1]) * deep + cubes[:, 2]
     order = np.argsort(keys, kind="stable")
@@ -107,30 +107,30 @@ def _pairs(places: FloatArray, reach: float) -> tuple[IntArray, IntArray, FloatA
         # Three cubes in a row hold one run of the sorted places; of its own row, those after it.
         first = rows + 1 if step == 0 else keys.searchsorted(keys + (step - 1), side="left")
         each = keys.searchsorted(keys + (step + 1), side="right") - first
-        one = np.repeat(rows, each)
-        found.append((known[one], known[np.arange(len(one)) + (first - np.cumsum(each) + each)[one]]))
-    one, other = (np.concatenate(part) for part in zip(*found, strict=True))
-    apart = np.sqrt(np.sum((places[other] - places[one]) ** 2, axis=1))
+        start = np.repeat(rows, each)
+        found.append((known[start], known[np.arange(len(start)) + (first - np.cumsum(each) + each)[start]]))
+    start, other = (np.concatenate(part) for part in zip(*found, strict=True))
+    apart = np.sqrt(np.sum((places[other] - places[start]) ** 2, axis=1))
     near = apart <= reach
-    return one[near], other[near], apart[near]
+    return start[near], other[near], apart[near]
 
 
 def directions(normals: FloatArray, usable: float) -> FloatArray:
     """Return (n, 1 + 16, 3) unit pushes to try at skin with outward `normals` (n, 3): along the normal, then tilted."""
-    one, two = across(normals).transpose(1, 0, 2)
+    east, north = across(normals).transpose(1, 0, 2)
     tries = [-normals]
     for share in TILTS:
         tilt = share * usable
         for step in range(AZIMUTHS):
             turn = 2.0 * np.pi * step / AZIMUTHS
-            aside = np.cos(turn) * one + np.sin(turn) * two
+            aside = np.cos(turn) * east + np.sin(turn) * north
             tries.append(np.sin(tilt) * aside - np.cos(tilt) * normals)
     return np.stack(tries, axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChoiceState:
-    """What the choice looks at, of n taxels."""
+    """What the choice of a poke depends on, of n taxels."""
 
     places: FloatArray
     """(n, 3) float, metres, believed."""
@@ -150,7 +150,7 @@ class ChoiceState:
     open: FloatArray
     """(n,) float: 1 where the taxel still needs something, else 0."""
     solved: FloatArray
-    """(n,) float, metres: what the solver says of the error, which counts where it is more: it weighs contacts its own way."""
+    """(n,) float, metres: the solver's predicted error, which counts where it is larger: it weighs contacts its own way."""
 
 
 def _covariances(state: ChoiceState, rows: IntArray) -> FloatArray:
@@ -161,6 +161,7 @@ def _covariances(state: ChoiceState, rows: IntArray) -> FloatArray:
         found = np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
     else:
         found = _inverse(state.information[rows])
+    # Where the solver's own error is larger, it counts.
     total = np.trace(found, axis1=1, axis2=2)
     return found * np.maximum(state.solved[rows] ** 2 / total, 1.0)[:, None, None]
 
@@ -171,9 +172,9 @@ def _inverse(matrices: FloatArray) -> FloatArray:
 
 def predicted(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> tuple[float, float]:
     """Return the predicted rms error of a taxel now and after a push at it, metres."""
-    one = np.array([row])
-    before = _covariances(state, one)
-    _, less = _lowered(state, one, before[:, None], state.neighbours.rows[one][:, :1], np.ones((1, 1)), noise)
+    alone = np.array([row])
+    before = _covariances(state, alone)
+    _, less = _lowered(state, alone, before[:, None], state.neighbours.rows[alone][:, :1], np.ones((1, 1)), noise)
     total = float(np.trace(before[0]))
     return float(np.sqrt(total)), float(np.sqrt(max(total - float(less[0, push, 0]), 0.0)))
 
@@ -189,6 +190,7 @@ def gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: floa
     before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
     total, less = _lowered(state, rows, before, touched, weights, noise)
     after = np.sqrt(np.maximum(total - less, 0.0))
+    # Nothing is gained below half the wanted error: what is known well is not polished further.
     floor = state.wanted / 2.0
     lower = np.maximum(np.sqrt(total), floor) - np.maximum(after, floor)
     lower *= (weights > 0)[:, None] * state.open[touched][:, None]
@@ -200,16 +202,17 @@ def _lowered(
 ) -> tuple[FloatArray, FloatArray]:
     """Return (m, 1, k) the traces of the covariances `before` (m, k, 3, 3), and (m, d, k) by how much each push lowers them."""
     (m, k), d = touched.shape, state.pushes.shape[1]
-    heard = np.maximum(weights, _HARDLY)
+    weights = np.maximum(weights, _HARDLY)
     pairs = across(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
     away: FloatArray = state.places[touched] - state.sensor
     lever: FloatArray = np.broadcast_to(away[:, None], (m, d, k, 3))
-    offsets: FloatArray = np.broadcast_to(offset_square(heard, noise)[:, None], (m, d, k))
+    offsets: FloatArray = np.broadcast_to(offset_square(weights, noise)[:, None], (m, d, k))
     every: FloatArray = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
     forces = np.full(m * d * k, FORCE)
     precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), noise)
     # The chance that it answers at all is about its share of the strongest answer.
-    beside = _inverse(precision).reshape(m, d, k, 2, 2) / heard[:, None, :, None, None]
+    beside = _inverse(precision).reshape(m, d, k, 2, 2) / weights[:, None, :, None, None]
+    # The trace of S J'(D + J S J')^-1 J S, by which the contact lowers that of S.
     moved: FloatArray = pairs @ before[:, None]
     spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
     inverse = _inverse(spread)
@@ -222,7 +225,7 @@ SPACING = 0.008
 APART = 0.8
 """Share of the spacing that two places are apart at least."""
 AROUND = 2.2 * SPACING
-"""m. Places this near to one that answered come first: skin is where skin is."""
+"""m. Places this near to a poke that was answered come first: where skin is, more skin is likely."""
 ASTRAY = 0.025
 """m. Elsewhere a place farther than this from every poke is tried: the smallest patches of skin are larger."""
 
@@ -240,22 +243,23 @@ class Cover:
         self.places, triangles = spread(surface, SPACING)
         self.normals: FloatArray = surface.normals[triangles]
         self._poked: FloatArray = np.full(len(self.places), np.inf)
+        # (n,) float, metres, from each place to the nearest poke, and to the nearest that was answered.
         self._answered: FloatArray = np.full(len(self.places), np.inf)
-        """(n,) float, metres, from each place to the nearest poke, and to the nearest that was answered."""
+        # Where each poke was, (3,) metres, and whether a taxel answered.
         self._pokes: dict[int, tuple[FloatArray, bool]] = {}
-        """Where each poke was, (3,) metres, and whether a taxel answered."""
         self._counted = set[int]()
         self._left_out = np.zeros(len(self.places), dtype=bool)
 
     def poked(self, number: int, axis: PokeAxis, *, answered: bool) -> None:
-        """Take a poke: it touched where its axis passes the surface nearest, on the side that faces it."""
+        """Note a poke: it touched where its axis passes the surface nearest, on the side that faces it."""
         root = np.vstack([across(axis.direction[None])[0], np.zeros(3)])
         found = nearest_to_rows(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
         if found.triangles[0] >= 0:
             self._pokes[number] = found.points[0], answered
 
     def keep(self, numbers: Collection[int]) -> None:
-        """Let those of the pokes count that are among `numbers`: others were taken back."""
+        """Count the pokes among `numbers` alone: others were taken back."""
+        # Distances to the nearest poke only shrink while pokes come; once a poke is gone they are computed again.
         there = self._pokes.keys() & set(numbers)
         if not self._counted <= there:
             self._counted = set[int]()
@@ -271,7 +275,7 @@ class Cover:
             self._answered = np.minimum(self._answered, apart)
 
     def leave_out(self, index: int) -> None:
-        """Ask for this place no more: the operator skipped it."""
+        """Never ask for this place again: the operator skipped it."""
         self._left_out[index] = True
 
     def next(self, hand: FloatArray | None) -> int | None:
@@ -306,6 +310,7 @@ def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
     """
     corners = surface.corners
     longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
+    # Pieces of at most half the spacing; what lies too near together is thinned out afterwards.
     steps = np.ceil(2.0 * longest / spacing).astype(np.int64).clip(min=1)
     places, triangles = list[FloatArray](), list[IntArray]()
     for count in np.unique(steps).tolist():
@@ -319,7 +324,7 @@ def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
 
 
 def _thinned(places: FloatArray, apart: float) -> IntArray:
-    """Return which of `places` (n, 3) to keep, one after another, so that none is nearer than `apart` to one kept before."""
+    """Return which of `places` (n, 3) to keep, in a fixed order, so that none is nearer than `apart` to one kept before."""
     # Only now, and beside the window: a scene with a layout needs none of it.
     spatial: Any = import_module("scipy.spatial")
     tree = spatial.cKDTree(places)
@@ -333,7 +338,8 @@ def _thinned(places: FloatArray, apart: float) -> IntArray:
 
 
 def _lattice(count: int) -> FloatArray:
-    """Return (n, 3) barycentric shares of the middles of `count`^2 like triangles that one is cut into."""
+    """Return (n, 3) barycentric coordinates of the middles of the `count`^2 equal triangles into which a triangle is cut."""
+    # Pieces that stand as the triangle does, and those upside down between them.
     up = [(i, j) for i in range(count) for j in range(count - i)]
     down = [(i, j) for i in range(count - 1) for j in range(count - 1 - i)]
     pairs = np.array([(i + 1 / 3, j + 1 / 3) for i, j in up] + [(i + 2 / 3, j + 2 / 3) for i, j in down]) / count

@@ -1,4 +1,4 @@
-"""How the poke in progress differs from the one that is asked for, told by the F/T sensor alone.
+"""How the poke in progress differs from the target, by the force/torque sensor alone.
 
 While a tool presses, its wrench is an axis: where that meets the skin is the tip, the way it runs is how the tool is held.
 """
@@ -19,13 +19,13 @@ from skincal.taxels.result import Method
 PRESSING = (PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD)
 """Phases in which a tool presses."""
 FELT = 2.0
-"""N. Below it a reading tells the tilt to no better than 3 degrees, the tip to no better than a taxel (0.1 N, 10 N mm)."""
+"""N. Below it a reading gives the tilt to no better than 3 degrees, the tip to no better than a taxel (0.1 N, 10 N mm)."""
 KEPT = 0.6
 """Share of what was felt before that stays with the next reading, 30 a second: it halves the noise and lags by 50 ms."""
 FLAT = float(np.cos(np.radians(75.0)))
-"""Cosine. A push this far off the normal is no push of a tool upon this skin, and its axis meets the skin far away."""
+"""Cosine. A push this far off the normal is no push of a tool on this skin, and its axis meets the skin far away."""
 NO_WAY = 1e-3
-"""Sine. Two pushes that differ by less along the skin tell no direction between them."""
+"""Sine. Two pushes that differ by less along the skin give no direction between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +43,7 @@ class Coaching:
     error: float
     """rad, between the push and the wanted one."""
     lean: FloatArray
-    """(3,) float, unit, along the skin: where the tool's upper end has to go; zeros where there is no way to tell."""
+    """(3,) float, unit, along the skin: where the tool's upper end has to go; zeros where no way can be given."""
     landed: int | None
     """Channel that answers most; None while none does."""
 
@@ -64,7 +64,7 @@ class Smoothed:
 
 
 def smooth(before: Smoothed | None, progress: Progress) -> Smoothed | None:
-    """Take one more reading of a poke in progress; None while nothing presses, or where a reading is no number.
+    """Add a reading of the poke in progress; None while nothing presses, or where a reading is no number.
 
     Force and moment are smoothed, not the axis: an axis of a weak force counts little.
     """
@@ -77,11 +77,11 @@ def smooth(before: Smoothed | None, progress: Progress) -> Smoothed | None:
 
 
 def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) -> Coaching | None:
-    """Compare a poke in progress with the one that is asked for; None while nothing presses hard enough to tell.
+    """Compare the poke in progress with its target; None while nothing presses hard enough.
 
     Parameters
     ----------
-    progress : who answers
+    progress : with the taxels that answer
     skin : (3,) float, metres: the target on the skin, which a believed place may lie above or below
     """
     size = float(np.sqrt(felt.force @ felt.force))
@@ -92,6 +92,7 @@ def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) 
     if not cosine > FLAT:
         return None
     point = axis_point(felt.force, felt.moment)
+    # Along the axis to the plane through the target on the skin.
     contact = point + float((point - skin) @ normal) / cosine * push
     return Coaching(
         contact=contact,
@@ -118,7 +119,7 @@ def _way(along: FloatArray) -> FloatArray:
     return along / size if size > NO_WAY else np.zeros(3)
 
 
-def _angle(one: FloatArray, other: FloatArray) -> float:
+def _angle(first: FloatArray, second: FloatArray) -> float:
     """Return the angle between two unit vectors, rad, to all digits also where it is small."""
-    across = np.cross(one, other)
-    return float(np.arctan2(np.sqrt(across @ across), one @ other))
+    across = np.cross(first, second)
+    return float(np.arctan2(np.sqrt(across @ across), first @ second))

@@ -1,4 +1,4 @@
-"""What the guide says at one moment."""
+"""What the guide says at one moment: numbers and reasons, no sentences."""
 
 from __future__ import annotations
 
@@ -76,25 +76,25 @@ class Guidance:
     landmark: LandmarkTarget | None = None
     """The landmark that is asked for before the skin; None where none is."""
     gain: Gain | None = None
-    """What the landmarks of this arm pose are worth; None where none is asked for, or where nobody knows."""
+    """What the landmarks of this arm pose are worth; None where none is asked for, or where it is unknown."""
 
     @property
     def done(self) -> int:
         """How many taxels are done."""
         return sum(not each for each in self.needs)
 
-    def before_skin(self, wish: LandmarkTarget, normal: FloatArray, gain: Gain | None) -> Guidance:
+    def before_skin(self, asked: LandmarkTarget, normal: FloatArray, gain: Gain | None) -> Guidance:
         """Return the guidance that asks for a landmark first.
 
         Parameters
         ----------
         normal : (3,) float, unit, outward there
-        gain : of all that are asked for in this arm pose
+        gain : of all landmarks that are asked for in this arm pose
         """
-        place = wish.landmark.place
-        target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), wish.landmark.name)
-        left = self.pokes_left + wish.left
+        place = asked.landmark.place
+        target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), asked.landmark.name)
+        left = self.pokes_left + asked.left
         pace = None if self.seconds_left is None else self.seconds_left / max(self.pokes_left, 1) * left
         return replace(
-            self, phase=GuidePhase.LANDMARKS, target=target, landmark=wish, gain=gain, pokes_left=left, seconds_left=pace
+            self, phase=GuidePhase.LANDMARKS, target=target, landmark=asked, gain=gain, pokes_left=left, seconds_left=pace
         )

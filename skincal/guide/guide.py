@@ -1,6 +1,7 @@
-"""The guide: follows what was measured, and says what to poke next, why, and when it is enough.
+"""The guide: follows a session by one method, and says what to poke next, why, and when it is enough.
 
-It knows no truth of its own: all of it follows from the contacts, the estimates and what the operator skipped.
+It holds no truth of its own: all of it follows from the contacts, the estimates and what the operator skipped. It gives numbers
+and reasons (`guidance.py`); sentences are made by the window.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ if TYPE_CHECKING:
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 OTHERS = 0.3
-"""Share of what a poke tells of the neighbours that counts in the phase of own pokes: none of it takes 6 % more pokes to 3 mm,
-all of it pulls neighbours together in the long run."""
+"""Share of what a poke says about the neighbours that counts in the phase of own pokes: none of it takes 6 % more pokes to 3
+mm, all of it pulls neighbours together in the long run."""
 AIM_MAX = 0.002
 """m: no poke is asked for farther beside its taxel, or a neighbour would answer most."""
 NEAR = 150
@@ -52,7 +53,8 @@ hand, one third the neediest."""
 SAME_SIDE = float(np.cos(np.radians(25.0)))
 """Cosine of the angle within which two pushes come from the same side: half the way between two that are tried."""
 TURN = 3
-"""Eighths of a turn from one tilted push on a module to the next: eight come from eight sides, no two alike in a row."""
+"""Eighths of a turn from one tilted push on a module to the next: eight pushes come from eight sides, successive ones far
+apart."""
 SKIPPED = 2
 """A side of a taxel that was skipped so often is left out."""
 _NOTHING_REJECTED: Mapping[int, Rejection] = {}
@@ -67,8 +69,8 @@ class Guide:
     noise : the rig's
     method : the solver whose needs count
     spacing : m, usual distance of neighbours
-    cover : places to poke while nobody knows where the taxels are; None with a layout
-    on_surface : whether a mesh tells the depth; modules that lie free in space need tilted pushes for it
+    cover : places to poke while it is unknown where the taxels are; None with a layout
+    on_surface : whether a mesh gives the depth; modules that lie free in space need tilted pushes for it
     """
 
     def __init__(
@@ -89,10 +91,10 @@ class Guide:
         self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._pokes = PokeHistory(plan.channels, self.settings)
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
+        # (n,) channels that the plan puts nowhere: no taxels until they answer.
         self._loose: BoolArray = np.isnan(plan.places[:, 0])
-        """(n,) channels that the plan puts nowhere: no taxels until they answer."""
+        # m, sd of what the rig moves all estimates by, each direction.
         self._rig: float = 0.0
-        """m, sd of what the rig moves all estimates by, each direction."""
         self._gains_of: GuidePhase | None = None
         self._gains = np.full((count, candidates.TRIES), -np.inf)
         self._stale = np.ones(count, dtype=bool)
@@ -100,14 +102,14 @@ class Guide:
         self._lay_out()
         self._state: candidates.ChoiceState | None = None
         self._last: Target | None = None
+        # Index of the last target and of its push, as long as nothing but its numbers changed.
         self._kept: tuple[int, int] | None = None
-        """Index of the last target and of its push, as long as nothing but its numbers changed."""
+        # Of the cover, where the last target is one of its places.
         self._place: int | None = None
-        """Of the cover, where the last target is one of its places."""
+        # The sides of each taxel, by its index, that were skipped.
         self._skips: dict[int, list[FloatArray]] = {}
-        """The sides of each taxel, by its index, that were skipped."""
+        # Index of the taxel that was skipped last, until the next poke.
         self._not_now = -1
-        """Index of the taxel that was skipped last, until the next poke."""
         self._estimates: list[Estimate | None] = [None] * count
         self._needs: list[tuple[Need, ...]] = [()] * count
         self._nothing = float(np.sqrt(3.0)) * self.settings.unknown
@@ -121,32 +123,33 @@ class Guide:
         rejections: Mapping[int, Rejection] = _NOTHING_REJECTED,
         rig: float = 0.0,
     ) -> Guidance:
-        """Take what a session holds now, and say what is to be done.
+        """Follow the session to where it stands now, and say what is to be done.
 
         Parameters
         ----------
         contacts : those that count, by the number of their poke
         estimates : of each method, one a taxel in the plan's order
-        evidence : gives what is known of some channels
+        evidence : gives what the contacts say of some channels
         rejections : pokes that do not count, by their number
         rig : m, sd of what the rig's errors move all estimates by, each direction; 0 where nothing is known of it
         """
-        dirty = self._take(contacts, estimates, rejections, rig)
+        dirty = self._follow(contacts, estimates, rejections, rig)
         if dirty:
-            doubted = {one.channel: one.doubted for one in estimates[self.method] if one.channel in dirty}
-            told = evidence(dirty)
-            pairs = zip(told.channels[told.taxels].tolist(), told.pokes.tolist(), strict=True)
+            # A contact that the method doubts says less here, too.
+            doubted = {each.channel: each.doubted for each in estimates[self.method] if each.channel in dirty}
+            found = evidence(dirty)
+            pairs = zip(found.channels[found.taxels].tolist(), found.pokes.tolist(), strict=True)
             trust = [doubted[channel].get(poke, 1.0) for channel, poke in pairs]
             drawn = self._drawn()
-            centres = {poke: self._pokes.place(poke, drawn) for poke in set(told.pokes.tolist())}
-            self._knowledge.renew(dirty, told.trusted(np.array(trust)), self._places, drawn, self._normals, centres)
+            centres = {poke: self._pokes.place(poke, drawn) for poke in set(found.pokes.tolist())}
+            self._knowledge.renew(dirty, found.trusted(np.array(trust)), self._places, drawn, self._normals, centres)
             rows = np.array([self._knowledge.row(channel) for channel in dirty])
             self._stale |= np.isin(self._neighbours.rows, rows).any(axis=1)
         self._renew_needs(estimates[self.method], dirty)
         return self._guidance(estimates[self.method])
 
     def forget_target(self) -> None:
-        """Take the next poke for one that was not asked for: nobody saw the last target."""
+        """Take the next poke as not asked for: the last target was never shown."""
         self._last = self._kept = None
 
     def skip(self) -> None:
@@ -159,22 +162,23 @@ class Guide:
         elif self._cover is not None and self._place is not None:
             self._cover.leave_out(self._place)
 
-    def _take(
+    def _follow(
         self,
         contacts: Mapping[int, Contact],
         estimates: Mapping[Method, Sequence[Estimate]],
         rejections: Mapping[int, Rejection],
         rig: float,
     ) -> set[int]:
-        """Take the pokes that are new or changed, leave out those that are gone; return whose channels they touch."""
-        rows, fresh, gone = self._pokes.take(contacts, rejections, self._last, self._drawn(), self._normals, self._pulls)
+        """Add the pokes that are new or changed, drop those that are gone; return the channels of the taxels they touch."""
+        rows, fresh, gone = self._pokes.follow(contacts, rejections, self._last, self._drawn(), self._normals, self._pulls)
         if fresh or gone:
             self._kept = None
-        if any(isinstance(one, Contact) for one in fresh):
+        if any(isinstance(poke, Contact) for poke in fresh):
             self._not_now = -1
         self._cover_with(fresh, contacts.keys() | rejections.keys())
         if rows or rig != self._rig:
             self._stale[:] |= rig != self._rig
+            # Places on the mesh have the depth that few free pokes leave open.
             self._rig, best = rig, estimates.get(Method.SURFACE) or estimates[Method.FREE]
             self._places = believed(self.plan, best, rig)
             self._find_loose(rows, best)
@@ -187,8 +191,8 @@ class Guide:
     def _drawn(self) -> FloatArray:
         """Return (n, 3) where the plan draws each taxel, metres; as believed where it does not.
 
-        How far a poke was beside a taxel is told on the plan: it stays what it is while more gets known of where the skin lies,
-        and a session that is opened again knows the same.
+        How far a poke was beside a taxel is measured on the plan: it stays the same while more becomes known of where the skin
+        lies, and a session that is opened again finds the same.
         """
         return np.where(self._loose[:, None], self._places, self.plan.places)
 
@@ -210,7 +214,7 @@ class Guide:
             self._stale[:] = True
 
     def _cover_with(self, fresh: Sequence[Contact | Rejection], numbers: Collection[int]) -> None:
-        """Tell the cover where new pokes were, and which of all there were still are."""
+        """Let the cover know where new pokes were, and which pokes still count."""
         if self._cover is None:
             return
         for poke in fresh:
@@ -221,30 +225,30 @@ class Guide:
         self._cover.keep(numbers)
 
     def _renew_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
-        """Say anew what those taxels need whose contacts or estimates changed."""
+        """Renew what each taxel needs whose contacts or estimate changed."""
         know, turned = self._knowledge, list[int]()
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
         facts = zip(*map(np.ndarray.tolist, (self._own(), know.diversity, beside, know.moved)), strict=True)
         nothing: tuple[Need, ...] | None = None
-        for row, (one, each) in enumerate(zip(estimates, facts, strict=True)):
-            if one is self._estimates[row] and one.channel not in dirty:
+        for row, (estimate, each) in enumerate(zip(estimates, facts, strict=True)):
+            if estimate is self._estimates[row] and estimate.channel not in dirty:
                 continue
-            if one.state is State.UNSEEN and self._loose[row]:
+            if estimate.state is State.UNSEEN and self._loose[row]:
                 now = ()
-            elif one.state is State.UNSEEN:
+            elif estimate.state is State.UNSEEN:
                 # The same for all of them: in a large part they are thousands at first.
-                nothing = now = nothing or needs(one, Facts(*each), self.method, self.settings)
+                nothing = now = nothing or needs(estimate, Facts(*each), self.method, self.settings)
             else:
-                now = needs(one, Facts(*each), self.method, self.settings)
+                now = needs(estimate, Facts(*each), self.method, self.settings)
             if bool(self._needs[row]) != bool(now):
                 turned.append(row)
-            self._estimates[row], self._needs[row] = one, now
-            told = one.sd if one.rms is None else one.rms
-            self._solved[row] = min(self._nothing if told is None else told, self._nothing)
+            self._estimates[row], self._needs[row] = estimate, now
+            error = estimate.sd if estimate.rms is None else estimate.rms
+            self._solved[row] = min(self._nothing if error is None else error, self._nothing)
         self._stale |= np.isin(self._neighbours.rows, turned).any(axis=1)
 
     def _own(self) -> IntArray:
-        """Return (n,) the pokes of their own: a module's taxels share theirs where its modules are what is known."""
+        """Return (n,) the pokes of their own; by the modules method those of their module."""
         own, modules = self._knowledge.own, self.plan.modules
         if self.method is not Method.MODULES:
             return own
@@ -252,7 +256,7 @@ class Guide:
 
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
         know, left = self._knowledge, self._given_up()
-        rms = np.array([np.inf if one.rms is None else one.rms for one in estimates])
+        rms = np.array([np.inf if each.rms is None else each.rms for each in estimates])
         open_ = np.array([bool(each) for each in self._needs])
         open_[list(left)] = False
         state = candidates.ChoiceState(
@@ -271,7 +275,7 @@ class Guide:
             count = module_pokes_left(open_, self.plan.modules, self._own(), rms, self.settings)
         else:
             count = pokes_left(open_, know.own, rms, beside, know.moved, self.settings)
-        step = pace(np.array([one.start_s for one in self._pokes.latest()]))
+        step = pace(np.array([contact.start_s for contact in self._pokes.latest()]))
         shown = np.flatnonzero(~self._loose | (know.contacts > 0))
         return Guidance(
             method=self.method,
@@ -292,6 +296,7 @@ class Guide:
     def _given_up(self) -> dict[int, Why]:
         """Return which taxels are asked for no more though they need something, by their index."""
         know, settings, unanswered = self._knowledge, self.settings, self._pokes.unanswered
+        # Of thousands of taxels only these can be given up: the rest is not looked at.
         tried_often = (know.own >= settings.patience) | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable < settings.diversity:
             tried_often |= know.own >= settings.own_pokes
@@ -315,7 +320,7 @@ class Guide:
         if place is not None:
             return GuidePhase.COVER, place
         if not open_.any():
-            # Where nothing answered yet, and no layout tells of taxels, there is nothing that could be enough.
+            # Where nothing answered yet, and no layout names taxels, there is nothing that could be enough.
             return (GuidePhase.COVER if self._loose.all() and not self._pokes.contacts else GuidePhase.ENOUGH), None
         if self._in_plane or self._loose.all() or len(self._pokes.contacts) >= self.settings.sweep * len(self.plan.channels):
             return GuidePhase.OWN, None
@@ -329,8 +334,8 @@ class Guide:
 
     def _target(self, state: candidates.ChoiceState, phase: GuidePhase) -> Target | None:
         if self._kept is not None and state.open[self._kept[0]] > 0:
-            # The tare after a poke came: the hand is on its way already.
-            return self._told(state, *self._kept)
+            # Only the tare after a poke came: the hand is on its way already.
+            return self._aimed(state, *self._kept)
         rows = self._eligible(state)
         if not rows.size:
             return None
@@ -339,15 +344,16 @@ class Guide:
             row = self._in_turn(rows, seconds)
             push = self._push(row)
         else:
+            # What a poke gains in a second: the way of the hand counts.
             near = self._near(rows, seconds)
             gains = self._fresh_gains(state, rows[near], phase) / seconds[near, None]
             best = int(gains.argmax())
             row, push = int(rows[near[best // gains.shape[1]]]), best % gains.shape[1]
         self._kept = row, push
-        return self._told(state, row, push)
+        return self._aimed(state, row, push)
 
     def _eligible(self, state: candidates.ChoiceState) -> IntArray:
-        """Return the taxels that may be asked for: open ones that are somewhere; the one just skipped only if it is alone."""
+        """Return the taxels that may be asked for: open, with a place; the one just skipped only where it is the last."""
         rows = np.flatnonzero((state.open > 0) & np.isfinite(state.places).all(axis=1))
         others = rows[rows != self._not_now]
         return others if others.size else rows
@@ -362,7 +368,7 @@ class Guide:
         return often >= SKIPPED
 
     def _near(self, rows: IntArray, seconds: FloatArray) -> IntArray:
-        """Return which of `rows` to look at, all of them where they are few."""
+        """Return which of `rows` to look at: all where they are few."""
         if len(rows) <= NEAR:
             return np.arange(len(rows))
         known = self._knowledge.contacts[rows]
@@ -371,17 +377,17 @@ class Guide:
         return both
 
     def _push(self, row: int) -> int:
-        """Return which push is next at a taxel that needs none in particular: straight; from another side each, in space."""
-        turn = TURN * int(self._own()[row]) % candidates.AZIMUTHS
-        round_ = [
-            candidates.TRIES - candidates.AZIMUTHS + (turn + step) % candidates.AZIMUTHS for step in range(candidates.AZIMUTHS)
-        ]
-        order = [*(round_ if self._tilted else ()), *range(candidates.TRIES)]
+        """Return which push is next at a taxel that needs no tilt: straight; in space, from another side each time."""
+        order = list(range(candidates.TRIES))
+        if self._tilted:
+            # The pushes of the largest tilt stand last, one for each azimuth.
+            turn, tilted = TURN * int(self._own()[row]), order[-candidates.AZIMUTHS :]
+            order = [*(tilted[(turn + step) % candidates.AZIMUTHS] for step in range(candidates.AZIMUTHS)), *order]
         left_out = self._left_out(row)
         return next((push for push in order if not left_out[push]), order[0])
 
     def _in_turn(self, rows: IntArray, seconds: FloatArray) -> int:
-        """Return the taxel whose turn it is; a module that never answers, or is skipped, has had its turn, too."""
+        """Return the taxel whose turn it is; a module that never answers, or is skipped, has had its turn too."""
         asked, own = self._pokes.asked, self._knowledge.own
         if self.method is not Method.MODULES:
             return Turns(self._places, self.plan.modules, asked, own).taxel(rows, seconds)
@@ -391,7 +397,7 @@ class Guide:
         return Turns(self._places, self.plan.modules, tried, own).module_taxel(rows, seconds)
 
     def _fresh_gains(self, state: candidates.ChoiceState, rows: IntArray, phase: GuidePhase) -> FloatArray:
-        """Return (m, d) the gains at `rows`, worked out anew only where something around them changed."""
+        """Return (m, d) the gains at `rows`, computed again only where something around them changed."""
         if phase is not self._gains_of:
             self._gains_of, self._stale[:] = phase, True
         anew = rows[self._stale[rows]]
@@ -410,13 +416,13 @@ class Guide:
         return np.sqrt(np.sum((places - hand) ** 2, axis=1))
 
     def _aim(self, row: int, missing: Sequence[Need]) -> FloatArray:
-        """Return (3,) where to press: where nothing but balance is missing, on the side that the taxel's pokes have missed."""
+        """Return (3,) where to press: on the taxel; where only balance is missing, on the side that its pokes have missed."""
         know = self._knowledge
         off = -know.own[row] * know.beside[row] if tuple(missing) == (Need.BALANCE,) else np.zeros(3)
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
 
-    def _foretold(self, state: candidates.ChoiceState, row: int, push: int) -> tuple[float, float]:
+    def _predicted(self, state: candidates.ChoiceState, row: int, push: int) -> tuple[float, float]:
         """Return a taxel's predicted rms error now and after a push at it, metres."""
         if self.method is not Method.MODULES:
             return candidates.predicted(state, row, push, self._noise)
@@ -424,9 +430,10 @@ class Guide:
         before, pokes = float(self._solved[row]), int(self._own()[row])
         return before, before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted
 
-    def _told(self, state: candidates.ChoiceState, row: int, push: int) -> Target:
+    def _aimed(self, state: candidates.ChoiceState, row: int, push: int) -> Target:
+        """Return a push at a taxel as a target, with what it is predicted to gain."""
         direction = state.pushes[row, push]
-        before, after = self._foretold(state, row, push)
+        before, after = self._predicted(state, row, push)
         cosine = -float(direction @ state.normals[row])
         return Target(
             channel=int(self.plan.channels[row]),
@@ -438,8 +445,8 @@ class Guide:
             after=after,
         )
 
-    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
-        """Return what the contacts of a taxel are like; None where the guide knows no such taxel, or not where it is.
+    def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
+        """Return from where a taxel was poked, and what each further push is worth; None for an unknown taxel or place.
 
         Parameters
         ----------
@@ -448,18 +455,17 @@ class Guide:
         state, row = self._state, self._knowledge.row(channel) if self._knowledge.has(channel) else -1
         if state is None or row < 0 or not np.isfinite(self._places[row]).all():
             return None
-        told, normal, one = evidence([channel]), self._normals[row], self._estimates[row]
-        pokes = told.pokes.tolist()
-        drawn = self._drawn()
+        found, normal, estimate = evidence([channel]), self._normals[row], self._estimates[row]
+        pokes, drawn = found.pokes.tolist(), self._drawn()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
-        doubted: Mapping[int, float] = {} if one is None else one.doubted
+        doubted: Mapping[int, float] = {} if estimate is None else estimate.doubted
         worth = candidates.gains(state, np.array([row]), self._noise, 1.0 if self._gains_of is GuidePhase.SWEEP else OTHERS)[0]
         return AxisDiversity(
             channel=channel,
             normal=normal,
-            pushes=told.directions,
+            pushes=found.directions,
             offsets=off - (off @ normal)[:, None] * normal,
-            own=told.weights == 1.0,
+            own=found.weights == 1.0,
             trust=np.array([doubted.get(poke, 1.0) for poke in pokes]),
             beside=self._knowledge.beside[row],
             diversity=float(self._knowledge.diversity[row]),

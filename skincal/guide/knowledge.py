@@ -1,4 +1,8 @@
-"""What the contacts of each taxel add up to, for the guide: information, diversity of the axes, own pokes, balance."""
+"""What the contacts of each taxel add up to, for the guide: information, diversity of the axes, own pokes, balance.
+
+A contact says E' D^-1 E of its taxel's place, with E the two rows across its push and D their noise; the sum over contacts is
+the information, whose inverse is the predicted covariance. Nothing here estimates a place: that is the solver's.
+"""
 
 from __future__ import annotations
 
@@ -45,11 +49,6 @@ class Knowledge:
         """Whether a channel is one of the taxels."""
         return channel in self._row
 
-    def rows(self, channels: IntArray) -> IntArray:
-        """Return (n,) the indices of channels, -1 for those that are no taxels."""
-        at = np.searchsorted(self.channels, channels).clip(max=len(self.channels) - 1)
-        return np.where(self.channels[at] == channels, at, -1)
-
     def row(self, channel: int) -> int:
         """Return the index of a channel."""
         return self._row[channel]
@@ -63,13 +62,13 @@ class Knowledge:
         normals: FloatArray,
         centres: Mapping[int, FloatArray],
     ) -> None:
-        """Work out anew what the contacts of `channels` say.
+        """Renew what the contacts of `channels` say.
 
         Parameters
         ----------
         evidence : of those of `channels` that answered
         places, normals : (n, 3) float, metres and unit, believed
-        drawn : (n, 3) float, metres: the places that `centres` are told in
+        drawn : (n, 3) float, metres: the places in which `centres` are measured
         centres : (3,) float, metres, of each poke: where it was by the answers
         """
         emptied = np.array([self._row[channel] for channel in channels], dtype=np.int64)
@@ -85,12 +84,13 @@ class Knowledge:
         every = information(evidence.pairs, lever, evidence.forces, square, self.noise) * evidence.trust[:, None, None]
         self.information[rows] += np.add.reduceat(every, starts, axis=0)
         self.diversity[rows] = diversity(evidence)
+        # The strongest answer of a poke has weight 1 (k_j = t_j / max t).
         self.own[rows] = np.add.reduceat((evidence.weights == 1.0).astype(np.int64), starts)
         self.contacts[rows] = evidence.counts
         shares = (evidence.weights**2 * evidence.trust)[:, None]
         off = np.array([centres[poke] for poke in evidence.pokes.tolist()]) - drawn[rows][of]
         whole = np.add.reduceat(shares, starts, axis=0)
-        # Where every contact is doubted wholly, nothing is known of their middle.
+        # Where the trust of every contact is 0, nothing is known of their middle.
         off = np.add.reduceat(shares * off, starts, axis=0) / np.where(whole > 0, whole, 1.0)
         off -= np.sum(off * normals[rows], axis=1, keepdims=True) * normals[rows]
         self.beside[rows] = off
@@ -105,7 +105,7 @@ def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArra
     pairs = evidence.pairs
     sides = np.sum(pairs * evidence.nearest[:, None], axis=2)
     if in_plane:
-        # Along the skin: what the rows say of the depth is as if it were known.
+        # Along the skin only: the depth counts as known.
         skin = across(normals)[evidence.taxels]
         pairs = pairs @ skin.transpose(0, 2, 1)
     shares = (evidence.weights**2 * evidence.trust)[:, None, None]
@@ -116,6 +116,7 @@ def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArra
     last = _last_own(evidence)
     there = last >= 0
     total = np.trace(whole, axis1=1, axis2=2)
+    # A trace of the trace: a single axis leaves a direction open, and the system must be solved all the same.
     held = np.where(total > 0, 1e-9 * total, 1.0)[:, None, None] * np.eye(size)
     without = whole - np.where(there[:, None, None], squares[last], 0.0)
     rest = pull - np.where(there[:, None], pulls[last], 0.0)
@@ -147,7 +148,7 @@ def offset_square(weights: FloatArray, noise: NoiseSettings) -> FloatArray:
 def information(
     pairs: FloatArray, lever: FloatArray, forces: FloatArray, offsets: FloatArray, noise: NoiseSettings
 ) -> FloatArray:
-    """Return (n, 3, 3) what each contact tells of its taxel's place, E' D^-1 E, 1/m^2.
+    """Return (n, 3, 3) what each contact says of its taxel's place, E' D^-1 E, 1/m^2.
 
     D is a contact's noise in its two rows (`sensor_noise` of `contacts.h`), its offset taken in both.
 
@@ -185,7 +186,7 @@ def diversity(evidence: Evidence) -> FloatArray:
     u, shares = evidence.directions, (evidence.weights**2 * evidence.trust)[:, None, None]
     spread = np.add.reduceat(shares * (np.eye(3) - u[:, :, None] * u[:, None]), starts, axis=0)
     whole = np.add.reduceat(shares, starts, axis=0)
-    # Axes that are all doubted wholly spread by nothing.
+    # Axes of which none is trusted spread by nothing.
     spread /= np.where(whole > 0, whole, 1.0)
     least = np.linalg.eigvalsh(spread)[:, 0]
     return np.arcsin(np.sqrt(np.clip(least, 0.0, 1.0)))

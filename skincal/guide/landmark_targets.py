@@ -1,7 +1,7 @@
 """Which landmark to poke next: a few in each arm pose, at the start and after each change of pose.
 
-Three in the first pose tell a wrong frame from a right one, and a few in every pose are what a correction of the rig is found
-from. They come before pokes on the skin, since these are the better for it, and any of them may be skipped.
+Three in the first pose show whether the sensor's frame is right, and a correction of the rig is found from a few in every pose.
+They come before pokes on the skin, which are worth more on a corrected rig, and any of them may be skipped.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ A_POSE = 3
 """Landmark pokes in each arm pose but the first: with three in each of seven the modules' error on the paper's rig falls to a
 tenth (`skincal study paper`)."""
 ALIKE_TURN, ALIKE_SHIFT = float(np.cos(np.radians(5.0))), 0.010
-"""Cosine, and m: arm poses that differ by less are taken for one. What a rig does wrong changes little over that."""
+"""Cosine, and m: arm poses that differ by less count as the same. A rig's errors change little over that."""
 USUAL = 1.3863
 """Median of chi-square with two degrees of freedom."""
 ASTRAY = 0.015
@@ -36,9 +36,9 @@ class LandmarkTarget:
 
     landmark: Landmark
     done: int
-    """Landmark pokes in this pose."""
+    """Landmark pokes in this pose so far."""
     wanted: int
-    """That many are asked for in it."""
+    """Landmark pokes that this pose needs."""
 
     @property
     def left(self) -> int:
@@ -50,21 +50,21 @@ class LandmarkRound:
     """Follows the landmark pokes of a session."""
 
     def __init__(self) -> None:
+        # Pose and name.
         self._skipped = set[tuple[str, str]]()
-        """Pose and name."""
+        # Poses in which none is asked for.
         self._left_out = set[str]()
-        """Poses in which none is asked for."""
 
     def plan(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> list[LandmarkTarget]:
-        """Return all that is asked for in an arm pose, in order; see `next`."""
-        every, wishes = list(poked), list[LandmarkTarget]()
-        while (wish := self.next(landmarks, every, pose)) is not None:
-            wishes.append(wish)
-            every.append((pose, wish.landmark.name))
-        return wishes
+        """Return all landmarks that are asked for in an arm pose, in order; see `next`."""
+        every, targets = list(poked), list[LandmarkTarget]()
+        while (target := self.next(landmarks, every, pose)) is not None:
+            targets.append(target)
+            every.append((pose, target.landmark.name))
+        return targets
 
     def next(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> LandmarkTarget | None:
-        """Return what to poke; None where there is nothing to ask for.
+        """Return the landmark to poke now; None where none is asked for.
 
         Parameters
         ----------
@@ -73,17 +73,17 @@ class LandmarkRound:
         """
         every = list(poked)
         here = Counter(name for there, name in every if there == pose)
-        open_ = [one for one in landmarks if (pose, one.name) not in self._skipped]
+        open_ = [landmark for landmark in landmarks if (pose, landmark.name) not in self._skipped]
         elsewhere = len(every) - here.total()
         # The first pose gets as many as a correction takes: perhaps there is no other. Too few landmarks correct nothing,
-        # but three pokes tell of the frame.
+        # but three pokes show whether the frame is right.
         wanted = max(A_POSE, FEWEST - elsewhere) if len(landmarks) >= FEWEST_POINTS else A_POSE - elsewhere
         if pose in self._left_out or not open_ or here.total() >= wanted:
             return None
         total = Counter(name for _, name in every)
-        known = {one.name: one.place for one in landmarks}
+        known = {landmark.name: landmark.place for landmark in landmarks}
         done = [known[name] for name in here if name in known]
-        chosen = min(open_, key=lambda one: (here[one.name], total[one.name], -_apart(one.place, done)))
+        chosen = min(open_, key=lambda mark: (here[mark.name], total[mark.name], -_apart(mark.place, done)))
         return LandmarkTarget(chosen, here.total(), wanted)
 
     def skip(self, name: str, pose: str) -> None:
@@ -96,10 +96,10 @@ class LandmarkRound:
 
 
 def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
-    """Return by how much a rig's errors move what it is asked for, sd in each direction, metres; 0 where too few pokes tell.
+    """Return by how much a rig's errors move what it measures, sd in each direction, metres; 0 where there are too few pokes.
 
-    The median of how far landmark pokes pass, so that one at another point does not tell it, less what the sensor's noise and
-    the hand make of it (`RigPrior.landmark`).
+    The median of how far landmark pokes pass their landmark, which a single poke at another point does not change, less the
+    parts of the sensor's noise and of the hand (`RigPrior.landmark`).
 
     Parameters
     ----------
@@ -107,17 +107,17 @@ def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
     """
     if len(pokes) < A_POSE:
         return 0.0
-    levers = [float(np.linalg.norm(one.place - one.link_from_sensor[:3, 3])) for one in pokes]
-    forces = [float(np.linalg.norm(one.force)) for one in pokes]
+    levers = [float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3])) for poke in pokes]
+    forces = [float(np.linalg.norm(poke.force)) for poke in pokes]
     own = [
         (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2 for force, lever in zip(forces, levers, strict=True)
     ]
-    square = float(np.median([one.miss**2 for one in pokes])) / USUAL
+    square = float(np.median([poke.miss**2 for poke in pokes])) / USUAL
     return float(np.sqrt(max(0.0, square - float(np.median(own)) - RigPrior().landmark ** 2)))
 
 
 class Stances:
-    """Groups arm poses that are nearly the same: streamed joints name one by its degrees, and an arm is never quite still."""
+    """Groups arm poses that are nearly the same: streamed joints name a pose by degrees, and an arm is never quite still."""
 
     def __init__(self) -> None:
         self._first: dict[str, FloatArray] = {}
@@ -133,9 +133,9 @@ class Stances:
         return name
 
 
-def _alike(one: FloatArray, other: FloatArray) -> bool:
-    cosine = (float(np.sum(one[:3, :3] * other[:3, :3])) - 1.0) / 2.0
-    return cosine >= ALIKE_TURN and float(np.linalg.norm(one[:3, 3] - other[:3, 3])) <= ALIKE_SHIFT
+def _alike(first: FloatArray, second: FloatArray) -> bool:
+    cosine = (float(np.sum(first[:3, :3] * second[:3, :3])) - 1.0) / 2.0
+    return cosine >= ALIKE_TURN and float(np.linalg.norm(first[:3, 3] - second[:3, 3])) <= ALIKE_SHIFT
 
 
 def _apart(place: FloatArray, others: Sequence[FloatArray]) -> float:

@@ -1,7 +1,7 @@
 """Where each taxel is believed to be: by the layout laid on the part, corrected by what was measured.
 
 A skin lies beside its plan as a whole, then module by module, then taxel by taxel. Each step takes the mean of what the
-measured taxels are off, weighted by how well they are known, and drawn to nought by how far off they may be at most.
+measured taxels are off, weighted by how well they are known, and drawn to zero by how far off they may be at most.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ WHOLE = 0.006
 MODULE = 0.002
 """m, sd of a module beside where the whole puts it: turns of the skin, and its bend."""
 SPACING = 0.005
-"""m, of neighbouring taxels where no layout tells it: the iCub's and most others'."""
+"""m, between neighbouring taxels where no layout says it: the iCub's and most others'."""
 TAXEL = 0.001
 """m, sd of a taxel beside where its module puts it: pads are printed to less; the surface is not the part."""
 UNLIKE = 0.3
 """Share of what a rig moves the whole skin by that differs between modules: turns of an arm pose of 1 degree (`RigPrior`) move
 places 0.1 m apart by 2 mm against each other, and the skin 0.2 to 0.4 m from the sensor by 3 to 7 mm."""
 FLOOR = 0.0005
-"""m, sd: no estimate is taken for better known, so that one does not outvote the rest."""
+"""m, sd: no estimate counts as better known, so that a single taxel does not outvote the rest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,9 +88,11 @@ def believed(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.
     count = int(module.max(initial=-1)) + 1
     own = _drawn(rest[known], precision[known], module[known], count, float(np.hypot(MODULE, UNLIKE * rig)))
     if not count:
+        # No channel is on a module: each taxel stands for itself.
         return _with_own(plan.places.copy(), measured, precision, np.zeros(3))
     moved = whole + own
     skin = _share(WHOLE, rig) * whole + _share(MODULE, UNLIKE * rig) * own
+    # The tool is sent where the skin is; the rig's share of what the estimates are off stays out of the places.
     return _with_own(plan.places + skin[module], measured, precision, (moved - skin)[module])
 
 
@@ -102,16 +104,17 @@ def _share(skin: float, rig: float) -> float:
 def _measured(estimates: Sequence[Estimate]) -> tuple[FloatArray, FloatArray]:
     """Return (n, 3) positions, NaN without, and (n, 3, 3) their precisions, 1/m^2."""
     positions, covariances = np.full((len(estimates), 3), np.nan), np.zeros((len(estimates), 3, 3))
-    for i, one in enumerate(estimates):
-        if one.position is not None and one.covariance is not None:
-            positions[i], covariances[i] = one.position, one.covariance
+    for row, estimate in enumerate(estimates):
+        if estimate.position is not None and estimate.covariance is not None:
+            positions[row], covariances[row] = estimate.position, estimate.covariance
     precision = np.asarray(np.linalg.inv(covariances + FLOOR**2 * np.eye(3)), dtype=np.float64)
+    # What was not measured pulls at nothing.
     precision[np.isnan(positions[:, 0])] = 0.0
     return positions, precision
 
 
 def _drawn(off: FloatArray, precision: FloatArray, groups: IntArray, count: int, sd: float) -> FloatArray:
-    """Return (count, 3) the weighted means of `off` (m, 3) in each group, drawn to nought by `sd`."""
+    """Return (count, 3) the weighted means of `off` (m, 3) in each group, drawn to zero by `sd`."""
     total, pull = np.tile(np.eye(3) / sd**2, (count, 1, 1)), np.zeros((count, 3))
     np.add.at(total, groups, precision)
     np.add.at(pull, groups, (precision @ off[:, :, None])[:, :, 0])
@@ -119,7 +122,7 @@ def _drawn(off: FloatArray, precision: FloatArray, groups: IntArray, count: int,
 
 
 def _with_own(places: FloatArray, measured: FloatArray, precision: FloatArray, rig: FloatArray) -> FloatArray:
-    """Return the places with each taxel's own estimate taken in, as far as it is better known, less what the rig moves it."""
+    """Return the places shifted to each taxel's own estimate, less what the rig moves it, as far as that is better known."""
     off = np.nan_to_num(measured - places - rig)
     own = solved(precision + np.eye(3) / TAXEL**2, (precision @ off[:, :, None])[:, :, 0])
     return np.where(np.isfinite(places), places + own, measured)

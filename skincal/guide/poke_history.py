@@ -1,4 +1,8 @@
-"""The pokes of a session as the guide sees them: where each was, whom it was meant for, how far it leaned, how it ended."""
+"""The pokes of a session as the guide sees them: where each was, which taxel it was meant for, how far it leaned, how it ended.
+
+An outcome arrives twice, at its release and when the tare after it is known, and may be taken out again: what it taught is
+counted once, and forgotten when it is gone.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +52,7 @@ def axis_of(poke: Contact | Rejection) -> PokeAxis | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Felt:
-    """Where a poke was by the answers, told from a taxel: its place is better known later on."""
+    """Where a poke was by the answers, relative to a taxel, whose own place becomes better known later."""
 
     row: int
     """Index of the taxel that answered most; -1 where none is a taxel."""
@@ -71,10 +75,10 @@ class PokeHistory:
         self.channels = channels
         self.contacts: dict[int, Contact] = {}
         self._felt: dict[int, Felt] = {}
+        # Of each poke what it was counted in, and at which index.
         self._meant: dict[int, list[tuple[IntArray, int]]] = {}
-        """Of each poke what it was counted in, and at which index."""
+        # Numbers of all pokes there ever were, whatever they ended as.
         self._known = set[int]()
-        """Numbers of all pokes that were ever told, whatever they ended as."""
         self.asked: IntArray = np.zeros(len(channels), dtype=np.int64)
         """(n,) how often each taxel was the target of an accepted poke."""
         self.unanswered: IntArray = np.zeros(len(channels), dtype=np.int64)
@@ -86,10 +90,11 @@ class PokeHistory:
 
     def rows(self, channels: IntArray) -> IntArray:
         """Return (n,) the indices of channels, -1 for those that are no taxels."""
+        # `searchsorted` gives a place for unknown channels too.
         at = np.searchsorted(self.channels, channels).clip(max=len(self.channels) - 1)
         return np.where(self.channels[at] == channels, at, -1)
 
-    def take(
+    def follow(
         self,
         contacts: Mapping[int, Contact],
         rejections: Mapping[int, Rejection],
@@ -98,14 +103,14 @@ class PokeHistory:
         normals: FloatArray,
         pulls: FloatArray,
     ) -> tuple[set[int], list[Contact | Rejection], list[int]]:
-        """Take what a session holds now.
+        """Follow the session to where it stands now.
 
         Parameters
         ----------
         target : the poke that was asked for before these
         places : (n, 3) float, metres, on the plan
         normals : (n, 3) float, unit, outward
-        pulls : (n, 3) float, metres: `choose.pulls`
+        pulls : (n, 3) float, metres: `candidates.pulls`
 
         Returns
         -------
@@ -114,28 +119,28 @@ class PokeHistory:
         gone : numbers of contacts that were taken out
         """
         gone = [poke for poke in self.contacts if poke not in contacts]
+        # A contact that is another object than before was reported again, with the tare after it.
         new = [poke for poke, contact in contacts.items() if self.contacts.get(poke) is not contact]
-        # A poke is told twice, at its release and when the tare after it is known: it was asked for once.
         fresh: list[Contact | Rejection] = [contacts[poke] for poke in new if poke not in self._known]
-        fresh += [one for poke, one in rejections.items() if poke not in self._known]
-        fresh.sort(key=lambda one: one.poke)
-        self._known.update(one.poke for one in fresh)
+        fresh += [rejection for poke, rejection in rejections.items() if poke not in self._known]
+        fresh.sort(key=lambda outcome: outcome.poke)
+        self._known.update(outcome.poke for outcome in fresh)
         self._count(gone, -1)
         self._count([poke for poke in new if poke not in self.contacts], 1)
         touched = [self.contacts[poke] for poke in (*gone, *new) if poke in self.contacts]
-        self._forget([one.poke for one in touched])
-        told = [contacts[poke] for poke in new]
-        if told:
-            self._remember(told, places, normals, pulls)
+        self._forget([contact.poke for contact in touched])
+        changed = [contacts[poke] for poke in new]
+        if changed:
+            self._remember(changed, places, normals, pulls)
         self._newest = max(self.contacts, default=None)
         if self._newest is not None:
             self.sensor = self.contacts[self._newest].link_from_sensor[:3, 3]
-        self._follow(fresh, target, normals)
-        rows = {int(row) for contact in (*touched, *told) for row in self.rows(contact.channels) if row >= 0}
+        self._learn(fresh, target, normals)
+        rows = {int(row) for contact in (*touched, *changed) for row in self.rows(contact.channels) if row >= 0}
         return rows, fresh, gone
 
     def latest(self) -> list[Contact]:
-        """Return the last contacts, as many as tell the pace, in the order of their numbers."""
+        """Return the last contacts, as many as the pace is measured from, in the order of their numbers."""
         numbers = sorted(islice(reversed(self.contacts), RECENT + 1))
         return [self.contacts[number] for number in numbers]
 
@@ -153,20 +158,20 @@ class PokeHistory:
         felt = [self._felt.pop(poke) for poke in pokes]
         for poke in pokes:
             del self.contacts[poke]
-        self.tilt.poked(np.array([one.tilt for one in felt]), slid=False, taken_out=True)
+        self.tilt.poked(np.array([each.tilt for each in felt]), slid=False, taken_out=True)
 
-    def _remember(self, told: Sequence[Contact], places: FloatArray, normals: FloatArray, pulls: FloatArray) -> None:
-        felt = self._where(told, places, normals, pulls)
-        numbers = [contact.poke for contact in told]
-        self.contacts.update(zip(numbers, told, strict=True))
+    def _remember(self, contacts: Sequence[Contact], places: FloatArray, normals: FloatArray, pulls: FloatArray) -> None:
+        felt = self._where(contacts, places, normals, pulls)
+        numbers = [contact.poke for contact in contacts]
+        self.contacts.update(zip(numbers, contacts, strict=True))
         self._felt.update(zip(numbers, felt, strict=True))
-        self.tilt.poked(np.array([one.tilt for one in felt]), slid=False)
+        self.tilt.poked(np.array([each.tilt for each in felt]), slid=False)
 
     def _where(self, contacts: Sequence[Contact], places: FloatArray, normals: FloatArray, pulls: FloatArray) -> list[Felt]:
         """Return where pokes were by the answers.
 
-        That is the middle of the taxels that answered, weighted by their answers, less what it is off where the taxel that
-        answered most is poked right upon: at the skin's edge there is nobody to answer on the other side.
+        That is the middle of the taxels that answered, weighted by their answers, less how far that middle is off when the
+        strongest taxel is poked at its very place: at the skin's edge nothing answers on the other side.
         """
         sizes = np.array([len(contact.channels) for contact in contacts])
         starts = np.concatenate([[0], sizes.cumsum()])
@@ -174,19 +179,21 @@ class PokeHistory:
         rows = self.rows(np.concatenate([contact.channels for contact in contacts]))
         responses = np.where(rows >= 0, np.concatenate([contact.responses for contact in contacts]), 0.0)
         peaks = rows[[a + int(responses[a:b].argmax()) for a, b in pairwise(starts.tolist())]]
+        # The weighted offsets from the strongest taxel, and in the last column the weights.
         sums = np.zeros((len(contacts), 4))
         np.add.at(sums[:, :3], owner, responses[:, None] * np.nan_to_num(places[rows] - places[peaks][owner]))
         np.add.at(sums[:, 3], owner, responses)
         with np.errstate(invalid="ignore"):
             beside = sums[:, :3] / sums[:, 3:] - pulls[peaks]
-        poses, forces = (np.array([getattr(one, name) for one in contacts]) for name in ("link_from_sensor", "force"))
+        poses, forces = (np.array([getattr(contact, name) for contact in contacts]) for name in ("link_from_sensor", "force"))
         pushes, _ = move_wrench(poses, forces, np.zeros_like(forces))
         cosines = -np.sum(pushes * normals[peaks], axis=1) / np.sqrt(np.sum(pushes * pushes, axis=1))
         tilts = np.where(peaks >= 0, np.arccos(np.clip(cosines, -1.0, 1.0)), np.nan)
-        return [Felt(*told) for told in zip(peaks.tolist(), beside, tilts.tolist(), strict=True)]
+        return [Felt(*values) for values in zip(peaks.tolist(), beside, tilts.tolist(), strict=True)]
 
-    def _follow(self, fresh: Sequence[Contact | Rejection], target: Target | None, normals: FloatArray) -> None:
-        """Learn from new pokes what the hand does, and whom they were meant for."""
+    def _learn(self, fresh: Sequence[Contact | Rejection], target: Target | None, normals: FloatArray) -> None:
+        """Learn from new pokes what the hand does, and which taxels they were meant for."""
+        # Of several at once it is unknown which one the target was shown for.
         meant = target if len(fresh) == 1 else None
         for poke in fresh:
             slid = isinstance(poke, Rejection) and poke.reason is Reason.SLID
@@ -199,21 +206,21 @@ class PokeHistory:
                 self._aimed(poke, axis, meant)
 
     def _count(self, pokes: Sequence[int], sign: int) -> None:
-        """Count whom known pokes were meant for, or count it no more: they were taken out."""
+        """Count again which taxels known pokes were meant for; with sign -1 no longer, since they were taken out."""
         for poke in pokes:
             for count, row in self._meant.get(poke, ()):
                 count[row] += sign
 
-    def _learn(self, poke: int, count: IntArray, channel: int) -> None:
+    def _count_one(self, poke: int, count: IntArray, channel: int) -> None:
         row = int(self.rows(np.array([channel]))[0])
         if row >= 0:
             count[row] += 1
             self._meant.setdefault(poke, []).append((count, row))
 
     def _count_asked(self, contact: Contact, meant: Target | None) -> None:
-        """Count whom a new poke was meant for: the target, if one was asked for, else who answered most."""
+        """Count which taxel a new poke was meant for: the target, if there was one, else the taxel that answered most."""
         peak = int(contact.channels[contact.responses.argmax()])
-        self._learn(contact.poke, self.asked, peak if meant is None or meant.channel is None else meant.channel)
+        self._count_one(contact.poke, self.asked, peak if meant is None or meant.channel is None else meant.channel)
 
     def _slid(self, poke: Rejection, axis: PokeAxis, meant: Target | None, normals: FloatArray) -> None:
         rows = self.rows(poke.channels)
@@ -227,6 +234,6 @@ class PokeHistory:
     def _aimed(self, poke: Contact | Rejection, axis: PokeAxis, meant: Target) -> None:
         if isinstance(poke, Contact) or poke.reason is Reason.SLID:
             self.tilt.aimed(meant.tilt, axis.tilt(meant.normal))
-        told = isinstance(poke, Contact) or poke.reason is Reason.NO_TAXEL
-        if told and meant.channel is not None and meant.channel not in poke.channels:
-            self._learn(poke.poke, self.unanswered, meant.channel)
+        complete = isinstance(poke, Contact) or poke.reason is Reason.NO_TAXEL
+        if complete and meant.channel is not None and meant.channel not in poke.channels:
+            self._count_one(poke.poke, self.unanswered, meant.channel)

@@ -1,20 +1,17 @@
-"""What the guide wants and what it takes for granted; each number with its unit and its reason.
+"""How far a session is: which taxels are done or given up, how many pokes are left, whose turn it is, how far a push may lean.
 
-When a taxel is done, and when it is given up. Never by residuals: those of near-parallel axes agree and are wrong.
+*Done and given up.* By what a taxel's contacts are like and by its predicted error; never by residuals, since those of
+near-parallel axes agree and are wrong.
 
-How many pokes are left, foretold from what each taxel still needs: to plan a break by; nothing follows from it.
+*Left.* Predicted from what each taxel still needs: good enough to plan a break by, and used for nothing else.
 
-The most that a push may lean: what the friction of the tip holds, and what the operator's hand manages.
+*Tilt.* A push that leans more than the friction angle slides more often than not, one that leans less seldom does. For each
+angle that friction may have, the likelihood of the pokes so far is kept; its median, less a margin, is usable. What the
+operator's hand manages lowers it further.
 
-Friction: a push that leans more than the friction angle slides more often than not, one that leans less seldom does. Of each
-angle that friction may have it is kept how likely the pokes so far are; the middle of that, less a margin, is usable.
-
-Whose turn it is where pokes need no tilt but evenness: round by round, and the way of the hand short.
-
-A poke of its own is a turn, asked for or not. One that was asked for and missed is asked for once more in a round, and no more
-often: who cannot be reached must not keep the others waiting.
-
-What the contacts of one taxel are like beside what it needs: from which sides they came, and where around it they lie.
+*Turns*, where pokes need no tilt but evenness: round by round, with a short way for the hand. An own poke is a turn, asked for
+or not. A taxel that was asked for and missed is asked for once more in a round and no more often, so that a taxel out of reach
+keeps none of the others waiting.
 """
 
 from __future__ import annotations
@@ -29,17 +26,19 @@ from numpy.typing import NDArray
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
+BoolArray: TypeAlias = NDArray[np.bool_]
+
 
 @dataclass(frozen=True, slots=True)
 class GuideSettings:
-    """SI units."""
+    """What the guide wants and what it takes for granted; SI units."""
 
     wanted: float = 0.003
     """m, predicted rms error at which a taxel may be done: a little over half of the 5 mm between taxels."""
     module_pokes: int = 4
-    """Pokes of a module's own, by the modules method: four places tell where it lies and how it is turned, and one is spare."""
+    """Pokes of a module's own, by the modules method: three places fix where it lies and how it is turned, and one is spare."""
     own_pokes: int = 3
-    """Pokes of its own, in which the taxel answers most: what neighbours' pokes say of it is off to their side."""
+    """Own pokes, in which the taxel answers most: what its neighbours' pokes say about it is off to their side."""
     diversity: float = float(np.radians(15.0))
     """rad, free method: below it depth is four times worse than the place across (1/sin)."""
     balance: float = 0.001
@@ -51,14 +50,14 @@ class GuideSettings:
     tolerance: float = float(np.radians(10.0))
     """rad: a push within this of the wanted one is as asked; the hand's own error is 6 degrees (sd)."""
     sweep: float = 1.5
-    """Pokes a taxel until the guide asks for pokes of its own: until then those between taxels tell more, afterwards they
-    pull neighbours together."""
+    """Pokes a taxel until the guide asks for own pokes: until then those between taxels say more, afterwards they pull
+    neighbours together."""
     unanswered: int = 3
     """A taxel that was poked at so often and never answered is given up: it may be broken, or not where the layout says."""
     patience: int = 15
     """Own pokes after which a taxel is given up that is not done: twice as many as one needs in the mean."""
     unknown: float = 0.020
-    """m, sd of a taxel's place in each direction before anything is known: keeps one axis finite; never counts as known."""
+    """m, sd of a taxel's place in each direction before anything is known: keeps the error of a single axis finite."""
     poke_s: float = 2.0
     """s, for a poke where the hand is: measured on the simulated operator, whose habits are assumed."""
     hand_speed: float = 0.15
@@ -115,7 +114,7 @@ class Tried:
 
 
 def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings) -> tuple[Need, ...]:
-    """Return what a taxel still needs by one method; nothing for one that is done or dead."""
+    """Return what a taxel still needs by a method; nothing where it is done or dead."""
     if estimate.state is State.DEAD:
         return ()
     if method is Method.MODULES:
@@ -133,7 +132,7 @@ def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSetti
 
 
 def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -> Why | None:
-    """Return why a taxel that still needs something is asked for no more; None where it is."""
+    """Return why a taxel that still needs something is no longer asked for; None where it is."""
     if not missing:
         return None
     if tried.shut:
@@ -142,17 +141,15 @@ def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -
         return Why.NEVER_FIRED if tried.unanswered >= settings.unanswered else None
     if tried.own >= settings.patience:
         return Why.AMBIGUOUS if Need.DECISION in missing else Why.STUBBORN
-    # Axes that all lean by one angle, evenly to all sides, have just that diversity; none has more.
+    # Axes that all lean by the same angle, evenly to all sides, have just that diversity; no others have more.
     if Need.SIDES in missing and tried.own >= settings.own_pokes and tried.tilt < settings.diversity:
         return Why.TILT
     return None
 
 
-BoolArray: TypeAlias = NDArray[np.bool_]
-
 MOVES = 0.0042
-"""m, sd of what one poke says of a taxel in each direction, hand and sensor together: the n-th moves it by this over n. From
-guided sessions of the standard study, as the next one."""
+"""m, sd of what a single poke says of a taxel in each direction, hand and sensor together: the n-th poke moves it by this over
+n. From guided sessions of the standard study, as `EXPECTED_HITS`."""
 EXPECTED_HITS = 0.6
 """Share of the pokes that are own pokes of the taxel asked for; the others are a neighbour's, which may be done."""
 BALANCING = 2
@@ -184,13 +181,10 @@ def pokes_left(
     first = np.maximum.reduce([wanted, exact, balance, np.zeros(len(own))])
     unsettled = (first > 0) | ~(moved <= settings.settled)
     then = np.minimum(pokes + first, settings.patience).astype(np.int64)
-    each = first + np.where(unsettled, _settling(settings)[then], 0.0)
+    each = np.minimum(first + np.where(unsettled, _settling(settings)[then], 0.0), settings.patience - pokes)
     share = float(open_.mean()) if len(open_) else 0.0
-    return int(
-        np.ceil(
-            float(np.minimum(each, settings.patience - pokes)[open_].sum()) / (EXPECTED_HITS + (1.0 - EXPECTED_HITS) * share)
-        )
-    )
+    # A poke that misses its taxel lands on a neighbour's, which is open with this share.
+    return int(np.ceil(float(each[open_].sum()) / (EXPECTED_HITS + (1.0 - EXPECTED_HITS) * share)))
 
 
 def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings) -> int:
@@ -242,23 +236,24 @@ def worked(begins: FloatArray, ends: FloatArray) -> float:
 
 
 ANGLES: FloatArray = np.radians(np.linspace(5.0, 60.0, 56))
-"""rad, friction angles that are thought of."""
+"""rad, friction angles that are considered."""
 PRIOR = (float(np.radians(40.0)), float(np.radians(10.0)))
 """rad, mean and sd before any poke: a rubber tip on foam. Assumed."""
 SLIDES = (0.1, 0.5)
-"""Chance that a poke slides that leans less, and more, than friction holds. Nearer to each other than they are, since people
-slide for other reasons too: one slide alone changes nothing."""
+"""Chance that a poke slides that leans less, and more, than friction holds. Nearer to each other than friction alone would have
+them, since hands slide for other reasons too: a single slide changes nothing."""
 MARGIN = float(np.radians(5.0))
 """rad, between what is asked for and what just holds: somewhat less than a hand's error."""
 STEP = float(np.radians(2.0))
-"""rad: usable tilts are whole multiples, so that targets are not worked out anew with every poke."""
+"""rad: usable tilts are whole multiples, so that targets are not computed again with every poke."""
 LEAST = float(np.radians(10.0))
-"""rad: less is asked of nobody; a hand's own error is hardly smaller."""
+"""rad: less is never asked for; a hand's own error is hardly smaller."""
 MISSES = 2
 """So many misses in a row lower what is asked for."""
 HITS = 4
 """So many hits in a row raise it again, by `RAISE`."""
 RAISE = float(np.radians(4.0))
+"""rad: two steps."""
 
 
 class Tilt:
@@ -269,13 +264,14 @@ class Tilt:
         mean, sd = PRIOR
         self._log: FloatArray = -0.5 * ((ANGLES - mean) / sd) ** 2
         self._demand = settings.usable_tilt
+        # rad, the tilts of the last pokes, as long as each was far less than asked for.
         self._short: list[float] = []
-        """rad, the tilts of the last pokes, as long as each was far less than asked for."""
         self._hits = 0
 
     @property
     def friction(self) -> float:
         """The tilt, rad, that friction holds, as likely as not."""
+        # The median over the angles; the largest is taken out first, so that not all exponentials underflow.
         likely = np.exp(self._log - self._log.max()).cumsum()
         return float(ANGLES[int((likely >= likely[-1] / 2.0).argmax())])
 
@@ -289,15 +285,16 @@ class Tilt:
         return max(LEAST, STEP * float(np.floor(least / STEP + 1e-9)))
 
     def poked(self, tilts: FloatArray, *, slid: bool, taken_out: bool = False) -> None:
-        """Take pokes that leaned `tilts`, (n,) rad, from the normal, NaN where that is not known; or take them out again."""
+        """Count pokes that leaned `tilts`, (n,) rad, from the normal, NaN where that is not known; or take them out again."""
         more, less = (SLIDES[1], SLIDES[0]) if slid else (1.0 - SLIDES[1], 1.0 - SLIDES[0])
         known: FloatArray = tilts[np.isfinite(tilts)]
+        # For each angle: how many of the pokes leaned more than it would hold.
         beyond: IntArray = np.sum(known[:, None] > ANGLES, axis=0)
-        told = beyond * np.log(more) + (len(known) - beyond) * np.log(less)
-        self._log += -told if taken_out else told
+        likelihood = beyond * np.log(more) + (len(known) - beyond) * np.log(less)
+        self._log += -likelihood if taken_out else likelihood
 
     def aimed(self, asked: float, made: float) -> None:
-        """Take how far a poke was to lean, and how far it did, rad: who misses it twice is asked for less."""
+        """Compare how far a poke was to lean with how far it did, rad: after two misses less is asked for."""
         if made < asked - self._settings.tolerance:
             self._hits = 0
             self._short.append(made)
@@ -313,12 +310,12 @@ class Tilt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """Says which of n taxels is poked next, by how often each was."""
+    """Which of n taxels is poked next, by how often each was poked and asked for."""
 
     places: FloatArray
     """(n, 3) float, metres, believed; NaN where nothing is known."""
     modules: IntArray
-    """(n,) index of the module, from 0; looked at by `module_taxel` alone."""
+    """(n,) index of the module, from 0; used by `module_taxel` alone."""
     asked: IntArray
     """(n,) how often each was asked for."""
     own: IntArray
@@ -337,8 +334,8 @@ class Turns:
     def module_taxel(self, rows: IntArray, seconds: FloatArray) -> int:
         """Return which of `rows` (m,) is next where modules take turns: of several modules the one reached soonest.
 
-        Pokes side by side do not tell how a module is turned: of its taxels that were poked least, it is the one farthest from
-        the others. One that was asked for twice in vain counts as poked.
+        Pokes side by side say little of how a module is turned: of its taxels that were poked least, the one farthest from the
+        poked ones is next. A taxel that was asked for twice in vain counts as poked.
 
         Parameters
         ----------
@@ -349,6 +346,7 @@ class Turns:
         here = first[self.modules[rows[first]] == module]
         each = np.maximum(self.own, self.asked - 1)
         here = here[_first(each[rows[here]])]
+        # Taxels of the module that were poked more often than those due, as far as their places are known.
         more = (self.modules == module) & (each > each[rows[here[0]]]) & np.isfinite(self.places).all(axis=1)
         if not more.any():
             return int(rows[here[seconds[here].argmin()]])
@@ -357,16 +355,18 @@ class Turns:
 
 
 def _first(rounds: FloatArray | IntArray) -> IntArray:
+    """Return the indices of those in the earliest round."""
     return np.flatnonzero(rounds == rounds.min())
 
 
 def _rounds(asked: IntArray | FloatArray, own: IntArray | FloatArray) -> FloatArray:
+    """Return how many rounds each has been through: own pokes; a target missed once is due again, a later miss is a round."""
     return np.maximum(own, np.maximum(np.minimum(asked, own + 1), asked - 1)).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisDiversity:
-    """The n contacts of a taxel, and d pushes that may come next, link frame."""
+    """The sides from which n contacts of a taxel came, their places around it, and d pushes that may come next; link frame."""
 
     channel: int
     normal: FloatArray

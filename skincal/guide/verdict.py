@@ -1,17 +1,16 @@
-"""Whether the predicted errors may be believed: a poke in six is held out and foretold from all the others.
+"""How a session ends: what is known well enough, whether the predicted errors may be believed, what is not done and why.
 
-A held-out poke costs nothing: it counts for the estimates, and is left out only where it is foretold. The taxel that answered
-it most is solved without it; the poke's axis passes it at r = E (p - a), two numbers across the push. Their covariance is
-E S E' + D, with S that of the taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a
-chi-squared of two degrees of freedom, at most 5.99 in 95 of 100 pokes.
+*Believed.* One poke in six is held out and predicted from all the others. It costs nothing: the poke counts for the estimates,
+and is left out only where it is predicted. The taxel that answered it most is solved without it; the poke's axis passes that
+place at r = E (p - a), two numbers across the push. Their covariance is E S E' + D, with S that of the taxel so solved and D
+the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a chi-squared of two degrees of freedom, at most 5.99 in 95 of
+100 pokes.
 
 By the modules method the module that the poke touched is solved without it (`predicted_squares`), and the axis passes the
 middle of the pads that answered; the rest is the same.
 
-That tells errors of which the prediction knows nothing: a wrong frame, a slipped sensor, a part that moved. It does not tell
+This shows errors that the prediction does not know of: a wrong frame, a slipped sensor, a part that moved. It does not show
 what shifts all pokes alike.
-
-How a session ends: what is known well enough, whether its errors may be believed, what is not done and why.
 """
 
 from __future__ import annotations
@@ -44,19 +43,20 @@ ONE_IN = 6
 INSIDE = 5.991
 """Chi-squared of two degrees of freedom that 95 % stay below."""
 OUTSIDE_SHARE = 0.05
+"""Share of the pokes that fall outside where the predicted errors are true."""
 BELIEVED = 0.01
 """Chance below which so many outside are no accident."""
 AGREED = 0.1
-"""Chance below which they are not said to agree: one true session in ten at most is denied it."""
+"""Chance below which they are not said to agree: at most one session in ten is denied it wrongly."""
 TELLING = 10
 """Held-out pokes below which agreement says nothing: of five, none falls outside by chance in three sessions of four."""
 OTHERS = 2
-"""Other contacts of its taxel that a held-out poke needs: from fewer nothing is foretold."""
+"""Other contacts of its taxel that a held-out poke needs: from fewer nothing is predicted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """How many held-out pokes fell where they were foretold."""
+    """How many held-out pokes fell where they were predicted."""
 
     checked: int
     inside: int
@@ -65,6 +65,7 @@ class Check:
     def chance(self) -> float:
         """Chance, 0 to 1, that as many or more fall outside though the predicted errors are true."""
         outside, share = self.checked - self.inside, OUTSIDE_SHARE
+        # The binomial probability that fewer fall outside.
         below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
         return max(0.0, 1.0 - below)
 
@@ -86,7 +87,7 @@ class Check:
 
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
     """Return number and strongest channel of every sixth contact, in the order of their numbers."""
-    return [(one.poke, int(one.channels[one.responses.argmax()])) for one in contacts[ONE_IN - 1 :: ONE_IN]]
+    return [(contact.poke, int(contact.channels[contact.responses.argmax()])) for contact in contacts[ONE_IN - 1 :: ONE_IN]]
 
 
 def check(
@@ -96,10 +97,10 @@ def check(
     method: Method,
     noise: NoiseSettings,
     surface: Surface | None,
-    boards: ModuleModel | None = None,
+    module_model: ModuleModel | None = None,
     estimates: Sequence[Estimate] = (),
 ) -> Check:
-    """Foretell every sixth contact from the others.
+    """Predict every sixth contact from the others.
 
     Parameters
     ----------
@@ -107,25 +108,27 @@ def check(
     channels : taxels that are used
     evidence : gives what the contacts say of some channels
     surface : needed by the surface method
-    boards : needed by the modules method; without them nothing is foretold by it
-    estimates : of the modules method, where the search for its boards begins
+    module_model : needed by the modules method; without it nothing is predicted by that method
+    estimates : of the modules method, where the search for the modules' poses begins
     """
     if method is Method.MODULES:
-        return Check(0, 0) if boards is None else _check_modules(contacts, channels, evidence, noise, boards, estimates)
+        return (
+            Check(0, 0)
+            if module_model is None
+            else _check_modules(contacts, channels, evidence, noise, module_model, estimates)
+        )
     used = set(channels)
     pairs = [(poke, channel) for poke, channel in held_out(contacts) if channel in used]
-    told = evidence(sorted({channel for _, channel in pairs}))
-    cuts = _cuts(told, pairs)
+    answers = evidence(sorted({channel for _, channel in pairs}))
+    cuts = _cuts(answers, pairs)
     if not cuts:
         return Check(0, 0)
-    others = _joined(told, [others for _, others in cuts])
-    solution = solve(others, [method], noise, surface)
-    distances = _distances(told, np.array([out for out, _ in cuts]), solution, method, noise)
-    return _counted(distances)
+    solution = solve(_without(answers, [others for _, others in cuts]), [method], noise, surface)
+    return _counted(_distances(answers, np.array([out for out, _ in cuts]), solution, method, noise))
 
 
 def _counted(squares: FloatArray) -> Check:
-    """Return how many of squared distances are known, and at most `INSIDE`."""
+    """Count the squared distances that are known, and those of at most `INSIDE`."""
     known = np.isfinite(squares)
     return Check(int(known.sum()), int((squares[known] <= INSIDE).sum()))
 
@@ -135,55 +138,55 @@ def _check_modules(
     channels: Collection[int],
     evidence: Callable[[Collection[int]], Evidence],
     noise: NoiseSettings,
-    boards: ModuleModel,
+    model: ModuleModel,
     estimates: Sequence[Estimate],
 ) -> Check:
-    """Foretell every sixth contact from the others of its module."""
-    width, module_of = boards.layout.width, boards.layout.module_of
-    told = evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
-    by_channel = {one.channel: one for one in estimates}
-    weights = {one.poke: float(one.responses.sum() / one.responses.max()) for one in contacts}
-    totals = np.array([weights[poke] for poke in told.pokes.tolist()])
-    fit = fit_poked(told, totals, boards, noise, [by_channel])
+    """Predict every sixth contact from the others of its module."""
+    width, module_of = model.layout.width, model.layout.module_of
+    answers = evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
+    by_channel = {estimate.channel: estimate for estimate in estimates}
+    weights = {contact.poke: float(contact.responses.sum() / contact.responses.max()) for contact in contacts}
+    totals = np.array([weights[poke] for poke in answers.pokes.tolist()])
+    fit = fit_poked(answers, totals, model, noise, [by_channel])
     if fit is None:
         return Check(0, 0)
     touches, fitted = fit
     out = [poke for poke, _ in held_out(contacts)]
-    at = np.flatnonzero(np.isin(told.pokes[touches.rows], out) & (fitted.misses[touches.of] <= MISS_MAX))
+    at = np.flatnonzero(np.isin(answers.pokes[touches.rows], out) & (fitted.misses[touches.of] <= MISS_MAX))
     return _counted(predicted_squares(touches, fitted, noise, at))
 
 
-def _cuts(told: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
+def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
     """Return for each pair of poke and channel its own answer, and the answers of the taxel's other pokes."""
-    row = {channel: i for i, channel in enumerate(told.channels.tolist())}
+    row = {channel: i for i, channel in enumerate(answers.channels.tolist())}
     cuts: list[tuple[int, list[int]]] = []
     for poke, channel in pairs:
         if channel not in row:
             continue
-        first, after = told.starts[row[channel] : row[channel] + 2].tolist()
-        out = told.pokes[first:after].tolist().index(poke) + first
+        first, after = answers.starts[row[channel] : row[channel] + 2].tolist()
+        out = answers.pokes[first:after].tolist().index(poke) + first
         others = [answer for answer in range(first, after) if answer != out]
         if len(others) >= OTHERS:
             cuts.append((out, others))
     return cuts
 
 
-def _joined(told: Evidence, groups: Sequence[Sequence[int]]) -> Evidence:
-    """Return the evidence of as many taxels as there are groups of answers, each of one taxel, whatever its channel."""
+def _without(answers: Evidence, groups: Sequence[Sequence[int]]) -> Evidence:
+    """Return evidence with a taxel for each group of answers: a channel may be there twice, without another poke each time."""
     sizes, every = np.array([len(group) for group in groups]), np.array([answer for group in groups for answer in group])
     return Evidence(
         channels=np.arange(len(groups)),
         starts=np.concatenate([[0], sizes.cumsum()]),
         taxels=np.arange(len(groups)).repeat(sizes),
-        pokes=told.pokes[every],
-        poses=told.poses[every],
-        columns=np.ascontiguousarray(told.columns[:, every]),
-        weights=told.weights[every],
+        pokes=answers.pokes[every],
+        poses=answers.poses[every],
+        columns=np.ascontiguousarray(answers.columns[:, every]),
+        weights=answers.weights[every],
         trust=np.ones(len(every)),
     )
 
 
-def _distances(told: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> FloatArray:
+def _distances(answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> FloatArray:
     """Return (n,) the squared distance of each held-out axis from its taxel, in standard deviations; NaN where unknown."""
     if method is Method.FREE and solution.free is not None:
         places, known = solution.factors.solutions, solution.free
@@ -193,12 +196,13 @@ def _distances(told: Evidence, out: IntArray, solution: Solution, method: Method
         there = (solution.surface.triangles >= 0) & (known.sds <= SD_MAX)
     else:
         raise ValueError(f"the {method.value} method was not solved")
+    # What is not known is set to 0 to keep the algebra finite, and becomes NaN at the end.
     covariances = np.where(there[:, None, None], known.covariances, 0.0)
     places = np.where(there[:, None], places, 0.0)
-    pairs, lever = told.pairs[out], places - told.sensors[out]
-    own = row_precision(pairs, lever, told.forces[out], offset_square(told.weights[out], noise), noise)
+    pairs, lever = answers.pairs[out], places - answers.sensors[out]
+    own = row_precision(pairs, lever, answers.forces[out], offset_square(answers.weights[out], noise), noise)
     total = pairs @ covariances @ pairs.transpose(0, 2, 1) + np.asarray(np.linalg.inv(own), dtype=np.float64)
-    off = (pairs @ (places - told.nearest[out])[:, :, None])[:, :, 0]
+    off = (pairs @ (places - answers.nearest[out])[:, :, None])[:, :, 0]
     distances = np.sum(off * np.asarray(np.linalg.solve(total, off[:, :, None])[:, :, 0], dtype=np.float64), axis=1)
     return np.where(there, distances, np.nan)
 
@@ -210,7 +214,7 @@ class Left:
     channel: int
     why: Why
     needs: tuple[Need, ...]
-    """What it still needs; none for one that is not used."""
+    """What it still needs; none where it is not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,7 +246,7 @@ def verdict_of(
     noise: NoiseSettings,
     surface: Surface | None,
     settings: GuideSettings,
-    boards: ModuleModel | None = None,
+    module_model: ModuleModel | None = None,
 ) -> Verdict:
     """Return what a session has come to.
 
@@ -253,9 +257,9 @@ def verdict_of(
     contacts : those that count, by the number of their poke
     evidence : gives what the contacts say of some channels
     surface : needed by the surface method
-    boards : needed by the modules method, whose errors are not checked without
+    module_model : needed by the modules method, whose errors are not checked without it
     """
-    state = {one.channel: one.state for one in estimates}
+    state = {estimate.channel: estimate.state for estimate in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
     left = tuple(_left(guidance, state))
     ordered = [contacts[poke] for poke in sorted(contacts)]
@@ -263,17 +267,17 @@ def verdict_of(
         method=guidance.method,
         enough=guidance.phase is GuidePhase.ENOUGH and bool(used),
         wanted=settings.wanted,
-        done=len(used) - sum(one.why is not Why.DEAD for one in left),
+        done=len(used) - sum(taxel.why is not Why.DEAD for taxel in left),
         used=len(used),
         left=left,
-        check=check(ordered, used, evidence, guidance.method, noise, surface, boards, estimates),
+        check=check(ordered, used, evidence, guidance.method, noise, surface, module_model, estimates),
         pokes=len(contacts),
-        seconds=worked(*(np.array([getattr(one, name) for one in ordered]) for name in ("start_s", "end_s"))),
+        seconds=worked(*(np.array([getattr(contact, name) for contact in ordered]) for name in ("start_s", "end_s"))),
     )
 
 
 def _left(guidance: Guidance, state: Mapping[int, State]) -> Iterator[Left]:
-    """Give the taxels that are not done, by channel."""
+    """Yield the taxels that are not done, by channel."""
     for channel, needs in zip(guidance.channels.tolist(), guidance.needs, strict=True):
         if state.get(channel) is State.DEAD:
             yield Left(channel, Why.DEAD, ())

@@ -1,1 +1,1 @@
-"""What there is: readings, the scene, its skin and layout, and the error that ends in a sentence."""
+"""What there is: readings, the scene, its skin and layout, and the error whose message the user reads."""

@@ -1,7 +1,4 @@
-"""The one exception for input that the user can mend.
-
-Words for lists, in findings.
-"""
+"""The exception for input that the user can mend, and the words for counts and channels in its sentences."""
 
 from __future__ import annotations
 

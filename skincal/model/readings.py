@@ -1,4 +1,4 @@
-"""What devices say: bytes with their arrival, decoded readings, and what was lost on the way.
+"""What devices send: bytes with their arrival, decoded readings, and what was lost on the way.
 
 Everything here is frozen and in SI units. A batch holds several readings of one stream as arrays, in the order
 in which the device sent them; a batch of one is common.

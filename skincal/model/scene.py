@@ -1,6 +1,6 @@
 """A scene: what there is to calibrate, read from a TOML file.
 
-It decides which solvers, layers, panels and imports exist: what a scene does not have is None here and costs nothing.
+It decides which methods, layers of the view and panels exist: what a scene does not have is None here and costs nothing.
 The file's lengths are metres and its angles degrees unless the key ends in a unit; see `docs/scene.md`.
 """
 
@@ -19,8 +19,8 @@ from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.model.tables import Table, check_metres, read_toml
 
+# Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
-"""Settings that the file gives in degrees, by the name that says so."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -95,8 +95,8 @@ class NoiseSettings:
     moment: float = 0.010
     """N m, sd of each moment component: likewise; the FT45 resolves 0.005 N m."""
     contact: float = 0.0015
-    """m, sd of the contact about the taxel that answers most, each direction in the skin: by hand one aims to 2 mm, and where
-    the tip lands farther off, a neighbour answers more."""
+    """m, sd of the contact about the taxel that answers most, each direction in the skin: a hand aims to 2 mm, and where the
+    tip lands farther off, a neighbour answers more."""
     reach: float = 0.0025
     """m, how far beside the tip the skin answers: a taxel that the tip misses by this much, each direction, more than the one
     that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.rig`)."""
@@ -155,7 +155,7 @@ class Scene:
 
 
 def load_scene(path: Path) -> Scene:
-    """Read a scene file and the layout it names; the mesh is left to `skincal.mesh`, which costs more.
+    """Read a scene file and the layout it names; the mesh is read elsewhere, which costs more.
 
     Parameters
     ----------
@@ -189,6 +189,7 @@ def load_scene(path: Path) -> Scene:
         landmarks=_read_landmarks(root, path),
         text=text,
     )
+    # At the end, when everything known was asked for: what is left is misspelt.
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
         if part is not None:
             part.done()
@@ -224,6 +225,7 @@ def _read_surface(table: Table, path: Path) -> SurfaceSpec:
 
 def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:
     pose: FloatArray = table.array(key, (4, 4), default)
+    # A matrix written with a few digits is rotation enough; a mirrored or scaled one is not.
     rotation = pose[:3, :3]
     if (
         np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
@@ -283,9 +285,10 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
     for item in fields(kind):
         default: Any = item.default
         wanted: type = int if isinstance(default, int) else float
+        # The type of the default says which kind of number is expected.
         key = _IN_DEGREES.get(item.name, item.name)
         value = table.take(key, wanted, default)
-        # What is 0 unless given may be given as 0.
+        # 0 is allowed only where it is the default: it switches that noise off.
         if not (value > 0 or value == default):
             expected = "0 or a number above" if default == 0 else "a number above 0"
             raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")
@@ -325,8 +328,9 @@ def resource(name: str) -> Path:
     InputError
         There is no such resource.
     """
-    here = Path(__file__).resolve().parent.parent
-    for folder in (here / "resources", here.parent / "resources"):
+    package = Path(__file__).resolve().parents[1]
+    # Installed, the resources lie within the package; in a checkout beside it.
+    for folder in (package / "resources", package.parent / "resources"):
         if (folder / name).exists():
             return folder / name
     raise InputError(f"{name}: no such file ships with skincal; install it again.")

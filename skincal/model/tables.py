@@ -1,4 +1,4 @@
-"""A table of a TOML file, read so that what is missing, of another kind or not known is named with where it stands."""
+"""A table of a TOML file, read so that each missing, wrong or unknown value is named with its place in the file."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
 
 
 class Table:
-    """Gives out each value once; `done` names what was not asked for.
+    """Gives out each value once; `done` refuses what was not asked for.
 
     Parameters
     ----------
@@ -62,6 +62,7 @@ class Table:
 
     def take(self, key: str, kind: type, default: Any = ...) -> Any:
         """Return a value of this kind; a whole number counts as a number, true and false do not."""
+        # An ellipsis stands for no default, since None is one.
         if key not in self._values:
             if default is ...:
                 raise InputError(f"{self.where}: {key} is missing; expected {_name(kind)}.")
@@ -69,6 +70,7 @@ class Table:
         value = self._values.pop(key)
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
+        # To Python true and false are whole numbers.
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             raise InputError(f"{self.where}: {key} is {value!r}; expected {_name(kind)}.")
         if isinstance(value, float) and not np.isfinite(value):
@@ -84,6 +86,7 @@ class Table:
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError):
+            # Rows of different lengths, or words: nothing that fits any shape.
             array = np.empty(0)
         fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
         if not fits or not (np.isfinite(array) | (gaps & np.isnan(array))).all():

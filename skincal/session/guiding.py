@@ -118,7 +118,11 @@ class SessionGuide:
         ----------
         evidence : as in `follow`, which was called before
         """
-        return self._guides[self._followed[1]].sky(channel, evidence) if self.wanted and self._followed is not None else None
+        return (
+            self._guides[self._followed[1]].axis_diversity(channel, evidence)
+            if self.wanted and self._followed is not None
+            else None
+        )
 
     def skip(self) -> None:
         """Ask for another poke than the one that was asked for last."""

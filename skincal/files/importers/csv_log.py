@@ -11,8 +11,8 @@ With a header, columns are found by name, in any order and case:
 Without a header, the first column is the time in seconds and the others follow in this order; joints are degrees. Fields
 are separated by comma, semicolon (then a comma is a decimal point), tab or spaces.
 
-Each row becomes the line `<number> <seconds> <values>` of a YARP log, joints in degrees, which is the plainest form of the
-same content that a decoder reads; the session's journal holds these lines.
+Each row becomes the line `<number> <seconds> <values>` of a YARP log, joints in degrees: the plainest form of the same content
+that a decoder reads. The session's journal holds these lines, not the rows.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _MILLI = ("nmm", "n.mm")
 class _Columns:
     """Which fields of a row are what, and what turns them into seconds and the values of a log line."""
 
+    # Fields of a row.
     width: int
-    """Fields of a row."""
     time: int
     to_s: float
     number: int | None
@@ -64,7 +64,6 @@ class _Skipped:
 class _Table:
     """One CSV file and how its rows are read."""
 
-    name: str
     stream: Stream
     path: Path
     separator: str | None
@@ -73,7 +72,7 @@ class _Table:
 
     @property
     def link(self) -> LinkSpec:
-        return LinkSpec(self.name, f"file:{self.path}", (self.stream,), "csv")
+        return LinkSpec(self.stream.value, f"file:{self.path}", (self.stream,), "csv")
 
     def lines(self, skipped: _Skipped | None = None) -> Iterator[RecordedLine]:
         """Give each row with its time; count the rows that have none."""
@@ -107,8 +106,8 @@ def read_csv(
     findings: list[str] = []
     timelines: list[RecordedTimes] = []
     for table in tables:
-        skipped = _Skipped()
-        timeline = scan(table.name, (line.stamp for line in table.lines(skipped)))
+        skipped, name = _Skipped(), table.stream.value
+        timeline = scan(name, (line.stamp for line in table.lines(skipped)))
         if not timeline.lines:
             raise InputError(
                 f"{table.path}: no row with a time was found; expected a row a reading, its time and its values. A time "
@@ -117,20 +116,22 @@ def read_csv(
         timelines.append(timeline)
         findings += timeline.sentences()
         if table.columns.finding:
-            findings.append(f"{table.name}: {table.columns.finding}")
+            findings.append(f"{name}: {table.columns.finding}")
         if skipped.rows:
-            findings.append(f"{table.name}: {plural(skipped.rows, 'row')} without a time: left out.")
+            findings.append(f"{name}: {plural(skipped.rows, 'row')} without a time: left out.")
     check_overlap(timelines)
-    joints_alone = [table.name for table in tables if table.stream is Stream.JOINTS]
-    chunks = merged(agree(timelines), [table.lines for table in tables], joints_alone)
+    # A frame gets the last angles before it, so these must not come later.
+    chunks = merged(agree(timelines), [table.lines for table in tables], (Stream.JOINTS.value,))
     return tuple(table.link for table in tables), chunks, tuple(findings)
 
 
 def _rows(path: Path, separator: str | None) -> Iterator[list[str]]:
     """Give the fields of each row, in quotes or not; empty lines and lines that begin with # are left out."""
     try:
+        # Spreadsheets begin a file with a byte order mark.
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for text in file:
+                # A tab at an end stands beside an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):
                     fields = line.split(separator)
@@ -152,10 +153,11 @@ def _open_table(stream: Stream, path: Path) -> _Table:
         columns = _named_columns(stream, [name.lower() for name in row], path)
     else:
         columns = _columns_by_place(stream, len(row), path)
-    return _Table(stream.value, stream, path, separator, header, columns)
+    return _Table(stream, path, separator, header, columns)
 
 
 def _to_float(field: str) -> float | None:
+    # `float` takes 1_000 for a number.
     if "_" in field:
         return None
     try:
@@ -247,5 +249,5 @@ def _value(row: list[str], at: int, factor: float) -> str:
     if not row[at]:
         return "nan"
     value = _to_float(row[at])
-    # What is no number goes on as it is: the decoder counts it.
+    # What is no number goes on as it is, so that the decoder counts it.
     return repr(value * factor) if value is not None else row[at].replace(" ", "?")

@@ -1,7 +1,7 @@
-"""Recorded lines with their stamps, put on one clock and merged, so that a recording plays as a live rig would.
+"""Recorded lines with their stamps, put on a common clock and merged, so that a recording plays as a live rig would.
 
 Stamps of a recording jump: a clock is set back, messages come out of order, a program hangs. Each file is read twice: first
-`scan` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of one
+`scan` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of a common
 clock that never runs backwards. Neither holds more than a line of each file.
 
 - A stamp a little before the one before it (`OUT_OF_ORDER`) is a message that came late: it is placed at the time of the
@@ -35,7 +35,7 @@ GAP_INTERVALS = 5.0
 GAP_MIN = 0.1
 """s. ...if it is also longer than this: a poke's still window is 0.3 s."""
 SHARED_JUMP = 0.2
-"""s. Two clocks set back by amounts this near were one clock: the amount is known to within an interval of each file."""
+"""s. Two clocks set back by amounts this near were the same clock: the amount is known to within an interval of each file."""
 ASTRAY_LINES = 3
 """Lines. A clock that was set stays set; a stamp that was written wrong is right again after so many."""
 SPAN_MAX = 1e8
@@ -76,7 +76,7 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class RecordedTimes:
-    """What a first reading of a file tells."""
+    """What a first reading of a file's stamps finds."""
 
     name: str
     lines: int
@@ -117,13 +117,13 @@ class RecordedTimes:
 
 @dataclass(frozen=True, slots=True)
 class _Leap:
-    """A stamp far from the one before it, until it is sure whether the clock was set or the stamp written wrong."""
+    """A stamp far from the one before it, until it is clear whether the clock was set or the stamp written wrong."""
 
     line: int
     highest: float
     shift: float
+    # s. What passed if the clock is right; 0 where it went back.
     pause: float
-    """s. What passed if the clock is right; 0 where it went back."""
     jump: Jump | None
 
 
@@ -163,7 +163,7 @@ class _Scan:
             self._settle()
 
     def _far(self, stamp: float) -> None:
-        """Take a stamp far from the one before it: back where the clock was before a leap, or a leap of its own."""
+        """Note a stamp far from the one before it: back where the clock was before a leap, or a new leap."""
         leap = self.leap
         if leap is not None and abs(stamp - leap.highest) <= OUT_OF_ORDER:
             self.astray.update(range(leap.line, self.lines))
@@ -190,6 +190,7 @@ class _Scan:
         return median(self.intervals) if self.intervals else 0.0
 
     def _pause(self, pause: float) -> None:
+        # Until the usual interval is known, long pauses are kept and judged at the end.
         if len(self.intervals) < FIRST_INTERVALS:
             self.intervals.append(pause)
             if len(self.intervals) == FIRST_INTERVALS:
@@ -205,7 +206,7 @@ class _Scan:
 
     def timeline(self, name: str) -> RecordedTimes:
         if self.leap is not None and self.leap.pause > SPAN_MAX:
-            # The last lines of the file: nothing after them can tell, but no recording pauses for years.
+            # The last lines of the file: no line after them decides it, but no recording pauses for years.
             self.astray.update(range(self.leap.line, self.lines))
             self.latest, self.leap = self.leap.highest + self.leap.shift, None
         self._settle()
@@ -240,6 +241,7 @@ def agree(timelines: Sequence[RecordedTimes]) -> tuple[RecordedTimes, ...]:
     known: list[float] = []
     agreed: list[RecordedTimes] = []
     for timeline in timelines:
+        # The amount that the first file saw holds for all that saw nearly the same.
         jumps = tuple(replace(jump, back=_nearest(jump.back, known)) for jump in timeline.jumps)
         known += [jump.back for jump in jumps if jump.back not in known]
         agreed.append(replace(timeline, jumps=jumps))
@@ -298,8 +300,8 @@ class _Placed:
 
     host_ns: int
     data: bytes
+    # Its stamp follows on the one before; else the decoder's clock starts anew with it.
     steady: bool
-    """Its stamp follows on the one before; else the decoder's clock starts anew with it."""
 
 
 def _placed(timeline: RecordedTimes, lines: Iterator[RecordedLine], origin: float) -> Iterator[_Placed]:
@@ -315,7 +317,7 @@ def _placed(timeline: RecordedTimes, lines: Iterator[RecordedLine], origin: floa
 
 
 def _chunks(timeline: RecordedTimes, lines: Iterator[_Placed], *, together: bool) -> Iterator[Chunk]:
-    """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is one alone.
+    """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is a chunk alone.
 
     The clock of a decoder takes a chunk's time for the arrival of each of its lines, and the least delay for the true one: the
     last line's is right, the others only look late. A clock's first line has no other to be measured by.

@@ -37,11 +37,11 @@ STAMPS_APART = 10.0
 EPOCH_MIN = 1e8
 """s. A stamp of a computer's clock is later (1973); no force, angle or raw value of a taxel is as large."""
 GRAMMAR_LINES = 50
-"""Lines from which the grammar of an old log is told."""
+"""Lines from which the grammar of an old log is found."""
 BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
 TOO_LONG = b"...\n"
-"""No record, so that it is counted as one that cannot be read."""
+"""Stands for a line that is too long: no record, so that it is counted as unreadable."""
 FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
 """Number of stamps to the name of the decoder..."""
 BY_RECEIVER = "yarp-rx"
@@ -57,8 +57,8 @@ class _Log:
     stream: Stream
     path: Path
     stamps: int
+    # `"tx"` or `"rx"`: whose clock the lines are placed by; empty where the log does not say.
     clock: str
-    """`"tx"` or `"rx"`: whose clock the lines are placed by; empty where the log does not say."""
     decoder: str
     findings: tuple[str, ...]
 
@@ -85,18 +85,18 @@ class _Log:
 class _Contents:
     """What a first reading of a log counts."""
 
+    # Lines whose first stamp is 0: their sender gave none.
     untimed: int = 0
-    """Lines whose first stamp is 0: their sender gave none."""
     empty: int = 0
     unreadable: int = 0
     cut: bool = False
     nested: bool = False
+    # Six-axis sensors in `measures:o`; 0 in a log of plain vectors.
     sensors: int = 0
-    """Six-axis sensors in `measures:o`; 0 in a log of plain vectors."""
+    # Number of lines by their number of values, plain vectors only.
     widths: Counter[int] = field(default_factory=Counter[int])
-    """Number of lines by their number of values, plain vectors only."""
+    # Distinct values of a skin; None once they are not those of a binarised skin.
     levels: set[float] | None = field(default_factory=set[float])
-    """Distinct values of a skin; None once they are not those of a binarised one."""
 
 
 def read_yarp(
@@ -131,9 +131,8 @@ def read_yarp(
         findings += [*log.findings, *timeline.sentences(), *sentences]
     check_overlap(timelines)
     findings += _clock_findings(logs)
-    # A frame takes the last angles before it, so those must not come later than it; a wrench may: frames wait for it.
-    joints_alone = [log.name for log in logs if log.stream is Stream.JOINTS]
-    chunks = merged(agree(timelines), [log.lines for log in logs], joints_alone)
+    # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
+    chunks = merged(agree(timelines), [log.lines for log in logs], (Stream.JOINTS.value,))
     return tuple(log.link for log in logs), chunks, tuple(findings)
 
 
@@ -194,6 +193,7 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
             return len(clocks), clocks[-1], []
         raise InputError(f"{path.with_name(INFO)}: Stamp is {found.group(1)!r}; expected tx, rx or tx+rx.")
     head = [line for data in islice(_whole_lines(path), GRAMMAR_LINES) if (line := split_line(data, 2)) is not None]
+    # No Stamp line: where most of the first lines have a second time, all lines have.
     two = sum(_is_second_stamp(line) for line in head) * 2 > len(head) > 0
     return (2, "rx", []) if two else (1, "", [])
 
@@ -229,8 +229,9 @@ def _whole_lines(path: Path) -> Iterator[bytes]:
 
 
 def _ends_open(path: Path) -> bool:
-    """Tell whether the last line of a file has no end."""
+    """Return whether the last line of a file has no end."""
     with path.open("rb") as file:
+        # The last byte alone: logs are large.
         size = file.seek(0, 2)
         file.seek(max(size - 1, 0))
         return size > 0 and file.read(1) != b"\n"
@@ -296,7 +297,7 @@ def _levels(words: list[bytes], levels: set[float]) -> set[float] | None:
 
 
 def _check_width(log: _Log, contents: _Contents) -> None:
-    """Tell a skin's log from a wrench's before all of its lines are refused."""
+    """Refuse a wrench log whose lines have another width, before each of them is refused by the decoder."""
     if log.stream is Stream.WRENCH and contents.widths and 6 not in contents.widths:
         width = contents.widths.most_common(1)[0][0]
         raise InputError(f"{log.path}: its lines hold {width} values; expected six, fx fy fz mx my mz: is this the F/T log?")

@@ -19,8 +19,8 @@ from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
-from skincal.taxels.result import Estimate, Method, State
-from tests.skincal.files_support import Part, make_calibration, make_contacts, make_part
+from skincal.taxels.result import Estimate, Method, Rival, State
+from tests.skincal.files.files_support import Part, make_calibration, make_contacts, make_part
 
 
 @pytest.fixture(scope="module")
@@ -38,22 +38,23 @@ def same(one: object, other: object) -> bool:
 
 
 def fields_of(value: object) -> list[object]:
-    return [getattr(value, name) for name in value.__slots__]
+    values = [getattr(value, name) for name in value.__slots__]
+    return [item for each in values for item in (fields_of(each) if isinstance(each, Rival) else [each])]
 
 
 def test_json_gives_contacts_and_estimates_back_bit_for_bit(part, tmp_path):
     calibration = make_calibration(part, unseen=(5,), blind=(2,))
     write_calibration(calibration, "json", tmp_path / "c.json", Method.FREE)
     file = read_json(tmp_path / "c.json")
-    for one, other in zip(calibration.contacts, file.contacts, strict=True):
-        assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))
+    for contact, other in zip(calibration.contacts, file.contacts, strict=True):
+        assert all(same(a, b) for a, b in zip(fields_of(contact), fields_of(other), strict=True))
     assert set(file.estimates) == set(Method)
     for method, estimates in calibration.estimates.items():
-        for one, other in zip(estimates, file.estimates[method], strict=True):
-            assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))
+        for estimate, other in zip(estimates, file.estimates[method], strict=True):
+            assert all(same(a, b) for a, b in zip(fields_of(estimate), fields_of(other), strict=True))
     assert file.frame == "r_forearm_dh_frame"
     assert file.scene_text == part.scene.text
-    assert file.modules_text == (part.scene.path.parent / "boards.toml").read_text()
+    assert file.modules_text == (part.scene.path.parent / "modules.toml").read_text()
     assert file.mesh_sha256 == calibration.mesh_sha256
     assert file.mesh_findings
     assert (file.excluded, dict(file.dead)) == ((3,), {40: "always on"})
@@ -81,8 +82,8 @@ def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
     file = read_json(tmp_path / "c.json")
     solved = estimate_taxels(file.used_contacts, file.channels, list(Method), file.noise, surface, file.dead, model=boards)
     for method, again in solved.items():
-        for one, other in zip(file.estimates[method], again.values(), strict=True):
-            assert all(same(a, b) for a, b in zip(fields_of(one), fields_of(other), strict=True))
+        for estimate, other in zip(file.estimates[method], again.values(), strict=True):
+            assert all(same(a, b) for a, b in zip(fields_of(estimate), fields_of(other), strict=True))
 
 
 def test_json_has_no_nan_and_names_its_units(part):
@@ -195,11 +196,11 @@ def test_a_mesh_that_changed_or_went_is_said_and_the_file_written(tmp_path):
     mesh.write_text(mesh.read_text() + "# touched\n")
     said = write_calibration(calibration, "icub", tmp_path / "p.txt", Method.FREE)
     assert "the mesh changed since the estimates were computed" in said[0]
-    layout = part.scene.path.parent / "boards.toml"
+    layout = part.scene.path.parent / "modules.toml"
     text = layout.read_text(encoding="utf-8")
     layout.unlink()
     write_calibration(calibration, "json", tmp_path / "c.json", Method.FREE)
-    assert read_json(tmp_path / "c.json").modules_text == text, "the layout is told as it was used"
+    assert read_json(tmp_path / "c.json").modules_text == text, "the layout is written as it was used"
     mesh.unlink()
     said = write_calibration(calibration, "icub", tmp_path / "p.txt", Method.FREE)
     assert "were not compared with the part's shape" in said[0]

@@ -21,7 +21,7 @@ TAXEL = np.array([0.03, 0.02, 0.01])
 SETTINGS = GuideSettings()
 
 
-def told(count=8, weights=(1.0, 0.8, 0.4), tilt=0.5, seed=1):
+def contacts_and_evidence(count=8, weights=(1.0, 0.8, 0.4), tilt=0.5, seed=1):
     contacts = pokes(np.random.default_rng(seed), count, TAXEL, NORMAL, sensor_pose(), NOISE, tilt, weights)
     return contacts, ContactTable(contacts).evidence([0])
 
@@ -33,7 +33,7 @@ def knowledge(evidence, in_plane=False, unknown=1e9):
 
 
 def test_information_is_the_sum_over_contacts_of_rows_by_their_noise():
-    _, evidence = told()
+    _, evidence = contacts_and_evidence()
     expected = np.zeros((3, 3))
     for i, (e, lever) in enumerate(zip(evidence.pairs, TAXEL - evidence.sensors, strict=True)):
         # Force noise df moves the row e_j.(p - a) by -(e_k.(p x df))/|f|: written out over the force's three directions.
@@ -48,7 +48,7 @@ def test_information_is_the_sum_over_contacts_of_rows_by_their_noise():
 
 @pytest.mark.parametrize("angle", [5.0, 15.0, 28.0])
 def test_diversity_of_a_cone_of_axes_is_its_angle_over_root_two(angle):
-    _, evidence = told(4, weights=(1.0,))
+    _, evidence = contacts_and_evidence(4, weights=(1.0,))
     turn = np.radians(angle)
     around = 2 * np.pi * np.arange(4) / 4
     u = np.stack([np.sin(turn) * np.cos(around), np.sin(turn) * np.sin(around), np.full(4, np.cos(turn))])
@@ -57,16 +57,16 @@ def test_diversity_of_a_cone_of_axes_is_its_angle_over_root_two(angle):
     found = diversity(replace(evidence, columns=columns))[0]
     # Of I - mean u u' the eigenvalue along the middle is sin^2; across it more.
     assert np.degrees(found) == pytest.approx(angle, rel=1e-9)
-    assert np.degrees(diversity(told(1, weights=(1.0,))[1])[0]) == pytest.approx(0.0, abs=1e-6)
+    assert np.degrees(diversity(contacts_and_evidence(1, weights=(1.0,))[1])[0]) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("in_plane", [False, True])
 def test_how_far_the_last_own_poke_moved_a_taxel_is_what_solving_without_it_says(in_plane):
-    contacts, evidence = told(9)
+    contacts, evidence = contacts_and_evidence(9)
     last = max(evidence.pokes[evidence.weights == 1.0].tolist())
     whole, without = (
         solve(ContactTable(some).evidence([0]), [], NOISE, None, doubting=False).factors
-        for some in (contacts, [one for one in contacts if one.poke != last])
+        for some in (contacts, [contact for contact in contacts if contact.poke != last])
     )
     if in_plane:
         basis = np.linalg.svd(NORMAL[None])[2][1:].T
@@ -81,16 +81,16 @@ def test_how_far_the_last_own_poke_moved_a_taxel_is_what_solving_without_it_says
 
 
 def test_own_pokes_are_those_in_which_it_answers_most_and_one_poke_alone_is_not_settled():
-    contacts, evidence = told(9)
+    contacts, evidence = contacts_and_evidence(9)
     know = knowledge(evidence)
-    assert know.own[0] == sum(one.responses[0] == one.responses.max() for one in contacts)
+    assert know.own[0] == sum(contact.responses[0] == contact.responses.max() for contact in contacts)
     assert know.contacts[0] == 9
-    assert np.isinf(knowledge(told(1, weights=(1.0,))[1]).moved[0])
+    assert np.isinf(knowledge(contacts_and_evidence(1, weights=(1.0,))[1]).moved[0])
 
 
-def test_contacts_that_are_all_doubted_wholly_tell_nothing():
-    """By the modules method a board may be mistrusted altogether."""
-    _, evidence = told()
+def test_contacts_of_which_none_is_trusted_say_nothing():
+    """By the modules method a module may be mistrusted altogether."""
+    _, evidence = contacts_and_evidence()
     for in_plane in (False, True):
         know = knowledge(evidence.trusted(np.zeros(len(evidence.trust))), in_plane)
         assert know.diversity[0] == 0.0
@@ -100,7 +100,7 @@ def test_contacts_that_are_all_doubted_wholly_tell_nothing():
 
 
 def test_what_is_taken_away_leaves_no_trace():
-    _, evidence = told()
+    _, evidence = contacts_and_evidence()
     know, empty = knowledge(evidence), ContactTable().evidence([0])
     know.renew([0], empty, TAXEL[None], TAXEL[None], NORMAL[None], {})
     fresh = Knowledge(np.array([0]), NOISE, 1e9, False)

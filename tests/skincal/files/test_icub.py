@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from skincal.files.icub import NO_TAXEL, THERMAL_PAD, icub_text, parse_icub, read_icub, representatives, skin_part
 from skincal.model.errors import InputError, list_channels
 from skincal.taxels.result import Method
-from tests.skincal.files_support import CHANNELS, Part, make_calibration, make_part
+from tests.skincal.files.files_support import CHANNELS, Part, make_calibration, make_part
 
 ROW = "0.01 0.02 0.03 0 0 1\n"
 

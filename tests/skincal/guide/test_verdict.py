@@ -71,43 +71,43 @@ def poked_session(pokes=240, seed=1, conditions=None):
 def checked(method=Method.FREE, surface=None, noise=None, **which):
     session, _ = poked_session(**which)
     surface, noise = surface or part().surface, noise or part().scene.noise
-    boards = ModuleModel(part().scene.skin.layout, part().scene.skin.anchor, surface)
+    model = ModuleModel(part().scene.skin.layout, part().scene.skin.anchor, surface)
     estimates = session.snapshot().estimates[method]
-    return check(session.contacts, session.channels, session.evidence, method, noise, surface, boards, estimates)
+    return check(session.contacts, session.channels, session.evidence, method, noise, surface, model, estimates)
 
 
 def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
     session, _ = poked_session()
     pairs = held_out(session.contacts)
-    assert [poke for poke, _ in pairs] == [one.poke for one in session.contacts][ONE_IN - 1 :: ONE_IN]
-    by_poke = {one.poke: one for one in session.contacts}
+    assert [poke for poke, _ in pairs] == [each.poke for each in session.contacts][ONE_IN - 1 :: ONE_IN]
+    by_poke = {each.poke: each for each in session.contacts}
     for poke, channel in pairs:
         contact = by_poke[poke]
         assert contact.responses[contact.channels.tolist().index(channel)] == contact.responses.max()
 
 
 @pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
-def test_it_is_foretold_by_what_all_the_other_pokes_say_and_nothing_else(method):
+def test_it_is_predicted_from_what_all_the_other_pokes_say_and_nothing_else(method):
     """By another route: the taxel is solved anew from the other contacts, and the axis's distance summed up in space."""
     session, _ = poked_session(120)
     noise, inside, count = part().scene.noise, 0, 0
     for poke, channel in held_out(session.contacts):
-        others = [one for one in session.contacts if one.poke != poke]
-        if sum(channel in one.channels for one in others) < 2:
+        others = [contact for contact in session.contacts if contact.poke != poke]
+        if sum(channel in other.channels for other in others) < 2:
             continue
         estimate = estimate_taxels(others, [channel], [method], noise, part().surface)[method][channel]
         if estimate.position is None:
             continue
-        told = ContactTable([one for one in session.contacts if one.poke == poke]).evidence([channel])
-        u, lever, size = told.directions[0], estimate.position - told.sensors[0], told.forces[0]
+        answers = ContactTable([contact for contact in session.contacts if contact.poke == poke]).evidence([channel])
+        u, lever, size = answers.directions[0], estimate.position - answers.sensors[0], answers.forces[0]
         force = noise.force / size
         spread = (noise.moment / size) ** 2 * np.eye(3) + force**2 * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-        spread += noise.contact**2 * np.eye(3) - noise.reach**2 * np.log(told.weights[0]) * np.eye(3)
+        spread += noise.contact**2 * np.eye(3) - noise.reach**2 * np.log(answers.weights[0]) * np.eye(3)
         across = np.linalg.svd(u[None])[2][1:]
         # The force's noise turns with the push: u x (p - a) is read, of which the part across u counts.
         turned = np.stack([np.cross(u, e) for e in across])
         total = turned @ estimate.covariance @ turned.T + across @ spread @ across.T
-        off = across @ np.cross(u, estimate.position - told.nearest[0])
+        off = across @ np.cross(u, estimate.position - answers.nearest[0])
         inside += bool(off @ np.linalg.solve(total, off) <= INSIDE)
         count += 1
     found = checked(method, pokes=120)
@@ -118,13 +118,13 @@ def test_it_is_foretold_by_what_all_the_other_pokes_say_and_nothing_else(method)
 @pytest.mark.parametrize("method", list(Method))
 def test_what_is_predicted_truly_is_believed(method):
     checks = [checked(method, seed=seed) for seed in (1, 2, 3, 4)]
-    total, inside = sum(one.checked for one in checks), sum(one.inside for one in checks)
+    total, inside = sum(check.checked for check in checks), sum(check.inside for check in checks)
     assert total >= 100
     assert 0.90 <= inside / total <= 0.99
-    assert all(one.believed for one in checks)
+    assert all(check.believed for check in checks)
 
 
-def test_noise_that_is_told_a_third_of_what_it_is_is_not_believed():
+def test_noise_that_is_given_as_a_third_of_what_it_is_is_not_believed():
     noise = part().scene.noise
     third = replace(noise, force=noise.force / 3, moment=noise.moment / 3, contact=noise.contact / 3)
     for seed in (1, 2):
@@ -141,14 +141,14 @@ def test_a_surface_that_is_not_the_parts_is_not_believed():
 
 
 @pytest.mark.parametrize("method", [Method.FREE, Method.MODULES])
-def test_an_arm_that_tells_a_wrong_pose_is_not_believed(method):
+def test_an_arm_that_reports_a_wrong_pose_is_not_believed(method):
     """Half of the pokes are moved by 12 mm: what each half says is of one piece, both together are not."""
     session, _ = poked_session()
     shift = np.eye(4)
     shift[1, 3] = 0.012
     moved = Session(part().scene, part().surface)
-    for one in session.contacts:
-        moved.add(replace(one, link_from_sensor=shift @ one.link_from_sensor) if one.poke % 2 else one)
+    for contact in session.contacts:
+        moved.add(replace(contact, link_from_sensor=shift @ contact.link_from_sensor) if contact.poke % 2 else contact)
     moved.snapshot()
     estimates, noise = moved.snapshot().estimates[method], part().scene.noise
     found = check(moved.contacts, moved.channels, moved.evidence, method, noise, None, moved.boards, estimates)
@@ -160,14 +160,14 @@ def test_modules_are_checked_within_what_a_dialog_may_take(least_time):
     assert least_time(lambda: checked(Method.MODULES, pokes=600), below=0.3) < 0.3
 
 
-def test_without_boards_modules_are_not_checked():
+def test_without_a_module_model_modules_are_not_checked():
     session, _ = poked_session()
     args = session.contacts, session.channels, session.evidence, Method.MODULES, part().scene.noise
     assert check(*args, part().surface) == Check(0, 0)
     assert check([], *args[1:2], Session(part().scene, None).evidence, *args[3:], None, session.boards) == Check(0, 0)
 
 
-def test_a_few_pokes_that_agree_tell_nothing():
+def test_a_few_pokes_that_agree_say_nothing():
     assert not Check(0, 0).tells
     assert Check(12, 12).tells
 
@@ -216,25 +216,25 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
         mine.add(contact)
     mine.act(MarkDead(dead))
     snapshot = mine.snapshot()
-    contacts = {one.poke: one for one in mine.contacts}
+    contacts = {each.poke: each for each in mine.contacts}
     guide = Guide(part().plan, part().scene.noise, Method.FREE, part().spacing)
     guidance = guide.update(contacts, snapshot.estimates, mine.evidence)
     estimates = snapshot.estimates[Method.FREE]
     verdict = verdict_of(guidance, estimates, contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
     by_modules = replace(guidance, method=Method.MODULES)
-    told = (snapshot.estimates[Method.MODULES], contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
-    assert verdict_of(by_modules, *told, mine.boards).check.tells
+    answers = (snapshot.estimates[Method.MODULES], contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
+    assert verdict_of(by_modules, *answers, mine.boards).check.tells
     assert verdict.used == 83
     assert verdict.pokes == len(contacts)
-    assert {one.channel: one.why for one in verdict.left}[dead] is Why.DEAD
-    open_ = [one for one in verdict.left if one.why is not Why.DEAD]
+    assert {taxel.channel: taxel.why for taxel in verdict.left}[dead] is Why.DEAD
+    open_ = [taxel for taxel in verdict.left if taxel.why is not Why.DEAD]
     assert verdict.done == 83 - len(open_)
-    assert all(one.needs for one in open_)
+    assert all(each.needs for each in open_)
     assert not verdict.enough
     assert verdict.check.believed
     assert verdict.wanted == SETTINGS.wanted
-    done = set(session.channels) - {one.channel for one in verdict.left}
-    errors = dict(zip([one.channel for one in estimates], errors_of(estimates, rig), strict=True))
+    done = set(session.channels) - {taxel.channel for taxel in verdict.left}
+    errors = dict(zip([estimate.channel for estimate in estimates], errors_of(estimates, rig), strict=True))
     assert all(errors[channel] < 5.0 / 3.0 * SETTINGS.wanted for channel in done)
 
 
@@ -247,7 +247,7 @@ def test_a_session_without_pokes_has_a_verdict_too():
     estimates = snapshot.estimates[Method.SURFACE]
     verdict = verdict_of(guidance, estimates, {}, session.evidence, NoiseSettings(), part().surface, SETTINGS)
     assert (verdict.done, verdict.used, verdict.pokes, verdict.seconds) == (0, 84, 0, 0.0)
-    assert {one.why for one in verdict.left} == {Why.EARLY}
+    assert {taxel.why for taxel in verdict.left} == {Why.EARLY}
     assert verdict.check == Check(0, 0)
     assert verdict.check.believed
 

@@ -81,7 +81,7 @@ def test_two_misses_in_a_row_lower_what_is_asked_for_and_hits_raise_it():
     assert tilt.usable == asked
 
 
-def test_who_cannot_tilt_at_all_is_asked_for_little_and_not_nagged():
+def test_a_hand_that_cannot_tilt_at_all_is_asked_for_little_and_not_nagged():
     tilt = fresh()
     for _ in range(20):
         tilt.aimed(tilt.usable, 0.0)

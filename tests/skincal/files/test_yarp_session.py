@@ -14,7 +14,7 @@ from skincal.mesh.load import load_surface
 from skincal.session.road import Road
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.estimate_support import solve
-from tests.skincal.files_support import CHANNELS, Part, make_part
+from tests.skincal.files.files_support import CHANNELS, Part, make_part
 
 EPOCH = 1_420_000_000.0
 TAXELS = (0, 1, 2, 3)
@@ -23,7 +23,7 @@ PERIOD = 2.0
 PUSHES = [(0.0, 0.0), (0.4, 0.0), (-0.4, 0.1), (0.0, 0.4), (0.1, -0.4), (0.3, 0.3)]
 
 OFFSET = np.array([3.0, -7.0, 1.0, 0.1, 0.2, -0.3])
-"""N and N m: the sensor's, which nobody knows."""
+"""N and N m: the sensor's, which is unknown."""
 
 
 def truth_at(part: Part, time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -101,9 +101,9 @@ def test_the_json_of_the_log_computes_again(played, tmp_path):
         again = solve(
             file.used_contacts, file.channels, method, file.noise, road.session.surface, file.dead, road.session.boards
         )
-        for one in estimates:
-            other = again[one.channel]
-            assert one.state is other.state
-            if one.position is not None:
+        for estimate in estimates:
+            other = again[estimate.channel]
+            assert estimate.state is other.state
+            if estimate.position is not None:
                 assert other.position is not None
-                assert one.position.tobytes() == other.position.tobytes()
+                assert estimate.position.tobytes() == other.position.tobytes()

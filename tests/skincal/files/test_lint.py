@@ -6,7 +6,7 @@ import pytest
 from skincal.files.export import write_calibration
 from skincal.files.lint import lint
 from skincal.taxels.result import Method
-from tests.skincal.files_support import Part, make_calibration, make_part
+from tests.skincal.files.files_support import Part, make_calibration, make_part
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_a_turned_part_is_not_mirrored(part):
     assert lint(changed(make_calibration(part), edits), Method.FREE) == ()
 
 
-def test_five_taxels_do_not_tell_handedness(part):
+def test_five_taxels_do_not_show_handedness(part):
     mirror = np.array([-1.0, 1, 1])
     calibration = make_calibration(part, unseen=tuple(range(5, 48)))
     edits = {e.channel: {"position": e.position * mirror} for e in calibration.estimates[Method.FREE] if e.channel < 5}

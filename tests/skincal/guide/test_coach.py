@@ -94,7 +94,7 @@ def test_a_push_as_it_was_asked_for_has_no_error_and_no_way():
     assert seen.away < 1e-12
 
 
-def test_the_skin_tells_the_tip_where_the_believed_place_lies_too_deep():
+def test_the_tip_is_found_on_the_skin_where_the_believed_place_lies_too_deep():
     # A tool that leans by 45 degrees meets a place 4 mm below the skin 4 mm beside the tip.
     target = asked(tool(45.0, 0.0), (0.0, 0.0, -0.004))
     right = seen_of(pressing((0, 0, 0), tool(45.0, 0.0)), target, np.zeros(3))
@@ -105,7 +105,7 @@ def test_the_skin_tells_the_tip_where_the_believed_place_lies_too_deep():
     assert wrong.away == pytest.approx(0.004)
 
 
-def test_who_answers_most_is_where_it_landed():
+def test_the_poke_landed_where_the_taxel_that_answers_most_is():
     target = asked(tool(0.0, 0.0))
     seen = seen_of(pressing((0, 0, 0), tool(0, 0), channels=(3, 7, 9), responses=(12.0, 30.0, 55.0)), target, np.zeros(3))
     assert seen is not None
@@ -130,14 +130,14 @@ def test_nothing_is_said_while_nothing_presses(phase):
         pressing((0, 0, 0), tool(80.0, 0.0)),
         pressing((0, 0, 0), -tool(10.0, 0.0)),
     ],
-    ids=["too soft to tell", "no force", "no number", "along the skin", "pulls"],
+    ids=["too soft to know", "no force", "no number", "along the skin", "pulls"],
 )
-def test_nothing_is_said_of_what_cannot_be_told(progress):
+def test_nothing_is_said_of_what_cannot_be_known(progress):
     assert seen_of(progress, asked(tool(0.0, 0.0)), np.zeros(3)) is None
 
 
 def test_noise_of_the_sensor_moves_the_coach_by_no_more_than_the_hand_errs():
-    """Noise of 0.1 N and 10 N mm in every reading: at 4 N the tilt is told to a degree, the tip to 2 mm (sd each way)."""
+    """Noise of 0.1 N and 10 N mm in every reading: at 4 N the tilt is known to a degree, the tip to 2 mm (sd each way)."""
     rng = np.random.default_rng(5)
     target, skin, felt = asked(tool(28.0, 0.0)), np.zeros(3), None
     errors, aways = [], []

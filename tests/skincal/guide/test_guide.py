@@ -82,7 +82,7 @@ def test_ninety_pokes_bring_the_free_method_to_five_millimetres():
     assert np.median(steps) < 0.03
 
 
-def test_on_a_surface_nobody_is_asked_for_again_before_all_had_their_turn():
+def test_on_a_surface_no_taxel_is_asked_for_again_before_all_had_their_turn():
     followed, had = Followed(Method.SURFACE), set()
     assert followed.guidance.phase is GuidePhase.OWN
     while True:
@@ -154,7 +154,7 @@ def test_a_dead_taxel_is_never_asked_for():
         followed.poke()
 
 
-def test_a_poke_that_is_told_twice_is_asked_for_once():
+def test_a_poke_that_is_reported_twice_is_asked_for_once():
     followed = Followed(Method.SURFACE, seed=11)
     followed.poke()
     number, contact = next(iter(followed.contacts.items()))
@@ -176,13 +176,13 @@ def test_a_poke_on_another_taxel_counts_where_it_landed():
     assert followed.guidance.own[np.flatnonzero(part().plan.channels == hit)[0]] == 1
 
 
-def test_what_is_doubted_tells_the_guide_less():
+def test_what_is_doubted_counts_less_for_the_guide():
     followed = after(60)
     estimates, plain, doubting = followed.session.snapshot().estimates, guide(), guide()
     row = int(followed.guidance.own.argmax())
-    one = estimates[Method.FREE][row]
-    poke = followed.session.evidence([one.channel]).pokes[0]
-    mistrusted = [replace(each, doubted={int(poke): 0.0}) if each is one else each for each in estimates[Method.FREE]]
+    mistrusted = list(estimates[Method.FREE])
+    poke = followed.session.evidence([mistrusted[row].channel]).pokes[0]
+    mistrusted[row] = replace(mistrusted[row], doubted={int(poke): 0.0})
     plain.update(followed.contacts, estimates, followed.session.evidence)
     doubting.update(followed.contacts, {**estimates, Method.FREE: mistrusted}, followed.session.evidence)
     known, less = (np.trace(each._knowledge.information, axis1=1, axis2=2) for each in (plain, doubting))
@@ -221,63 +221,63 @@ def test_a_threshold_is_reached_where_the_error_stays_below_it():
     assert course.pokes_to(1e-6) == float("inf")
 
 
-def test_the_sky_of_a_taxel_is_what_its_contacts_say_of_it():
+def test_the_axis_diversity_of_a_taxel_is_what_its_contacts_say_of_it():
     followed = after(60)
     says, contacts = followed.guidance, followed.contacts
     for channel in says.channels[says.own >= 2].tolist()[:5]:
-        sky = followed.guide.sky(channel, followed.session.evidence)
-        assert sky is not None
+        axes = followed.guide.axis_diversity(channel, followed.session.evidence)
+        assert axes is not None
         touching = {p: c for p, c in contacts.items() if channel in c.channels}
-        assert len(sky.pushes) == len(touching)
+        assert len(axes.pushes) == len(touching)
         row = says.channels.tolist().index(channel)
-        assert int(sky.own.sum()) == says.own[row]
-        assert sky.diversity == says.diversity[row]
+        assert int(axes.own.sum()) == says.own[row]
+        assert axes.diversity == says.diversity[row]
         # In any order: each axis is a contact's, turned into the link frame.
         turned = [c.link_from_sensor[:3, :3] @ c.force / np.linalg.norm(c.force) for c in touching.values()]
-        assert np.sort(sky.pushes @ turned[0]) == pytest.approx(np.sort([u @ turned[0] for u in turned]))
-        assert (sky.trust <= 1.0).all()
-        assert sky.normal @ sky.normal == pytest.approx(1.0)
-        np.testing.assert_allclose(sky.offsets @ sky.normal, 0.0, atol=1e-12)
-        assert np.linalg.norm(sky.beside) < 0.01
-        # Where one taxel answered alone, the poke was upon it by all that is known.
-        assert np.linalg.norm(sky.offsets, axis=1).max() < 0.015
+        assert np.sort(axes.pushes @ turned[0]) == pytest.approx(np.sort([u @ turned[0] for u in turned]))
+        assert (axes.trust <= 1.0).all()
+        assert axes.normal @ axes.normal == pytest.approx(1.0)
+        np.testing.assert_allclose(axes.offsets @ axes.normal, 0.0, atol=1e-12)
+        assert np.linalg.norm(axes.beside) < 0.01
+        # Where one taxel answered alone, the poke was at it by all that is known.
+        assert np.linalg.norm(axes.offsets, axis=1).max() < 0.015
 
 
 @pytest.mark.parametrize("pokes", [3, 60, 150])
-def test_the_best_side_in_the_sky_of_the_target_is_the_one_that_is_asked_for(pokes):
+def test_the_push_worth_most_at_the_target_is_the_one_that_is_asked_for(pokes):
     followed = Followed(seed=2) if pokes == 3 else after(pokes)
     for _ in range(3 if pokes == 3 else 0):
         followed.poke()
     target = followed.guidance.target
-    sky = followed.guide.sky(target.channel, followed.session.evidence)
-    assert sky is not None
-    np.testing.assert_array_equal(sky.tried[sky.worth.argmax()], target.push)
-    assert sky.worth.max() > 0
-    assert sky.usable_tilt == followed.guidance.usable_tilt
+    axes = followed.guide.axis_diversity(target.channel, followed.session.evidence)
+    assert axes is not None
+    np.testing.assert_array_equal(axes.tried[axes.worth.argmax()], target.push)
+    assert axes.worth.max() > 0
+    assert axes.usable_tilt == followed.guidance.usable_tilt
 
 
-def test_a_taxel_without_contacts_has_an_empty_sky_and_a_stranger_none():
+def test_a_taxel_without_contacts_has_an_empty_axis_diversity_and_an_unknown_channel_none():
     followed = Followed()
-    assert guide().sky(0, followed.session.evidence) is None, "nothing was told yet"
+    assert guide().axis_diversity(0, followed.session.evidence) is None, "nothing is known yet"
     target = followed.guidance.target
-    sky = followed.guide.sky(target.channel, followed.session.evidence)
-    assert sky is not None
-    assert (sky.pushes.shape, sky.offsets.shape, sky.own.shape, sky.diversity) == ((0, 3), (0, 3), (0,), 0.0)
-    assert followed.guide.sky(10**6, followed.session.evidence) is None
+    axes = followed.guide.axis_diversity(target.channel, followed.session.evidence)
+    assert axes is not None
+    assert (axes.pushes.shape, axes.offsets.shape, axes.own.shape, axes.diversity) == ((0, 3), (0, 3), (0,), 0.0)
+    assert followed.guide.axis_diversity(10**6, followed.session.evidence) is None
 
 
 def test_a_side_that_was_skipped_is_worth_nothing():
     followed = Followed(seed=3)
     first = followed.guidance.target
-    open_ = followed.guide.sky(first.channel, followed.session.evidence)
+    open_ = followed.guide.axis_diversity(first.channel, followed.session.evidence)
     assert open_ is not None
     assert (open_.worth > 0).all()
     for _ in range(SKIPPED):
         followed.guide._skips.setdefault(followed.guide._knowledge.row(first.channel), []).append(first.push)
-    sky = followed.guide.sky(first.channel, followed.session.evidence)
-    assert sky is not None
-    np.testing.assert_array_equal(sky.worth == 0.0, sky.tried @ first.push > np.cos(np.radians(25.0)))
-    np.testing.assert_array_equal(sky.worth[sky.worth > 0], open_.worth[sky.worth > 0])
+    axes = followed.guide.axis_diversity(first.channel, followed.session.evidence)
+    assert axes is not None
+    np.testing.assert_array_equal(axes.worth == 0.0, axes.tried @ first.push > np.cos(np.radians(25.0)))
+    np.testing.assert_array_equal(axes.worth[axes.worth > 0], open_.worth[axes.worth > 0])
 
 
 def test_modules_are_enough_after_few_pokes_each_and_the_guide_goes_from_one_to_the_next():
@@ -296,7 +296,7 @@ def test_modules_are_enough_after_few_pokes_each_and_the_guide_goes_from_one_to_
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_modules_take_turns_and_the_pokes_of_one_lie_far_apart(seed):
-    """Side by side they do not tell how it is turned: 34 pokes to 3 mm instead of 18, over ten seeds."""
+    """Side by side they do not say how it is turned: 34 pokes to 3 mm instead of 18, over ten seeds."""
     followed, plan = Followed(Method.MODULES, seed), part().plan
     for _ in range(21):
         followed.poke()
@@ -328,7 +328,7 @@ def test_a_taxel_that_is_asked_for_in_vain_gives_way_to_another_of_its_module():
     assert len(set(own)) >= 4
 
 
-def test_who_skips_is_led_to_another_module():
+def test_a_skip_leads_to_another_module():
     followed, plan = Followed(Method.MODULES), part().plan
     homes = []
     for _ in range(7):
@@ -339,7 +339,7 @@ def test_who_skips_is_led_to_another_module():
 
 
 def test_modules_in_space_are_pushed_from_all_sides():
-    """Parallel axes leave the depth blind where no mesh tells it."""
+    """Parallel axes leave the depth blind where no mesh gives it."""
     followed, plan = Followed(Method.MODULES), part().plan
     followed.guide = Guide(plan, part().scene.noise, Method.MODULES, part().spacing, on_surface=False)
     followed.guidance, pushes = followed.look(), {module: [] for module in range(7)}

@@ -38,8 +38,8 @@ def needs_four():
     """Ask for as many landmarks as a correction takes."""
 
 
-def names(wishes):
-    return [wish.landmark.name for wish in wishes]
+def names(targets):
+    return [target.landmark.name for target in targets]
 
 
 def at(pose, *named):
@@ -54,24 +54,24 @@ SIX = at("low", "near", "middle", "far", "near", "middle", "far")
 def test_the_first_pose_gets_as_many_as_a_correction_takes_and_each_later_one_three():
     asked = LandmarkRound()
     first = asked.plan(LANDMARKS, [], "low")
-    assert [(wish.done, wish.wanted, wish.left) for wish in first] == [(done, 6, 6 - done) for done in range(6)]
+    assert [(target.done, target.wanted, target.left) for target in first] == [(done, 6, 6 - done) for done in range(6)]
     later = asked.plan(LANDMARKS, SIX, "high")
-    assert [(wish.done, wish.wanted) for wish in later] == [(done, A_POSE) for done in range(3)]
+    assert [(target.done, target.wanted) for target in later] == [(done, A_POSE) for done in range(3)]
     assert asked.plan(LANDMARKS, SIX, "low") == []
 
 
 @pytest.mark.usefixtures("needs_four")
 def test_fewer_landmarks_than_a_correction_takes_are_poked_for_the_frame_alone():
-    assert [wish.wanted for wish in LandmarkRound().plan(FOUR, [], "low")] == [6] * 6
-    assert [(wish.done, wish.wanted) for wish in LandmarkRound().plan(LANDMARKS, [], "low")] == [(0, 3), (1, 3), (2, 3)]
+    assert [target.wanted for target in LandmarkRound().plan(FOUR, [], "low")] == [6] * 6
+    assert [(target.done, target.wanted) for target in LandmarkRound().plan(LANDMARKS, [], "low")] == [(0, 3), (1, 3), (2, 3)]
     assert LandmarkRound().plan(LANDMARKS, at("low", "near", "far", "middle"), "high") == [], "the frame is the same there"
-    assert [wish.done for wish in LandmarkRound().plan(LANDMARKS, at("low", "near", "far"), "high")] == [0]
+    assert [target.done for target in LandmarkRound().plan(LANDMARKS, at("low", "near", "far"), "high")] == [0]
     assert len(LandmarkRound().plan(FOUR, at("low", *SIX_OF_FOUR), "high")) == A_POSE
 
 
 def test_a_second_pose_makes_up_for_what_the_first_left_out():
-    wishes = LandmarkRound().plan(LANDMARKS, at("low", "near", "far"), "high")
-    assert [(wish.done, wish.wanted) for wish in wishes] == [(done, 4) for done in range(4)]
+    targets = LandmarkRound().plan(LANDMARKS, at("low", "near", "far"), "high")
+    assert [(target.done, target.wanted) for target in targets] == [(done, 4) for done in range(4)]
     assert LandmarkRound().next(LANDMARKS, at("low", *["near"] * 3), "low").wanted == 6, "those of this pose count"
     five = LandmarkRound().plan(LANDMARKS, at("low", *["near"] * 5), "high")
     assert len(five) == A_POSE, "never fewer than in any other pose"
@@ -80,11 +80,11 @@ def test_a_second_pose_makes_up_for_what_the_first_left_out():
 def test_a_plan_is_what_is_asked_for_one_after_the_other():
     asked, poked, one_by_one = LandmarkRound(), at("low", "far"), []
     plan = asked.plan(LANDMARKS, poked, "low")
-    while (wish := asked.next(LANDMARKS, poked, "low")) is not None:
-        one_by_one.append(wish)
-        poked.append(("low", wish.landmark.name))
+    while (target := asked.next(LANDMARKS, poked, "low")) is not None:
+        one_by_one.append(target)
+        poked.append(("low", target.landmark.name))
     assert names(plan) == names(one_by_one)
-    assert [(wish.done, wish.wanted) for wish in plan] == [(wish.done, wish.wanted) for wish in one_by_one]
+    assert [(target.done, target.wanted) for target in plan] == [(target.done, target.wanted) for target in one_by_one]
     assert len(plan) == 5
 
 
@@ -112,8 +112,8 @@ def test_one_that_is_skipped_is_asked_for_no_more_in_this_pose_alone():
     assert names(plan)[:2] == ["middle", "near"]
     assert sorted(names(plan)) == ["middle"] * 3 + ["near"] * 3
     assert "far" in names(asked.plan(LANDMARKS, [], "high"))
-    for one in ("near", "middle"):
-        asked.skip(one, "low")
+    for each in ("near", "middle"):
+        asked.skip(each, "low")
     assert asked.plan(LANDMARKS, [], "low") == []
 
 
@@ -141,8 +141,8 @@ def test_without_landmarks_none_is_asked_for_and_one_alone_is_poked_again():
 
 def test_pokes_at_a_landmark_that_is_gone_count_and_lead_nowhere():
     poked = at("low", "gone", "gone")
-    wish = LandmarkRound().next(LANDMARKS, poked, "low")
-    assert (wish.landmark, wish.done, wish.wanted) == (FAR, 2, 6)
+    target = LandmarkRound().next(LANDMARKS, poked, "low")
+    assert (target.landmark, target.done, target.wanted) == (FAR, 2, 6)
 
 
 def touched(*channels):
@@ -161,12 +161,12 @@ def test_a_poke_was_there_unless_all_that_answered_lies_far_away(channels, there
     aside = {1: 0.9 * ASTRAY, 2: 1.1 * ASTRAY, 3: 0.2}
     places = {channel: NEAR.place + np.array([0.0, y, 0.0]) for channel, y in aside.items()}
     assert was_there(touched(*channels), NEAR, places) is there
-    assert was_there(touched(*channels), NEAR, {}), "where nobody knows where a taxel is, it may have been there"
+    assert was_there(touched(*channels), NEAR, {}), "where it is unknown where a taxel is, it may have been there"
 
 
 def test_a_poke_that_no_taxel_answered_may_have_been_there():
-    nobody = np.empty(0, dtype=np.int64)
-    assert was_there(Rejection(1, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", nobody, True), NEAR, {1: np.ones(3)})
+    none = np.empty(0, dtype=np.int64)
+    assert was_there(Rejection(1, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", none, True), NEAR, {1: np.ones(3)})
 
 
 def of_skin(**changes):
@@ -180,10 +180,10 @@ def of_skin(**changes):
 
 
 def test_a_landmark_goes_before_the_skin_and_the_rest_stays_as_it_is():
-    skin, wish, normal = of_skin(), LandmarkTarget(FAR, 2, 6), np.array([0.0, 0.6, 0.8])
+    skin, target, normal = of_skin(), LandmarkTarget(FAR, 2, 6), np.array([0.0, 0.6, 0.8])
     gain = Gain(0.0071, 0.0025, 4)
-    asked = skin.before_skin(wish, normal, gain)
-    assert (asked.phase, asked.landmark, asked.gain) == (GuidePhase.LANDMARKS, wish, gain)
+    asked = skin.before_skin(target, normal, gain)
+    assert (asked.phase, asked.landmark, asked.gain) == (GuidePhase.LANDMARKS, target, gain)
     assert (asked.target.landmark, asked.target.channel, asked.target.tilt) == ("far", None, 0.0)
     np.testing.assert_array_equal(asked.target.place, FAR.place)
     np.testing.assert_array_equal(asked.target.normal, normal)
@@ -194,10 +194,10 @@ def test_a_landmark_goes_before_the_skin_and_the_rest_stays_as_it_is():
     assert (skin.phase, skin.landmark, skin.pokes_left) == (GuidePhase.SWEEP, None, 20)
 
 
-def test_where_nobody_knows_the_pace_nobody_foretells_the_time():
-    wish = LandmarkTarget(FAR, 5, 6)
-    assert of_skin(seconds_left=None).before_skin(wish, np.array([1.0, 0, 0]), None).seconds_left is None
-    enough = of_skin(pokes_left=0, seconds_left=0.0, phase=GuidePhase.ENOUGH).before_skin(wish, np.array([1.0, 0, 0]), None)
+def test_without_a_pace_no_time_is_predicted():
+    target = LandmarkTarget(FAR, 5, 6)
+    assert of_skin(seconds_left=None).before_skin(target, np.array([1.0, 0, 0]), None).seconds_left is None
+    enough = of_skin(pokes_left=0, seconds_left=0.0, phase=GuidePhase.ENOUGH).before_skin(target, np.array([1.0, 0, 0]), None)
     assert (enough.pokes_left, enough.seconds_left, enough.phase) == (1, 0.0, GuidePhase.LANDMARKS)
 
 
@@ -205,8 +205,8 @@ def bad_rig(errors, seed):
     """A rig, contacts of its first arm pose and six landmark pokes there."""
     rig, rng = make_rig(errors, seed), np.random.default_rng(seed)
     pose = next(iter(rig.stances))
-    contacts = [one for one in simulate_contacts(rig, unguided(rig, 1, rng), rng) if one.pose == pose]
-    pokes = [one for one in poke_landmarks(rig, rig.scene.landmarks, 6, rng, 5001) if one.pose == pose]
+    contacts = [each for each in simulate_contacts(rig, unguided(rig, 1, rng), rng) if each.pose == pose]
+    pokes = [each for each in poke_landmarks(rig, rig.scene.landmarks, 6, rng, 5001) if each.pose == pose]
     return rig, contacts, pokes[:6]
 
 
@@ -215,20 +215,20 @@ def test_a_rig_that_passes_its_landmarks_moves_the_estimates_and_the_tool_is_sen
     for seed in range(1, 7):
         rig, contacts, pokes = bad_rig(RigErrors.paper(), seed)
         scene, session = rig.scene, Session(rig.scene, rig.surface, (Method.SURFACE,))
-        for one in contacts[:12]:
-            session.add(one)
-        told = {one.channel: one for one in session.snapshot().estimates[Method.SURFACE]}
+        for contact in contacts[:12]:
+            session.add(contact)
+        found = {estimate.channel: estimate for estimate in session.snapshot().estimates[Method.SURFACE]}
         plan = plan_from(scene.skin.layout, lay(scene.skin.layout, scene.skin.anchor, rig.surface))
         truth = np.array([rig.places[rig.row_of(int(channel))] for channel in plan.channels])
         for known, way in ((False, 0.0), (True, rig_moves(pokes, scene.noise))):
-            places = believed(plan, [told[int(channel)] for channel in plan.channels], way)
+            places = believed(plan, [found[int(channel)] for channel in plan.channels], way)
             beside[known].append(float(np.linalg.norm(places - truth, axis=1).mean()))
     assert np.mean(beside[False]) > 0.006
     assert np.mean(beside[True]) < 0.5 * np.mean(beside[False])
     assert max(beside[True]) < 0.008, "half a module"
 
 
-def test_on_a_good_rig_next_to_nothing_is_the_rigs_and_one_wrong_poke_or_two_pokes_tell_nothing():
+def test_on_a_good_rig_next_to_nothing_is_the_rigs_and_one_wrong_poke_or_two_pokes_say_nothing():
     for seed in range(1, 7):
         rig, _, pokes = bad_rig(RigErrors.noise(), seed)
         assert rig_moves(pokes, rig.scene.noise) < 0.003

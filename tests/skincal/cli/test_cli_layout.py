@@ -16,7 +16,7 @@ from skincal.files.json_file import read_json
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin import load_layout
 from skincal.taxels.result import Method
-from tests.skincal.test_cli_health import sample
+from tests.skincal.cli.test_cli_health import sample
 
 SAMPLE = resource("sessions/sample")
 TRUTH = SAMPLE / "truth.json"
@@ -119,7 +119,7 @@ def test_an_export_with_a_layout_is_of_that_layout(damaged, tmp_path, capsys):
     assert read_json(files[0]).modules_text == plan.read_text(encoding="utf-8")
     assert "layout" not in told(capsys, "export", SAMPLE, "--format", "json", "--out", files[1])
     assert read_json(files[1]).modules_text != read_json(files[0]).modules_text
-    wrong, right = (np.array([one.position for one in read_json(file).estimates[Method.MODULES]]) for file in files)
+    wrong, right = (np.array([estimate.position for estimate in read_json(file).estimates[Method.MODULES]]) for file in files)
     assert np.abs(wrong - right).max() > 0.003
 
 

@@ -1,6 +1,6 @@
 """Which channels cannot be trusted: no number, stuck, or always on; each with a sentence.
 
-A verdict holds while its cause lasts: a channel that moves again, or gives numbers again, is used again.
+A channel is dead while the cause lasts: one that moves again, or gives numbers again, is used again.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ AWAY_POKES = 5
 AWAY_SHARE = 0.6
 """Share of the pokes elsewhere that a channel must have answered to be always on."""
 BLIND_POKES = 10
-"""Without a layout: pokes before anything is said of always on,"""
+"""Without a layout, nothing is known to be elsewhere: pokes before a channel may be called always on."""
 BLIND_PEAKS = 5
-"""and different strongest taxels among them,"""
+"""Different strongest taxels that there must be among those pokes."""
 BLIND_SHARE = 0.8
-"""and share of them that the channel answered."""
+"""Share of all pokes that a channel must have answered to be always on, without a layout."""
 CROWD = 32
-"""Answers. A poke with more, a palm say, tells nothing of single channels."""
+"""Answers. A poke with more, such as a palm, says nothing about single channels."""
 NEIGHBOUR = 1.2
 """Spacings of the layout between direct neighbours, at most."""
+# How the sentence on each kind begins.
 _NO_NUMBER, _STUCK, _ALWAYS_ON = "gives no number", "stuck", "always on"
-"""How the sentence on each kind begins."""
 
 
 class ChannelHealth:
@@ -84,7 +84,7 @@ class ChannelHealth:
             self._last = skin
             self._looked_s = host_s
             return False
-        moved = skin != self._last  # NaN differs from everything, and is told apart by its own clock
+        moved = skin != self._last  # NaN differs from everything; it has a clock of its own, `_number_s`
         self._changed_s[moved] = host_s
         self._changes += moved
         self._varied |= moved & ~np.isnan(skin) & ~np.isnan(self._last)
@@ -116,12 +116,15 @@ class ChannelHealth:
         assert self._places is not None
         places = self._places[answered]
         distance = np.linalg.norm(self._places[:, None] - places[None], axis=-1)
+        # A taxel is not another one of those that answered.
         distance[np.flatnonzero(answered), np.arange(len(places))] = np.inf
         nearest = distance.min(axis=1)
         return np.where(np.isfinite(nearest), nearest, 0.0)
 
     def _look(self, host_s: float) -> bool:
+        """Judge every channel; return whether `dead` changed."""
         self._looked_s = host_s
+        # Where several causes fit, the last one that is found gives the sentence: the plainest comes last.
         dead: dict[int, str] = {}
         self._find_always_on(dead)
         self._find_stuck(host_s, dead)
@@ -135,7 +138,7 @@ class ChannelHealth:
         return True
 
     def _holds(self, channel: int, why: str) -> bool:
-        """Tell whether what was found before the break still stands: nothing since has shown otherwise."""
+        """Return whether what was found before the break still holds: nothing since has shown otherwise."""
         if self._last is None or channel >= len(self._last):
             return self._last is None
         if why.startswith(_NO_NUMBER):
@@ -155,6 +158,7 @@ class ChannelHealth:
         assert self._last is not None
         rest = host_s - self._changed_s[self._candidates]
         value = self._last[self._candidates]
+        # Only on a skin whose typical channel changes in most frames does an exact rest mean anything.
         restless = float(np.median(self._changes[self._candidates])) >= RESTLESS * self._frames
         for channel in self._candidates[(rest >= STUCK_S) & restless]:
             dead[int(channel)] = f"{_STUCK}: exactly {self._last[channel]:g} for {STUCK_S:g} s or more while the others vary"

@@ -140,7 +140,7 @@ def without_sender_times(folder, lines=None):
     path.write_text("".join(" ".join(line) + "\n" for line in words))
 
 
-@pytest.mark.parametrize("info", [BOTH_STAMPS["info"], None], ids=["told by info.log", "told by the lines"])
+@pytest.mark.parametrize("info", [BOTH_STAMPS["info"], None], ids=["by info.log", "by the lines"])
 @pytest.mark.parametrize(
     "which", [None, range(5), range(40, 150, 3), [149]], ids=["no line", "not at first", "not always", "the last"]
 )
@@ -177,15 +177,15 @@ def test_lines_that_travel_together_give_the_samples_of_lines_alone(tmp_path, mo
     alone = samples_of(folders)
     # The last frames differ: they wait for a wrench, and nothing comes any more.
     assert len(alone) - 3 <= len(samples) <= len(alone)
-    for one, other in zip(samples, alone, strict=False):
-        assert one.host_s == pytest.approx(other.host_s, abs=1e-6)
-        np.testing.assert_array_equal(one.skin, other.skin)
-        np.testing.assert_array_equal(one.wrench, other.wrench)
-        assert one.readings == other.readings
+    for sample, other in zip(samples, alone, strict=False):
+        assert sample.host_s == pytest.approx(other.host_s, abs=1e-6)
+        np.testing.assert_array_equal(sample.skin, other.skin)
+        np.testing.assert_array_equal(sample.wrench, other.wrench)
+        assert sample.readings == other.readings
         # Of angles of the frame's very instant, those that come before it count: with lines alone they come after it.
-        time = one.host_s - START_NS * 1e-9
+        time = sample.host_s - START_NS * 1e-9
         if abs(time - round(time)) > 1e-3:
-            np.testing.assert_array_equal(one.angles, other.angles)
+            np.testing.assert_array_equal(sample.angles, other.angles)
 
 
 def test_one_stamp_written_wrong_costs_no_more_than_its_own_frames(tmp_path):

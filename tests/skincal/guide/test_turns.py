@@ -9,7 +9,7 @@ LINE = np.arange(6)[:, None] * [0.005, 0.0, 0.0]
 
 
 def asked_for(modules, turns, answers=None, places=LINE, rows=None, seconds=None):
-    """Poke `turns` times what is next; a taxel of `answers` is answered by that one, None by nobody."""
+    """Poke `turns` times what is next; a taxel of `answers` is answered by that one, None by none."""
     count = len(modules)
     asked, own = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     rows, found = np.arange(count) if rows is None else np.array(rows), []
@@ -42,7 +42,7 @@ def test_one_that_is_missed_is_asked_for_twice_and_then_gives_way():
     assert found.count(5) == 2
 
 
-def test_a_module_that_never_answers_keeps_nobody_waiting():
+def test_a_module_that_never_answers_keeps_no_other_waiting():
     found = asked_for([0, 0, 0, 1, 1, 1], 12, answers={0: None, 1: None, 2: None})
     assert np.bincount(np.array(found) // 3).tolist() == [7, 5]
     assert max(len(run) for run in "".join("d" if row < 3 else "." for row in found).split(".")) <= 2

@@ -42,12 +42,12 @@ class PokedBench:
         self.guidance = self.guide.update(self.contacts, estimates, self.session.evidence, self.rejections)
         return self.guidance
 
-    def wish(self, place, push):
+    def poke_at(self, place, push):
         self.count += 1
         return poked(PART, self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
 
     def poke(self, place, push):
-        for contact in self.wish(place, push):
+        for contact in self.poke_at(place, push):
             self.session.add(contact)
             self.contacts[contact.poke] = contact
         return self.look()
@@ -66,25 +66,27 @@ class PokedBench:
         row = self.rig.row_of(channel)
         return self.rig.places[row], self.rig.normals[row]
 
+    def beside(self, row):
+        """Where the middle of a taxel's contacts lies beside it."""
+        return self.guide.axis_diversity(int(PART.plan.channels[row]), self.session.evidence).beside
 
-def edge_channel():
-    """The taxel whose neighbours lie most on one side."""
+
+def edge_taxel():
+    """The taxel whose neighbours lie most on one side, and how far beside it their middle is."""
     neighbours = candidates.find_answering(PART.plan.places, PART.spacing, PART.scene.noise)
-    pulls = candidates.pulls(PART.plan.places, neighbours)
-    return int(PART.plan.channels[np.linalg.norm(pulls, axis=1).argmax()])
+    pulls = np.linalg.norm(candidates.pulls(PART.plan.places, neighbours), axis=1)
+    return int(pulls.argmax()), pulls.max()
 
 
-def test_a_taxel_at_the_edge_that_is_poked_right_upon_is_balanced():
-    bench, channel = PokedBench(), edge_channel()
-    place, normal = bench.true(channel)
+def test_a_taxel_at_the_edge_that_is_poked_at_its_place_is_balanced():
+    bench, (row, pull) = PokedBench(), edge_taxel()
+    place, normal = bench.true(int(PART.plan.channels[row]))
     for _ in range(4):
         bench.poke(place, -normal)
-    row = int(np.searchsorted(PART.plan.channels, channel))
     assert bench.guidance.own[row] == 4
-    beside = float(np.linalg.norm(bench.guide._knowledge.beside[row]))
-    assert beside < SETTINGS.balance
+    assert np.linalg.norm(bench.beside(row)) < SETTINGS.balance
     # The middle of those that answer lies well inside.
-    assert np.linalg.norm(bench.guide._pulls[row]) > SETTINGS.balance
+    assert pull > SETTINGS.balance
 
 
 def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
@@ -95,25 +97,25 @@ def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
     aside /= np.linalg.norm(aside)
     for _ in range(4):
         bench.poke(place + 0.002 * aside, -normal)
-    beside = bench.guide._knowledge.beside[40]
+    beside = bench.beside(40)
     assert beside @ aside > 0.0007
     assert abs(beside @ aside) > np.linalg.norm(beside - (beside @ aside) * aside)
 
 
 def test_a_poke_early_on_is_not_taken_to_lie_aside_when_the_whole_skin_is_found_to():
-    """The skin lies 4 mm beside its plan: pokes made before that was known are told from their taxels."""
+    """The skin lies 4 mm beside its plan: pokes made before that was known are placed by their taxels."""
     bench = PokedBench(seed=2)
     for row in range(0, 84, 4):
         place, normal = bench.true(int(PART.plan.channels[row]))
         for _ in range(2):
             bench.poke(place, -normal)
-    beside = np.linalg.norm(bench.guide._knowledge.beside[0:84:4], axis=1)
+    beside = np.linalg.norm([bench.beside(row) for row in range(0, 84, 4)], axis=1)
     assert np.median(beside) < 0.0008
 
 
 def test_an_axis_is_that_of_the_wrench_in_the_link_frame():
     bench = PokedBench()
-    contact = bench.wish(*(lambda p, n: (p, -n))(*bench.true(int(PART.plan.channels[10]))))[0]
+    contact = bench.poke_at(*(lambda p, n: (p, -n))(*bench.true(int(PART.plan.channels[10]))))[0]
     axis = axis_of(contact)
     place, normal = bench.true(int(PART.plan.channels[10]))
     assert axis.away(place) < 0.006
@@ -166,7 +168,7 @@ def test_pokes_that_slide_lower_the_tilt_that_is_asked_for():
     assert bench.guidance.target.tilt <= bench.guidance.usable_tilt + 1e-9
 
 
-def test_whoever_pokes_straight_where_a_tilt_is_wanted_is_asked_for_less():
+def test_a_hand_that_pokes_straight_where_a_tilt_is_wanted_is_asked_for_less():
     bench = PokedBench(Method.FREE)
     while bench.guidance.target.tilt < np.radians(25.0):
         bench.guide.skip()
@@ -188,7 +190,7 @@ def test_without_enough_tilt_the_free_method_says_so():
     assert bench.look().given_up[channel] is Why.TILT
 
 
-# ---- where no layout tells of taxels ----
+# ---- where no layout names taxels ----
 
 
 def test_a_spread_is_even_and_leaves_no_hole():
@@ -204,7 +206,7 @@ def test_a_spread_is_even_and_leaves_no_hole():
     np.testing.assert_array_equal(PART.surface.normals[triangles].shape, places.shape)
 
 
-def test_a_cover_goes_around_what_answered_and_then_where_nobody_poked():
+def test_a_cover_goes_around_what_answered_and_then_far_from_all_pokes():
     cover = Cover(PART.surface)
     first = cover.next(None)
 
@@ -233,7 +235,7 @@ def test_pokes_that_are_taken_back_are_no_tries():
     beside = place + 0.008 * np.cross(normal, [0.0, 0.0, 1.0])
     for _ in range(SETTINGS.unanswered):
         bench.guide._last = replace(bench.guidance.target, channel=channel, place=beside, normal=normal)
-        contact = replace(bench.wish(beside, -normal)[0])
+        contact = replace(bench.poke_at(beside, -normal)[0])
         keep = contact.channels != channel
         contact = replace(contact, channels=contact.channels[keep], responses=contact.responses[keep])
         bench.contacts[contact.poke] = contact
@@ -253,7 +255,7 @@ def test_pokes_that_are_taken_back_are_no_tries():
     assert bench.look().given_up == {channel: Why.NEVER_FIRED}
 
 
-def test_a_target_that_nobody_saw_is_missed_by_nobody():
+def test_a_target_that_was_not_shown_is_not_missed():
     bench = PokedBench(Method.FREE)
     while bench.guidance.target.tilt < np.radians(25.0):
         bench.guide.skip()
@@ -286,22 +288,22 @@ def test_the_hand_is_at_the_newest_poke_whatever_was_restored():
     assert bench.guide._pokes.hand(bench.guide._places) is not None
 
 
-def test_the_target_stays_while_a_poke_is_only_told_again():
+def test_the_target_stays_while_a_poke_is_only_reported_again():
     bench = PokedBench(Method.FREE, conditions=Conditions())
     for _ in range(12):
         target = bench.guidance.target
         bench.poke(target.place, target.push)
         asked = bench.guidance.target
         newest = max(bench.contacts)
-        told = bench.contacts[newest]
-        again = replace(told, force=told.force + np.array([0.3, -0.2, 0.1]), tare_change=0.3)
+        before = bench.contacts[newest]
+        again = replace(before, force=before.force + np.array([0.3, -0.2, 0.1]), tare_change=0.3)
         bench.contacts[newest] = again
         bench.session.add(again)
         bench.look()
         assert bench.guidance.target.channel == asked.channel
         assert bench.guidance.target.push @ asked.push == pytest.approx(1.0)
-        bench.contacts[newest] = told
-        bench.session.add(told)
+        bench.contacts[newest] = before
+        bench.session.add(before)
         bench.look()
     first = bench.guidance.target
     bench.guide.skip()
@@ -322,9 +324,10 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     rig, rng = rig_beside(PART, Conditions(), 1), np.random.default_rng(5)
     contacts, rejections, seen, phases = {}, {}, set(), []
     for poke in range(1, 181):
-        told = {m: {one.channel: one for one in every} for m, every in session.snapshot().estimates.items()}
+        before = {m: {each.channel: each for each in every} for m, every in session.snapshot().estimates.items()}
         estimates = {
-            m: [of.get(c) or Estimate(c, m, State.UNSEEN, 0) for c in range(len(guide.plan.channels))] for m, of in told.items()
+            m: [of.get(c) or Estimate(c, m, State.UNSEEN, 0) for c in range(len(guide.plan.channels))]
+            for m, of in before.items()
         }
         guidance = guide.update(contacts, estimates, session.evidence, rejections)
         phases.append(guidance.phase)
@@ -344,7 +347,7 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     assert phases[-1] in (GuidePhase.OWN, GuidePhase.SWEEP)
     assert set(guidance.channels.tolist()) <= seen
     assert len(seen) > 70
-    assert all(isinstance(one, Contact) for one in contacts.values())
+    assert all(isinstance(each, Contact) for each in contacts.values())
     assert len(guidance.needs) == len(guidance.channels) == len(guidance.places)
     # Half of the first pokes find nothing: then the skin is known, and hardly any miss it.
     assert len(contacts) > 110

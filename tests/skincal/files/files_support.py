@@ -12,16 +12,16 @@ from skincal.contacts.outcome import Contact
 from skincal.files.calibration import Calibration
 from skincal.geometry.arrays import FloatArray
 from skincal.model.scene import Scene, load_scene
-from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
+from skincal.taxels.result import Cause, Estimate, Method, Rival, State, StateReason
 
 CHANNELS = 48
 RADIUS = 0.040
 SCENE = """
-name = "bent-board"
+name = "bent-part"
 link = "r_forearm_dh_frame"
 [skin]
 channels = 48
-modules = "boards.toml"
+modules = "modules.toml"
 [skin.anchor]
 at_mm = [0, 0]
 point_mm = [0, 100, 40]
@@ -67,7 +67,7 @@ def make_part(folder: Path) -> Part:
     """Write scene, modules and a tube of 40 mm radius along y into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "tube.obj").write_text(_tube())
-    (folder / "boards.toml").write_text(MODULES)
+    (folder / "modules.toml").write_text(MODULES)
     (folder / "scene.toml").write_text(SCENE)
     scene = load_scene(folder / "scene.toml")
     layout = scene.skin.layout
@@ -119,7 +119,15 @@ def make_calibration(part: Part, unseen: tuple[int, ...] = (), blind: tuple[int,
             elif channel in blind:
                 items.append(
                     Estimate(
-                        channel, method, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]), reason=StateReason(Cause.ONE_AXIS)
+                        channel,
+                        method,
+                        State.BLIND,
+                        1,
+                        weakest=np.array([0.0, 0.0, 1.0]),
+                        reason=StateReason(Cause.ONE_AXIS),
+                        foot=np.array([0.01, 1 / 3, -0.02]),
+                        rival=Rival(np.array([0.0, 1 / 7, 0.1]), 5, 1.5),
+                        doubted={7: 1 / 3},
                     )
                 )
             else:

@@ -21,7 +21,7 @@ def quiet_script(**options):
 
 
 def only(outcomes, *, final=True):
-    (outcome,) = [one for one in outcomes if one.final == final]
+    (outcome,) = [each for each in outcomes if each.final == final]
     return outcome
 
 
@@ -103,7 +103,7 @@ def test_noise_about_the_release_force_neither_ends_nor_begins_a_poke():
     script.press(FORCE, POINT, ANSWERS, hold_s=0.4)
     for k in range(30):  # between release and touch force, from above: still the same poke
         script.step(np.r_[FORCE / np.linalg.norm(FORCE) * (0.95 if k % 2 else 0.65), np.zeros(3)], {})
-    assert len([one for one in script.quiet().run() if one.final]) == 1
+    assert len([each for each in script.quiet().run() if each.final]) == 1
     idle = quiet_script()
     for k in range(30):  # from below: none begins
         idle.step(np.r_[0, 0, 0.95 if k % 2 else 0.65, np.zeros(3)], {})
@@ -112,23 +112,23 @@ def test_noise_about_the_release_force_neither_ends_nor_begins_a_poke():
 
 def test_pokes_are_numbered_and_ordered():
     outcomes = some_pokes(small_scene(), 5).run()
-    assert [one.poke for one in outcomes if not one.final] == [1, 2, 3, 4, 5]
-    assert [one.poke for one in outcomes if one.final] == [1, 2, 3, 4, 5]
-    assert [(one.poke, one.final) for one in outcomes] == [(n, f) for n in range(1, 6) for f in (False, True)]
+    assert [outcome.poke for outcome in outcomes if not outcome.final] == [1, 2, 3, 4, 5]
+    assert [outcome.poke for outcome in outcomes if outcome.final] == [1, 2, 3, 4, 5]
+    assert [(outcome.poke, outcome.final) for outcome in outcomes] == [(n, f) for n in range(1, 6) for f in (False, True)]
 
 
 def test_a_poke_right_after_another_shares_the_tares_around_both():
     script = quiet_script(drift=np.array([0.2, 0, 0, 0, 0, 0.01]))
     script.press(FORCE, POINT, ANSWERS).quiet(0.08).press(FORCE, POINT, ANSWERS).quiet()
     outcomes = script.run()
-    assert [(one.poke, one.final) for one in outcomes] == [(1, False), (2, False), (1, True), (2, True)]
-    for one in outcomes[2:]:
-        np.testing.assert_allclose(one.force, FORCE, atol=1e-9)
+    assert [(outcome.poke, outcome.final) for outcome in outcomes] == [(1, False), (2, False), (1, True), (2, True)]
+    for outcome in outcomes[2:]:
+        np.testing.assert_allclose(outcome.force, FORCE, atol=1e-9)
 
 
 def test_the_same_samples_give_the_same_outcomes_bit_for_bit():
     script = some_pokes(small_scene(), 4)
-    assert [outcome_key(one) for one in script.run()] == [outcome_key(one) for one in script.run()]
+    assert [outcome_key(each) for each in script.run()] == [outcome_key(each) for each in script.run()]
 
 
 def test_too_soft():
@@ -268,8 +268,8 @@ def test_tare_changed():
 def test_no_pose():
     script = Script(small_scene(arm=arm_spec())).quiet().press(FORCE, POINT, ANSWERS).quiet()
     detector = ContactDetector(script.scene)
-    outcomes = [one for sample in script.samples for one in detector.feed(sample, None, "")]
-    assert {one.reason for one in outcomes} == {Reason.NO_POSE}
+    outcomes = [each for sample in script.samples for each in detector.feed(sample, None, "")]
+    assert {outcome.reason for outcome in outcomes} == {Reason.NO_POSE}
 
 
 def test_arm_moved():
@@ -289,9 +289,9 @@ def test_another_pose_chosen_in_a_poke_is_an_arm_that_moved():
     detector = ContactDetector(scene)
     half = len(script.samples) - 70
     outcomes = [
-        one
+        each
         for k, sample in enumerate(script.samples)
-        for one in detector.feed(sample, up if k < half else down, "up" if k < half else "down")
+        for each in detector.feed(sample, up if k < half else down, "up" if k < half else "down")
     ]
     assert outcomes[0].reason is Reason.ARM_MOVED
     assert outcomes[0].value == pytest.approx(1.0)
@@ -322,26 +322,26 @@ def test_something_leaning_at_the_start_keeps_it_taring_until_it_leaves():
 
 
 def test_a_poke_from_the_first_sample_on_costs_that_poke_alone():
-    """It is tared away; once it leaves, the skin below its baseline tells, and the rhythm of pokes goes on."""
+    """It is tared away; once it leaves, the skin below its baseline shows it, and the rhythm of pokes goes on."""
     script = Script(small_scene(), force_noise=0.05, moment_noise=0.003, skin_noise=0.8)
     script.press(FORCE, POINT, ANSWERS, hold_s=1.0, ramp_s=0.02)
     for _ in range(3):
         script.quiet(0.5).press(FORCE, POINT, ANSWERS)
-    first, *others = [one for one in script.quiet().run() if one.final]
+    first, *others = [each for each in script.quiet().run() if each.final]
     assert isinstance(first, Rejection)
     assert (first.poke, first.reason, first.value, first.limit, first.unit) == (1, Reason.NO_TARE, 0.0, 0.2, "s")
-    assert [one.poke for one in others] == [2, 3, 4]
-    for one in others:
-        assert isinstance(one, Contact)
-        np.testing.assert_allclose(one.force, FORCE, atol=0.1)
+    assert [other.poke for other in others] == [2, 3, 4]
+    for other in others:
+        assert isinstance(other, Contact)
+        np.testing.assert_allclose(other.force, FORCE, atol=0.1)
 
 
 def test_skin_below_its_baseline_drops_no_tare_that_a_poke_has_proved():
     """As of foam that was tared before it had recovered: a press beside the skin is a press beside the skin."""
     script = quiet_script(force_noise=0.02).press(FORCE, POINT, ANSWERS).quiet()
     script.press(FORCE, POINT, {3: -20.0}).quiet().press(FORCE, POINT, ANSWERS).quiet()
-    outcomes = [one for one in script.run() if one.final]
-    assert [type(one) for one in outcomes] == [Contact, Rejection, Contact]
+    outcomes = [each for each in script.run() if each.final]
+    assert [type(outcome) for outcome in outcomes] == [Contact, Rejection, Contact]
     assert outcomes[1].reason is Reason.NO_TAXEL
 
 
@@ -355,7 +355,7 @@ def test_a_force_that_never_falls_is_tared_away_after_ten_seconds():
     assert detector.progress(np.eye(4)).phase is PressPhase.READY
     script.samples.clear()
     outcomes = script.press(FORCE, POINT, ANSWERS).quiet().run(detector)
-    assert [type(one) for one in outcomes] == [Contact, Contact]
+    assert [type(outcome) for outcome in outcomes] == [Contact, Contact]
     np.testing.assert_allclose(outcomes[-1].force, FORCE, atol=0.1)
 
 
@@ -363,7 +363,7 @@ def test_a_tool_that_still_leans_is_not_tared_away_at_once():
     script = quiet_script()
     script.press(FORCE, POINT, ANSWERS, hold_s=15.0).quiet()
     outcomes = script.run()
-    assert [one.reason for one in outcomes] == [Reason.NO_TARE]  # and no poke of minus that force follows
+    assert [outcome.reason for outcome in outcomes] == [Reason.NO_TARE]  # and no poke of minus that force follows
 
 
 def test_a_reset_ends_the_poke_in_progress_and_settles_those_that_wait():
@@ -373,7 +373,7 @@ def test_a_reset_ends_the_poke_in_progress_and_settles_those_that_wait():
     detector = ContactDetector(script.scene)
     script.run(detector)
     outcomes = detector.reset(script.now + 1.0)
-    assert [(one.poke, type(one), one.final) for one in outcomes] == [
+    assert [(outcome.poke, type(outcome), outcome.final) for outcome in outcomes] == [
         (2, Rejection, False),
         (1, Contact, True),
         (2, Rejection, True),
@@ -419,6 +419,8 @@ def test_progress_gives_the_axis_in_the_link_frame():
     np.testing.assert_allclose(np.cross(progress.force, contact - progress.axis_point), 0.0, atol=1e-9)
     assert progress.channels.tolist() == [3, 7]
     assert progress.still == 1.0
+    detector.use_all_but({7})
+    assert detector.progress(pose).channels.tolist() == [3], "a channel that is left out answers nothing"
 
 
 def test_a_slower_device_is_followed():
