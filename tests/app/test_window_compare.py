@@ -373,11 +373,11 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     def broken(*_):
         raise RuntimeError("of the boards")
 
-    monkeypatch.setattr("app.board_watch.mend_boards", broken)
+    monkeypatch.setattr("app.board_watch.mend_modules", broken)
     watch.follow(at(known(), generation=4))
     with pytest.raises(RuntimeError, match="of the boards"):
         queue.finish()
-    monkeypatch.setattr("app.board_watch.mend_boards", health.mend_modules)
+    monkeypatch.setattr("app.board_watch.mend_modules", health.mend_modules)
     watch.follow(at(known(), generation=4))
     assert not queue.waiting, "not at every picture"
     watch.follow(at(known(), generation=5))
