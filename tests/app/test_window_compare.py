@@ -387,11 +387,11 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     def broken(*_):
         raise RuntimeError("of the boards")
 
-    monkeypatch.setattr("skincal.session.modules_check.mend_boards", broken)
+    monkeypatch.setattr("skincal.session.modules_check.mend_modules", broken)
     judge(watch, at(known(), generation=4))
     with pytest.raises(RuntimeError, match="of the boards"):
         queue.finish()
-    monkeypatch.setattr("skincal.session.modules_check.mend_boards", health.mend_modules)
+    monkeypatch.setattr("skincal.session.modules_check.mend_modules", health.mend_modules)
     judge(watch, at(known(), generation=4))
     assert not queue.waiting, "not at every picture"
     judge(watch, at(known(), generation=5))

@@ -19,7 +19,8 @@ from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
-from skincal.taxels.result import Estimate, Method, Rival, State
+from skincal.sentences import state_sentence
+from skincal.taxels.result import Estimate, Method, Rival, State, StateReason
 from tests.skincal.files.files_support import Part, make_calibration, make_contacts, make_part
 
 
@@ -29,7 +30,9 @@ def part(tmp_path_factory) -> Part:
 
 
 def same(one: object, other: object) -> bool:
-    """Equal bit for bit, NaN included."""
+    """Equal bit for bit, NaN included; of a reason a file keeps the sentence."""
+    if isinstance(one, StateReason):
+        return state_sentence(one) == state_sentence(other)
     if isinstance(one, np.ndarray):
         return isinstance(other, np.ndarray) and one.dtype == other.dtype and one.tobytes() == other.tobytes()
     if isinstance(one, float) and math.isnan(one):
