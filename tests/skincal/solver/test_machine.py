@@ -10,7 +10,6 @@ import threading
 import numpy as np
 import pytest
 import wasmtime
-from mesh_support import KINDS, random_metrics, same, soup, together, tube
 
 from skincal.mesh import search
 from skincal.mesh.search import GRAZING, nearest_to_rows
@@ -23,6 +22,7 @@ from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
 from skincal.taxels import solve
 from skincal.taxels.result import Method
+from tests.skincal.mesh_support import KINDS, random_metrics, same, soup, together, tube
 from tests.skincal.sim_support import make_rig
 from tools import solver
 
