@@ -50,7 +50,7 @@ def _run(options: argparse.Namespace) -> int:
     no_window = "" if named else no_display()
     if options.headless or no_window:
         from app.headless import run_headless
-        from app.session.open_request import find_scene
+        from app.session.opening import find_scene
 
         return run_headless(find_scene(options.scene), options.new, no_window)
     reason = objection()

@@ -8,7 +8,7 @@ from pathlib import Path
 from skincal.files.export import write_calibration
 from skincal.files.reference import error_summary, read_reference
 from skincal.model.errors import InputError
-from skincal.session.road import Road
+from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import Method
 
 POKES = 168
@@ -48,18 +48,18 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
     return 0
 
 
-def _simulate(scene_path: Path, out: Path) -> Road:
+def _simulate(scene_path: Path, out: Path) -> Pipeline:
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene
     from skincal.simulate.faults import RigErrors
-    from skincal.simulate.session import simulate_session
+    from skincal.simulate.virtual_session import simulate_session
 
     scene = load_scene(scene_path)
     surface = None if scene.surface is None else load_surface(scene.surface)[0]
     return simulate_session(scene, surface, out, POKES, SEED, RigErrors.noise(), progress=_show_progress)
 
 
-def _draw(road: Road, method: Method, path: Path) -> Path:
+def _draw(road: Pipeline, method: Method, path: Path) -> Path:
     from app.scene3d.offscreen import picture
     from skincal.mesh.lay import lay
 

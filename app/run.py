@@ -19,8 +19,8 @@ from PySide6.QtWidgets import QApplication
 
 from app.scene3d.canvas import best_canvas
 from app.session.controller import Controller
-from app.session.open_request import Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
-from app.sound import Player
+from app.session.opening import Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
+from app.sound.player import Player
 from app.text.message import Message
 from app.theme import Choice, Theme
 from app.window import Window

@@ -18,30 +18,30 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QFileDialog, QSplitter, QWidget
 
-from app.coaching import PressCoach
 from app.commands import Commands
-from app.dialogs.export import ExportDialog, ask_layout
-from app.dialogs.landmark import LandmarkPicking
-from app.dialogs.verdict import VerdictDialog
-from app.heard import Ear, heard
+from app.dialogs.export_dialog import ExportDialog, ask_layout
+from app.dialogs.landmark_dialog import LandmarkPicking
+from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.devices import LinkChips
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
+from app.sound.cues import Ear, heard
 from app.state.policies import Allowed, allowed
 from app.state.rig_review import RigReview
 from app.state.view_state import ViewState, looked_at, same_results
+from app.text.guidance_text import PressCoach
 from app.text.message import Message
-from app.text.now import modules_enough_words
-from app.text.rig import corrected_words, offer_news, offer_text
+from app.text.now_text import modules_enough_words
+from app.text.rig_text import corrected_words, offer_news, offer_text
+from app.text.verdict_text import rig_state
 from app.theme import Colours
-from app.verdict_words import rig_state
 from app.workspace import Workspace
 from skincal.files.calibration import landmark_check
 from skincal.guide.guidance import Guidance
 from skincal.guide.progress import AxisDiversity
+from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.model.errors import InputError
-from skincal.session.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
-from skincal.session.error_history import ErrorCourse
+from skincal.session.error_history import ErrorFollower
 from skincal.session.guiding import ModulesEnough, SessionGuide
 from skincal.session.modules_check import ModulesCheck
 from skincal.session.part import Part
@@ -106,7 +106,7 @@ class SessionView(QObject):
         self.workspace = Workspace(part, make_view)
         self.method = self.workspace.methods[0]
         self.chips = LinkChips()
-        self.course = ErrorCourse(part, controller.compute)
+        self.course = ErrorFollower(part, controller.compute)
         self.guide = SessionGuide(part)
         self._modules_check = ModulesCheck(part, controller.compute)
         self._modules_enough = ModulesEnough(self.guide.plan)

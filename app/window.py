@@ -16,20 +16,20 @@ from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QFileDialog, QLabel, QMainWindow, QMessageBox, QStackedWidget, QVBoxLayout, QWhatsThis, QWidget
 
 from app.commands import Commands, key_words
+from app.dialogs.pedals import Pedals
 from app.panels.message_bar import MessageBar
 from app.panels.texts import ElidedLabel
-from app.pedal import Pedals
 from app.session.controller import Controller
-from app.session.open_request import OpenRequest, dated_folder
-from app.sound import Player
+from app.session.opening import OpenRequest, dated_folder
+from app.sound.player import Player
 from app.state.running import Running
 from app.text.message import Message
 from app.theme import GAP, Choice, Colours, Theme
 
 if TYPE_CHECKING:
-    from app.heard import Heard
     from app.session.controller import Tick
     from app.session_view import SessionView
+    from app.sound.cues import Heard
     from skincal.files.reference import Reference
     from skincal.session.part import Part
     from skincal.session.review import Review

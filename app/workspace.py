@@ -12,22 +12,22 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from app.display_units import ChannelNames
-from app.panels.compare import ComparePanel
+from app.panels.compare_panel import ComparePanel
 from app.panels.devices import DevicesPanel
-from app.panels.errors import ErrorsPanel
-from app.panels.inspect import InspectPanel
-from app.panels.now import NowPanel
-from app.panels.pokes import PokesPanel
-from app.panels.readings import ReadingsPanel
-from app.panels.rig import RigPanel
+from app.panels.errors_panel import ErrorsPanel
+from app.panels.inspect_panel import InspectPanel
+from app.panels.now_panel import NowPanel
+from app.panels.plot_panel import ReadingsPanel
+from app.panels.pokes_panel import PokesPanel
+from app.panels.rig_panel import RigPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.texts import FittedLabel
 from app.scene3d.view import View3D
 from app.state.view_state import ViewState
-from app.text.now import Now, Tone
+from app.text.now_text import Now, Tone
+from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
 from app.theme import GAP, Colours
-from app.words import METHOD_NAMES, error_words, pokes_words, summary_words
+from app.units import ChannelNames
 from skincal.guide.coaching import leeway
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot

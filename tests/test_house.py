@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
@@ -116,6 +116,54 @@ def python_files() -> list[Path]:
 def test_no_module_grows_too_long() -> None:
     lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in python_files()}
     assert {str(path): length for path, length in lengths.items() if length > LINES_MAX} == {}
+
+
+def modules() -> dict[str, Path]:
+    """Name and file of every module of the program."""
+    paths = (path for folder in ("app", "skincal") for path in (CHECKOUT / folder).rglob("*.py"))
+    return {".".join(path.relative_to(CHECKOUT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
+
+
+def test_a_public_class_has_a_name_of_its_own() -> None:
+    places: dict[str, list[str]] = {}
+    for module, path in modules().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(module)
+    assert {name: at for name, at in places.items() if len(at) > 1} == {}
+
+
+def test_a_file_name_stands_for_one_idea() -> None:
+    places: dict[str, list[str]] = {}
+    for module, path in modules().items():
+        if not path.stem.startswith("__"):
+            places.setdefault(path.stem, []).append(module)
+    assert {name: at for name, at in places.items() if len(at) > 1} == {}
+
+
+def neighbours(path: Path, known: Collection[str]) -> set[str]:
+    """Modules of `known` that a file imports, also inside functions and for type checkers alone."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            full = (f"{node.module}.{alias.name}" for alias in node.names)
+            found |= {name if name in known else str(node.module) for name in full}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found & set(known)
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    files = modules()
+    graph = {module: neighbours(path, files) - {module} for module, path in files.items()}
+    while ends := [module for module, imported in graph.items() if not imported & graph.keys()]:
+        for module in ends:
+            del graph[module]
+    starts = dict(graph)
+    while tops := [module for module in starts if not any(module in imported for imported in starts.values())]:
+        for module in tops:
+            del starts[module]
+    assert sorted(starts) == [], "these and only these lie on or between circles"
 
 
 def imports(path: Path) -> Iterator[str]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from app.session.open_request import server_command
+from app.session.opening import server_command
 from skincal.model.scene import resource
 from tools import checkout, packages
 

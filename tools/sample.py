@@ -25,7 +25,7 @@ def main() -> int:
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.faults import RigErrors
     from skincal.simulate.operator import Habits
-    from skincal.simulate.session import simulate_session
+    from skincal.simulate.virtual_session import simulate_session
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
     assert scene.surface is not None

@@ -34,9 +34,9 @@ from PySide6.QtWidgets import QApplication, QStackedLayout, QWidget
 from app.preflight import no_display, objection
 
 if TYPE_CHECKING:
-    from app.earcons import Sound
     from app.session.controller import Tick
-    from app.sound import Output
+    from app.sound.cues import Cue
+    from app.sound.player import Output
     from app.window import Window
 
 BEAT_MS = 5
@@ -78,15 +78,15 @@ class Measure(QObject):
         session_view = self.window.session_view
         if session_view is None or not session_view.workspace.view.list_layers():
             return False
-        from skincal.session.road import Road
+        from skincal.session.pipeline import Pipeline
 
         stack = session_view.workspace.view.layout()
         canvas = stack.currentWidget() if isinstance(stack, QStackedLayout) else None
         assert canvas is not None
         self._canvas = canvas
         canvas.installEventFilter(self)
-        _around_feed(Road, self._released)
-        self.sounds.watch(Road)
+        _around_feed(Pipeline, self._released)
+        self.sounds.watch(Pipeline)
         session_view.workspace.view.update()
         session_view.workspace.show_tab(tab)
         return True
@@ -181,7 +181,7 @@ class Sounds:
 
     def open(self) -> Output:
         """Open the sound device, or one that nobody hears where there is none."""
-        from app.sound import NoSoundError, open_output
+        from app.sound.player import NoSoundError, open_output
 
         try:
             output = open_output()
@@ -192,7 +192,7 @@ class Sounds:
 
     def watch(self, road: type[Any]) -> None:
         """Watch the road of the readings, the press on it, and the player."""
-        from app.sound import Line, Player
+        from app.sound.player import Line, Player
         from skincal.contacts.press import Press
 
         self._watch_readings(Press, road)
@@ -215,12 +215,12 @@ class Sounds:
         press.add, road.feed = watched_add, watched_feed
 
     def _watch_sounds(self, player: type[Any], line: type[Any]) -> None:
-        from app.earcons import Sound
+        from app.sound.cues import Cue
 
         play, take = player.play, line.take
 
-        def watched_play(its: Any, sound: Sound, word: str = "") -> None:
-            if sound is Sound.HELD:
+        def watched_play(its: Any, sound: Cue, word: str = "") -> None:
+            if sound is Cue.HELD:
                 self._asked, self._since = self._since, None
             play(its, sound, word)
 
@@ -257,8 +257,8 @@ def _around_feed(road: type[Any], released: list[tuple[int, float]]) -> None:
 def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str) -> dict[str, Any]:
     """Run the window for so long and return its figures."""
     from app.run import run_window
-    from app.session.open_request import OpenRequest, find_scene, server_command
-    from app.sound import Player
+    from app.session.opening import OpenRequest, find_scene, server_command
+    from app.sound.player import Player
     from app.window import Window
 
     application = QApplication(sys.argv[:1])

@@ -6,11 +6,11 @@ from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from app.display_units import count
 from app.panels.texts import ElidedLabel, on_panel, put, quiet
 from app.state.view_state import LinkLook, ViewState
+from app.text.outcomes import LinkWords, link_lines
 from app.theme import GAP, LIGHT, Colours, digits_font
-from app.words import LinkWords, link_lines
+from app.units import count
 from skincal.model.readings import LinkHealth
 
 ICON_PX = 18

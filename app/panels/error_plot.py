@@ -15,9 +15,9 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
-from app.display_units import in_millimetres, in_minutes
-from app.error_words import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
+from app.text.errors_text import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
 from app.theme import LIGHT, Colours, method_hue
+from app.units import in_millimetres, in_minutes
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.taxels.result import Method

@@ -1,16 +1,23 @@
-"""A panel whose plots need pyqtgraph: it is imported beside the window once the panel is seen, and the plots come then."""
+"""A panel whose plots need pyqtgraph: it is imported beside the window once the panel is seen, and the plots come then.
+
+The place of the curves of force and moment.
+"""
 
 from __future__ import annotations
 
 import importlib
+from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from app.panels.texts import quiet
 from app.state.view_state import ViewState
-from app.theme import GAP
+from app.theme import GAP, LIGHT, Colours
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
+
+if TYPE_CHECKING:
+    from app.panels.curves import CurvesPanel
 
 
 class PlotPanel(QWidget):
@@ -72,3 +79,31 @@ def _import_pyqtgraph() -> None:
         importlib.import_module("pyqtgraph")
     except ImportError as error:
         raise InputError(f"There are no curves: {error}") from error
+
+
+class ReadingsPanel(PlotPanel):
+    """Curves of force and moment, once they can be drawn."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.curves: CurvesPanel | None = None
+        self._colours: Colours = LIGHT
+
+    def make(self) -> QWidget:
+        """Make the curves."""
+        from app.panels.curves import CurvesPanel
+
+        self.curves = CurvesPanel()
+        self.curves.set_colours(self._colours)
+        return self.curves
+
+    def draw_state(self, state: ViewState) -> None:
+        """Draw the newest readings."""
+        if self.curves is not None:
+            self.curves.show_state(state)
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        if self.curves is not None:
+            self.curves.set_colours(colours)

@@ -17,7 +17,7 @@ from app.scene3d.static_scene import ColourArray, Look, StaticScene, View3DState
 from skincal.geometry.arrays import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
-from skincal.session.known_points import landmark_normals
+from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.snapshot import Snapshot
 
 DIAMOND = 2.6e-3

@@ -17,7 +17,7 @@ from vtkmodules.vtkRenderingCore import vtkLight, vtkRenderer
 from app.scene3d import camera
 from app.scene3d.axes import AxesLayer
 from app.scene3d.camera import Turner, project, ray, sight_of
-from app.scene3d.compare import CompareLayer
+from app.scene3d.compare_layer import CompareLayer
 from app.scene3d.entry import seen_point
 from app.scene3d.estimates import EstimatesLayer, UncertaintyLayer
 from app.scene3d.hints import HintsLayer
@@ -25,7 +25,7 @@ from app.scene3d.landmarks import LandmarksLayer
 from app.scene3d.modules import ModulesLayer
 from app.scene3d.shapes import DrawnShape, Layer
 from app.scene3d.static_scene import DEFAULT_RADIUS, Look, StaticScene, View3DState, unit
-from app.scene3d.surface import SurfaceLayer
+from app.scene3d.surface_layer import SurfaceLayer
 from app.scene3d.target import TargetLayer
 from skincal.geometry.arrays import FloatArray
 

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.open_request import OpenRequest, find_scene, link_specs
-from app.session.recording import Recording, stop_all
-from app.session.storage import Storage
+from app.session.opening import OpenRequest, find_scene, link_specs
+from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
 from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
@@ -30,9 +29,9 @@ if TYPE_CHECKING:
     from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
     from skincal.guide.guidance import Guidance
-    from skincal.session.actions import Action
+    from skincal.model.actions import Action
     from skincal.session.part import Part
-    from skincal.session.road import Road
+    from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
     from skincal.simulate.orders import Wish
@@ -261,7 +260,7 @@ class Controller(QObject):
         recording = self._recording
         if recording is None or self.running is not Running.STREAMING or name == recording.road.asked_landmark:
             return
-        from skincal.session.actions import AskLandmark
+        from skincal.model.actions import AskLandmark
 
         recording.road.act(AskLandmark(name), time.monotonic_ns())
 
@@ -293,7 +292,7 @@ class Controller(QObject):
                 lambda road: road.close(),
             )
 
-    def _take_session(self, storage: Storage, found: tuple[Part, Road]) -> None:
+    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline]) -> None:
         part, road = found
         self._take_part(part, make_road=False)
         self._take_recording(Recording(road, storage), connect=bool(self._links))
@@ -508,7 +507,7 @@ class Controller(QObject):
 
         return load_part(find_scene(scene))
 
-    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Road]:
+    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
         self.prepare()
         from app.session.opening import open_road
 
@@ -548,7 +547,7 @@ def operator_target(guidance: Guidance | None, running: Running) -> Wish:
     return TargetOrder(target.channel, target.place, target.push, known=bool(target.landmark))
 
 
-def begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path, truth: bytes) -> Road:
+def begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path, truth: bytes) -> Pipeline:
     """Start a recording; what a simulated rig says of its taxels is laid beside it."""
     from app.session.opening import new_road
     from skincal.files.reference import TRUTH_NAME

@@ -1,21 +1,107 @@
-"""Opens a recording, new or recorded; done in the background, without Qt.
+"""What to open: a scene with links, a scene with a process that serves links, or a recorded session.
+
+Opens a recording, new or recorded; done in the background, without Qt.
 
 The imports stand inside the functions so that they, too, happen beside the window.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skincal.model.errors import InputError
+
 if TYPE_CHECKING:
     from skincal.session.part import Part
-    from skincal.session.road import Road
+    from skincal.session.pipeline import Pipeline
     from skincal.streams.links import LinkSpec
 
+DEFAULT_SCENE = "icub-forearm"
 
-def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Road:
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """Where the devices are, as the user wrote it; empty where there is none."""
+
+    wrench: str = ""
+    skin: str = ""
+    joints: str = ""
+
+    def __bool__(self) -> bool:
+        """Return whether any device is named."""
+        return bool(self.wrench or self.skin or self.joints)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenRequest:
+    """What to open; `session` goes before everything else."""
+
+    scene: Path | None = None
+    session: Path | None = None
+    addresses: Addresses = Addresses()
+    server: tuple[str, ...] = ()
+    """A command that prints its links and serves them; used where no address is given."""
+    folder: Path | None = None
+    """Folder of the new session; None puts it into a temporary one that goes with the window unless it is kept."""
+
+    @property
+    def temporary(self) -> bool:
+        """Whether the recording goes when the window closes, unless the operator keeps it."""
+        return self.session is None and self.folder is None
+
+
+def find_scene(scene: Path | None) -> Path:
+    """Return a scene's file: as given, by the name of one that ships, or the one that opens by default."""
+    from skincal.model.scene import scene_file
+
+    return scene_file(Path(DEFAULT_SCENE) if scene is None else scene)
+
+
+def server_command(scene: Path | None) -> tuple[str, ...]:
+    """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP.
+
+    Its operator follows the target that the window tells it (`DeviceProcess.tell`).
+    """
+    name = DEFAULT_SCENE if scene is None else str(scene)
+    simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
+    return (*simulate, "--scene", name, "--json")
+
+
+def check_addresses(addresses: Addresses) -> None:
+    """Raise `InputError` where some device is named, but not both that a poke needs, or by an address that is not known."""
+    if addresses and not (addresses.wrench and addresses.skin):
+        missing = "wrench" if not addresses.wrench else "skin"
+        raise InputError(f"No {missing} device is named; expected the addresses of both the wrench and the skin, or of none.")
+    if addresses:
+        link_specs(addresses)
+
+
+def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
+    """Return the links for addresses; see `describe_links`."""
+    from skincal.model.readings import Stream
+    from skincal.streams.links import describe_links
+
+    named = {Stream.WRENCH: addresses.wrench, Stream.SKIN: addresses.skin, Stream.JOINTS: addresses.joints}
+    return describe_links({stream: address for stream, address in named.items() if address})
+
+
+def dated_folder(parent: Path, now: datetime) -> Path:
+    """Return a folder for a new session, named by date and time, that does not exist yet."""
+    name = now.strftime("%Y-%m-%d_%H-%M-%S")
+    folder = parent / name
+    number = 2
+    while folder.exists():
+        folder = parent / f"{name}_{number}"
+        number += 1
+    return folder
+
+
+def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Pipeline:
     """Start a recording in a new folder.
 
     Raises
@@ -24,13 +110,13 @@ def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Road:
         The folder cannot be made or is taken.
     """
     from skincal.journal.writer import create_session
-    from skincal.session.road import Road
+    from skincal.session.pipeline import Pipeline
 
     folder.parent.mkdir(parents=True, exist_ok=True)
-    return _solved(Road(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid))
+    return _solved(Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid))
 
 
-def open_road(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Road]:
+def open_road(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:
     """Open a recorded session where it stopped.
 
     Parameters
@@ -51,7 +137,7 @@ def open_road(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Road]:
     return part, road
 
 
-def _solved(road: Road) -> Road:
+def _solved(road: Pipeline) -> Pipeline:
     """Return the road after its first snapshot, which looks at every taxel and so takes long."""
     road.snapshot()
     return road

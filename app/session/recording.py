@@ -1,19 +1,89 @@
-"""What is open: a road, the readers that feed it through one queue, and its place on the disk. No Qt."""
+"""Where a session lives on the disk: in the operator's documents, or in a temporary folder until it is kept.
+
+What is open: a road, the readers that feed it through one queue, and its place on the disk. No Qt.
+"""
 
 from __future__ import annotations
 
 import queue
+import shutil
+import tempfile
 import time
 from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.session.storage import Storage
+from app.session.opening import OpenRequest, dated_folder
+from app.text.message import place_words
+from skincal.journal.lock import LOCK_NAME
+from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from skincal.model.readings import Chunk, LinkEvent
-    from skincal.session.road import Road
+    from skincal.session.pipeline import Pipeline
+    from skincal.streams.link_reader import Reader
     from skincal.streams.links import LinkSpec
-    from skincal.streams.reader import Reader
+
+
+class Storage:
+    """The folder of one recording.
+
+    A recording without a folder of its own goes into a temporary one. `keep` copies it at once, and `finish` copies what
+    was recorded after that and removes the temporary folder.
+
+    Parameters
+    ----------
+    request : says where the recording goes
+    documents : folder under which kept sessions are put, each in a folder of its date and time
+    """
+
+    def __init__(self, request: OpenRequest, documents: Path) -> None:
+        self._documents = documents
+        self._temporary = Path(tempfile.mkdtemp(prefix="skincal-")) if request.temporary else None
+        self.kept: Path | None = None
+        given = request.session or request.folder
+        self.folder = given or (self._temporary or documents) / "session"
+
+    @property
+    def can_keep(self) -> bool:
+        """Whether the recording is temporary and not kept yet."""
+        return self._temporary is not None and self.kept is None
+
+    def keep(self) -> Path:
+        """Copy a temporary recording into the documents and return the new folder.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be written.
+        """
+        target = self.kept or dated_folder(self._documents, datetime.now().astimezone())
+        self._copy(target)
+        self.kept = target
+        return target
+
+    def finish(self) -> None:
+        """Bring the kept copy up to date, then remove the temporary folder; call after the journal is closed."""
+        if self._temporary is None:
+            return
+        if self.kept is not None and self.folder.exists():
+            self._copy(self.kept)
+        shutil.rmtree(self._temporary, ignore_errors=True)
+        self._temporary = None
+
+    def _copy(self, target: Path) -> None:
+        try:
+            # Lines before the bytes that they vouch for, as they are read: the recording goes on meanwhile.
+            for other in ("*.mcap", "*.jsonl"):
+                left_out = shutil.ignore_patterns(LOCK_NAME, other)
+                shutil.copytree(self.folder, target, ignore=left_out, dirs_exist_ok=True)
+        except (OSError, shutil.Error) as error:
+            raise InputError(f"{target}: the session cannot be kept there ({error}); free some space and try again.") from error
+
+    def words(self) -> str:
+        """Return where the recording is, for the foot of the window."""
+        return place_words(self.folder, self.kept, temporary=self._temporary is not None)
 
 
 class Recording:
@@ -24,7 +94,7 @@ class Recording:
     road : with an open journal
     """
 
-    def __init__(self, road: Road, storage: Storage) -> None:
+    def __init__(self, road: Pipeline, storage: Storage) -> None:
         self.road = road
         self.links: tuple[LinkSpec, ...] = road.links
         self.storage = storage
@@ -35,7 +105,7 @@ class Recording:
 
     def start(self) -> None:
         """Begin to read the links; returns at once."""
-        from skincal.streams.reader import Reader
+        from skincal.streams.link_reader import Reader
 
         self._readers = [Reader(link, self._queue) for link in self.links]
         for reader in self._readers:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from skincal.model.actions import Correct
 from skincal.rig.correction import FRAME, RIG
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.sentences import frame_sentence
-from skincal.session.actions import Correct
 from skincal.session.corrections import offered
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot

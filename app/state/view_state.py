@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from app.display_units import ChannelNames
 from app.scene3d.camera import PLAIN, Eye
 from app.state.policies import Allowed
 from app.state.rig_review import Offer
 from app.state.running import Running
+from app.units import ChannelNames
 from skincal.guide.coaching import Coaching
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.progress import AxisDiversity

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
-    from skincal.session.road import Road
+    from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -135,7 +135,7 @@ def solve(
     report.print_result({**result, "text": text}, as_json)
 
 
-def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path | None) -> Road:
+def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path | None) -> Pipeline:
     from skincal.session.replay import load, replay
 
     if speed is not None and not from_bytes:
@@ -145,7 +145,7 @@ def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path |
     return replay(session, speed, layout=layout) if from_bytes else load(session, layout)
 
 
-def _per_pose(pipeline: Road, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
+def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
     from skincal.cli import report
     from skincal.methods import average_over_poses
 
@@ -224,7 +224,7 @@ def _name(path: Path | None) -> str | None:
 def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
     from skincal.rig.correction_fit import correct_rig
     from skincal.rig.frame_check import diagnose
-    from skincal.session.known_points import landmark_normals
+    from skincal.session.landmark_pokes import landmark_normals
 
     known = {landmark.name: landmark for landmark in session.landmarks}
     pokes = session.landmark_pokes
@@ -260,7 +260,7 @@ def _correct(session: Session) -> None:
         raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
 
-def _corrected(pipeline: Road, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
+def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
     """Return what landmark pokes say about the rig, as JSON and in lines; nothing where there are none.
 
     Where no correction is in use, the estimates under the one that was found stand beside the others.
@@ -307,7 +307,7 @@ def _calibration(session: Session) -> Calibration:
     return replace(session.calibration(), landmark_check=landmark_check(correct_rig(session.rig_request())))
 
 
-def _write_all(pipeline: Road, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
+def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
     """Write every format for every method the scene has; return the files and what was found."""
     from skincal.files.export import write_calibration
 

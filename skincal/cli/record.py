@@ -1,13 +1,18 @@
-"""`record` and `import`: from devices or from other programs' recordings to a session."""
+"""The folder of a new session, which a command takes away again where it recorded nothing into it.
+
+`record` and `import`: from devices or from other programs' recordings to a session.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
+import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
@@ -16,16 +21,54 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from skincal.cli.calibrate import Json
-from skincal.cli.fresh import Fresh, KeptError, new_folder
 from skincal.model.errors import InputError
 from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
 from skincal.model.scene import Scene, load_scene, scene_file
 
 if TYPE_CHECKING:
     from skincal.geometry.arrays import FloatArray
-    from skincal.session.road import Road
+    from skincal.session.pipeline import Pipeline
+    from skincal.streams.link_reader import Reader
     from skincal.streams.links import LinkSpec
-    from skincal.streams.reader import Reader
+
+
+class KeptError(InputError):
+    """A recording is at fault, but something was recorded, and stays."""
+
+
+class Fresh:
+    """What became of the folder of a new session."""
+
+    made = False
+    """The session in it is this command's own: nobody else's is ever taken away."""
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path) -> Generator[Fresh]:
+    """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
+
+    The same command with its input put right then finds its folder free. What was there before stays, and what another
+    program makes there meanwhile.
+    """
+    from skincal.journal.scene_copy import SCENE_FOLDER
+
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    fresh = Fresh()
+    try:
+        yield fresh
+    except KeptError:
+        raise
+    except InputError:
+        if fresh.made:
+            shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
+            for segment in folder.glob("segment-*"):
+                segment.unlink()
+        for place in missing:
+            # One that is not empty is in use by others.
+            with contextlib.suppress(OSError):
+                place.rmdir()
+        raise
+
 
 SceneOption = Annotated[
     Path, typer.Option(help="Scene file (*.toml), or the name of one that ships: icub-forearm, flat-patch, ...")
@@ -61,10 +104,10 @@ def find_scene(path: Path) -> Scene:
     return load_scene(scene_file(path))
 
 
-def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Road:
+def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
     """Open a new session's journal and the road into it; the mesh is loaded where the scene has one."""
     from skincal.journal.writer import create_session
-    from skincal.session.road import Road
+    from skincal.session.pipeline import Pipeline
 
     surface = None
     if scene.surface is not None:
@@ -75,7 +118,7 @@ def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -
             typer.echo(f"{scene.surface.path.name}: {finding.sentence}", err=True)
     journal = create_session(out, scene, links)
     fresh.made = True
-    return Road(scene, links, surface, journal)
+    return Pipeline(scene, links, surface, journal)
 
 
 def record(
@@ -116,8 +159,8 @@ def _recorded(
     seconds: float | None,
     pokes: int | None,
     items: Items,
-) -> Road:
-    from skincal.streams.reader import Reader
+) -> Pipeline:
+    from skincal.streams.link_reader import Reader
 
     road = new_road(scene, into[0], links, into[1])
     readers = {link.name: Reader(link, items) for link in links}
@@ -156,12 +199,12 @@ def _read_orders(file: int, items: Items) -> None:
         items.put(OrderLine(time.monotonic_ns(), line))
 
 
-def _take(road: Road, item: Chunk | LinkEvent | OrderLine) -> None:
+def _take(road: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
     """Let the road take what arrived; an order that cannot be done is said, and left out."""
     if not isinstance(item, OrderLine):
         road.feed(item)
         return
-    from skincal.session.actions import from_json
+    from skincal.model.actions import from_json
 
     try:
         road.act(from_json(json.loads(item.text)), item.host_ns)
@@ -181,15 +224,15 @@ def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
         raise InputError(f"--pose is {pose!r}; the scene has {', '.join(known) or 'no named poses'}.")
 
 
-def _choose_pose(road: Road, pose: str | None) -> None:
-    from skincal.session.actions import SetPose
+def _choose_pose(road: Pipeline, pose: str | None) -> None:
+    from skincal.model.actions import SetPose
 
     if pose is not None:
         road.act(SetPose(pose), time.monotonic_ns())
 
 
 def _loop(
-    road: Road,
+    road: Pipeline,
     items: Items,
     readers: Mapping[str, Reader],
     seconds: float | None,
@@ -256,7 +299,7 @@ class Silence:
         return said
 
 
-def _tell_new_pokes(road: Road, told: int) -> int:
+def _tell_new_pokes(road: Pipeline, told: int) -> int:
     """Say each poke's outcome once it is final; return how many were told."""
     from skincal.contacts.outcome import Contact
 
@@ -273,7 +316,7 @@ def _tell_new_pokes(road: Road, told: int) -> int:
 
 
 def finish(
-    road: Road,
+    road: Pipeline,
     out: Path,
     as_json: bool,
     findings: Iterable[str] = (),
@@ -333,7 +376,7 @@ def import_yarp(
     as_json: Json = False,
 ) -> None:
     """Make a session from `yarpdatadumper` folders of one recording."""
-    from skincal.files.importers.yarp_log import read_yarp
+    from skincal.files.importers.yarp_folder import read_yarp
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)

@@ -145,7 +145,7 @@ def _surface(scene: Scene) -> Surface | None:
 def _record(play: _Play, out: Path, as_json: bool) -> None:
     from skincal.cli.record import finish
     from skincal.files.reference import TRUTH_NAME, read_reference
-    from skincal.simulate.session import simulate_session
+    from skincal.simulate.virtual_session import simulate_session
 
     pipeline = simulate_session(
         play.scene,
@@ -171,9 +171,9 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
 
     from skincal.simulate.device import DeviceTimeline
     from skincal.simulate.operator import Auto, Guided, Told
-    from skincal.simulate.rig import Rig
     from skincal.simulate.serve import Server
-    from skincal.simulate.session import truth
+    from skincal.simulate.simulated_rig import Rig
+    from skincal.simulate.virtual_session import truth
 
     # Streams of their own: another operator meets the same rig and the same devices.
     rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)

@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, DataEnd, McapRecord, Message, Statistics
 from mcap.stream_reader import StreamReader
 
-from skincal.journal import cdr
+from skincal.journal import documents
 from skincal.journal.documents import FORMAT_WITH_NOTES, Ending, Note, SegmentMark, SessionEvent, Taken, Totals, from_document
 from skincal.journal.lines import lines_path, read_lines
 from skincal.journal.lock import writer_of
@@ -232,7 +232,7 @@ class Segment:
 
     def _item(self, topic: str, message: Message) -> Chunk | SessionEvent:
         if topic != EVENT_TOPIC:
-            return Chunk(topic.removeprefix(RAW_TOPIC), *cdr.decode_chunk(message.data))
+            return Chunk(topic.removeprefix(RAW_TOPIC), *documents.decode_chunk(message.data))
         event = from_document(json.loads(message.data), self.path)
         assert not isinstance(event, Taken | Totals)
         return event

@@ -30,7 +30,7 @@ from mcap.writer import Writer
 
 from skincal import __version__
 from skincal.geometry.arrays import FloatArray
-from skincal.journal import cdr
+from skincal.journal import documents
 from skincal.journal.documents import FORMAT, Ending, Item, Note, event_to_json, link_to_json, note_to_json
 from skincal.journal.lines import LineWriter, key_of, lines_path
 from skincal.journal.lock import SessionLock, writer_of
@@ -234,7 +234,7 @@ class JournalWriter:
         }
         texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in about.items()}
         self._mcap.add_metadata("skincal", texts)
-        schemas = {name: self._mcap.register_schema(name, "ros2msg", text.encode()) for name, text in cdr.SCHEMAS.items()}
+        schemas = {name: self._mcap.register_schema(name, "ros2msg", text.encode()) for name, text in documents.SCHEMAS.items()}
         json_schema = self._mcap.register_schema("skincal.event", "jsonschema", b'{"type": "object"}')
         carried = {RAW_TOPIC + link.name: "skincal_msgs/msg/Chunk" for link in self._links} | _DECODED
         self._channels = {topic: self._mcap.register_channel(topic, "json", json_schema) for topic in (EVENT_TOPIC, NOTE_TOPIC)}
@@ -250,7 +250,7 @@ class JournalWriter:
             self._follow(item.host_ns)
         if isinstance(item, Chunk):
             at = self.unix_ns(item.host_ns)
-            data = cdr.encode_chunk(item.host_ns, item.data)
+            data = documents.encode_chunk(item.host_ns, item.data)
             self._mcap.add_message(self._channels[RAW_TOPIC + item.link], at, data, at, sequence=self._items)
             self._items += 1
             self._buffered = True
@@ -273,18 +273,18 @@ class JournalWriter:
     def _write_sample(self, sample: Sample) -> None:
         at = self.unix_ns(round(sample.host_s * 1e9))
         frame = self._scene.link
-        values = cdr.encode_taxels(at, frame, self._frames, 0, sample.skin)
+        values = documents.encode_taxels(at, frame, self._frames, 0, sample.skin)
         self._frames += 1
         self._mcap.add_message(self._channels["/taxels"], at, values, at)
         if sample.angles is not None:
             names = tuple(f"joint{k}" for k in range(len(sample.angles)))
-            self._mcap.add_message(self._channels["/joints"], at, cdr.encode_joints(at, frame, names, sample.angles), at)
+            self._mcap.add_message(self._channels["/joints"], at, documents.encode_joints(at, frame, names, sample.angles), at)
         self._buffered = True
 
     def _write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
         for host_s, wrench in zip(times_s.tolist(), wrenches, strict=True):
             at = self.unix_ns(round(host_s * 1e9))
-            self._mcap.add_message(self._channels["/wrench"], at, cdr.encode_wrench(at, "ft_sensor", wrench), at)
+            self._mcap.add_message(self._channels["/wrench"], at, documents.encode_wrench(at, "ft_sensor", wrench), at)
         self._buffered = True
 
     def _add_event(self, event: dict[str, Any]) -> None:

@@ -276,7 +276,7 @@ class ErrorHistory:
         )
 
 
-class ErrorCourse:
+class ErrorFollower:
     """Follows the course of errors of an open session against what the operator chose; asked for nothing, it does nothing.
 
     The past is worked out in the background, a moment at a time: other work comes in between, and what no longer holds after

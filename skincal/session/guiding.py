@@ -23,7 +23,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.rig.expected_gain import Gain, PlannedPoke, expected_error
-from skincal.session.known_points import landmark_normals, landmark_pokes
+from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.contact_table import Evidence

@@ -16,10 +16,10 @@ from skincal.journal.lock import SessionLock
 from skincal.journal.reader import LogItem, LogState, SessionLog
 from skincal.journal.recovery import recover_session
 from skincal.journal.writer import open_segment
+from skincal.model.actions import FoundAtLandmark, Stamped
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, with_layout
-from skincal.session.actions import FoundAtLandmark, Stamped
-from skincal.session.road import Road
+from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ MAX_PAUSE_S = 1.0
 
 def replay(
     folder: Path, speed: float | None = None, stop: Callable[[], bool] = lambda: False, layout: Path | None = None
-) -> Road:
+) -> Pipeline:
     """Play a session again into a road of its own; nothing in the folder changes.
 
     Parameters
@@ -54,7 +54,7 @@ def replay(
     return _played(SessionLog(folder), layout, speed, stop)
 
 
-def load(folder: Path, layout: Path | None = None) -> Road:
+def load(folder: Path, layout: Path | None = None) -> Pipeline:
     """Return a session as it was taken, without playing its bytes; nothing in the folder changes.
 
     Where the bytes must be played after all, they are: the session is older than the notes, or its scene was changed since.
@@ -76,7 +76,7 @@ def load(folder: Path, layout: Path | None = None) -> Road:
     return _load(SessionLog(folder), layout)
 
 
-def _load(log: SessionLog, layout: Path | None = None) -> Road:
+def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
     if log.scene_changed or not log.has_notes:
         return _played(log, layout)
     road = _new_road(log, layout)
@@ -93,13 +93,13 @@ def _load(log: SessionLog, layout: Path | None = None) -> Road:
     return road
 
 
-def _new_road(log: SessionLog, layout: Path | None) -> Road:
+def _new_road(log: SessionLog, layout: Path | None) -> Pipeline:
     """Return an empty road for a session, with the layout of a file where one is given."""
     scene = log.scene if layout is None else with_layout(log.scene, layout)
-    return Road(scene, log.links, _surface(scene))
+    return Pipeline(scene, log.links, _surface(scene))
 
 
-def _load_step(road: Road, item: LogState) -> None:
+def _load_step(road: Pipeline, item: LogState) -> None:
     if isinstance(item, SegmentMark):
         if item.number > 1:
             road.begin_segment(item.links)
@@ -109,7 +109,7 @@ def _load_step(road: Road, item: LogState) -> None:
         road.take(item)
 
 
-def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Road:
+def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     """Take a session up where it stopped: recovered if it was cut off, loaded, and open in a new segment.
 
     Parameters
@@ -130,7 +130,7 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Road:
         raise
 
 
-def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -> Road:
+def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -> Pipeline:
     said = recover_session(folder)
     road = _load(SessionLog(folder, own=True))
     links = road.links if links is None else tuple(links)
@@ -139,7 +139,7 @@ def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -
     return road
 
 
-def step(road: Road, item: LogItem) -> None:
+def step(road: Pipeline, item: LogItem) -> None:
     """Do one item of a log on a road."""
     if isinstance(item, SegmentMark):
         if item.number > 1:
@@ -154,7 +154,9 @@ def step(road: Road, item: LogItem) -> None:
         road.feed(item)
 
 
-def _played(log: SessionLog, layout: Path | None, speed: float | None = None, stop: Callable[[], bool] = lambda: False) -> Road:
+def _played(
+    log: SessionLog, layout: Path | None, speed: float | None = None, stop: Callable[[], bool] = lambda: False
+) -> Pipeline:
     road = _new_road(log, layout)
     pace = None if speed is None else _Pace(speed)
     misfits: list[str] = []

@@ -23,7 +23,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
-from skincal.session.known_points import landmark_normals, landmark_pokes
+from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of

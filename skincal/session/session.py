@@ -17,11 +17,7 @@ import numpy as np
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.model.errors import InputError
-from skincal.model.scene import Landmark, Scene
-from skincal.rig.correction import UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigRequest
-from skincal.session.actions import (
+from skincal.model.actions import (
     Action,
     AddLandmark,
     AskLandmark,
@@ -36,9 +32,13 @@ from skincal.session.actions import (
     Uncorrect,
     Undo,
 )
+from skincal.model.errors import InputError
+from skincal.model.scene import Landmark, Scene
+from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.corrections import Corrections
 from skincal.session.history import History, PokeStep, Step
-from skincal.session.known_points import KnownPoints
+from skincal.session.landmark_pokes import SessionLandmarks
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
 from skincal.taxels.result import Method
@@ -76,7 +76,7 @@ class Session:
         self._corrections = Corrections(self._correct_all)
         self._excluded, self._marked, self._revived = set[int](), set[int](), set[int]()
         self._found: Mapping[int, str] = {}
-        self._known = KnownPoints(scene.landmarks)
+        self._known = SessionLandmarks(scene.landmarks)
         self._history = History()
         self._answers: Counter[int] = Counter()
         """How many contacts that count each channel answered in."""

@@ -27,7 +27,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.resources import forearm_point, torso_point, tube
-from skincal.simulate.rig import NEIGHBOURS, Rig
+from skincal.simulate.simulated_rig import NEIGHBOURS, Rig
 
 LAID_ON = 4_000
 """Triangles."""

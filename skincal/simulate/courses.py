@@ -17,7 +17,7 @@ from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import CYCLE_S, simulate_contacts
 from skincal.simulate.operator import Habits, aim
-from skincal.simulate.rig import Rig
+from skincal.simulate.simulated_rig import Rig
 from skincal.simulate.ways import UNKNOWN, WAYS, Conditions, MeantPokes, poked, rig_beside
 from skincal.taxels.result import Estimate, Method
 

@@ -23,7 +23,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.simulate.faults import RigErrors, WrenchNoise
 from skincal.simulate.operator import HandPress, Move, Operator, OperatorAction
-from skincal.simulate.rig import Rig, Stance
+from skincal.simulate.simulated_rig import Rig, Stance
 
 MICROSECONDS = 1_000_000
 NANOSECONDS = 1_000_000_000

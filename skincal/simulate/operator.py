@@ -18,7 +18,7 @@ from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.simulate.orders import NoTarget, Order, PokeOrder, PoseOrder, TargetOrder, Wish
 from skincal.simulate.poke import PressedPlaces, by_hand, cone_tilts, held, join, push_directions, tangents
-from skincal.simulate.rig import Rig, Stance
+from skincal.simulate.simulated_rig import Rig, Stance
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN, TareTiming, simu
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
 from skincal.simulate.poke import PressedPlaces, by_hand, cone_tilts, held, push_directions, tangents
-from skincal.simulate.rig import Rig
+from skincal.simulate.simulated_rig import Rig
 
 POSE = "2"
 """Of the scene's arm poses the one whose lever is 0.18 m."""

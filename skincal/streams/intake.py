@@ -1,4 +1,11 @@
-"""The one facade of the streams: chunks and events of all links in, paired samples out.
+"""Which wrench acted while a skin frame was taken.
+
+A frame's stamp ends its interval: the wrench of a frame is the mean of the readings in the interval of one frame period
+up to the stamp, so no reading from after the frame is needed and the means of neighbouring frames share no reading. Where
+the wrench is slower than the skin and no reading falls into an interval, the wrench at its middle is interpolated.
+A frame waits until the wrench stream has passed its stamp; a frame that waited too long is counted and left out.
+
+The one facade of the streams: chunks and events of all links in, paired samples out.
 
 What comes out depends on the items fed and nothing else: no wall clock, no thread. So a journal of the items, fed again,
 gives the same samples bit for bit.
@@ -8,9 +15,12 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
 from typing import assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.geometry.arrays import FloatArray
 from skincal.model.errors import InputError
@@ -30,7 +40,211 @@ from skincal.model.readings import (
 from skincal.streams.clock import Stamper
 from skincal.streams.decoders.detect import LinkDecoder
 from skincal.streams.links import LinkSpec
-from skincal.streams.pairing import Pairing
+
+WAIT_S = 0.25
+"""s. How long a frame waits for the wrench: longer than any adapter holds bytes back, short enough for a live picture."""
+PERIOD_FRAMES = 15
+"""The frame period is the median of this many intervals: lost frames and a jumpy clock do not move it."""
+FIRST_PERIOD_S = 0.02
+"""s. Period of the first frame, when no interval is known: skins send 50 frames a second."""
+INTERPOLATE_S = 0.05
+"""s. Readings further apart are not interpolated: twice the period of a sensor at 50 Hz with one reading lost, and a bit."""
+EDGE_S = 1e-6
+"""s. A reading this little after an edge counts as on it: stamps are rounded to the microsecond by the devices."""
+WAITING_MAX = 4096
+"""Frames that may wait, whatever their stamps say: a bound for memory."""
+JOINTS_KEPT = 512
+RING_READINGS = 16384
+"""Readings kept: 10 s at 1.6 kHz."""
+WRENCH_WIDTH = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    host_s: float
+    arrival_s: float
+    period_s: float
+    values: FloatArray
+
+
+class Pairing:
+    """Brings wrench and joint angles to the instants of the skin frames. Stamps of each stream must ascend."""
+
+    def __init__(self) -> None:
+        self.ring = WrenchRing(RING_READINGS)
+        self.counts: Counter[Loss] = Counter()
+        """Frames left out: LATE and UNPAIRED."""
+        self._waiting: deque[_Frame] = deque()
+        self._intervals: deque[float] = deque(maxlen=PERIOD_FRAMES)
+        self._last_frame_s: float | None = None
+        self._joints: deque[tuple[float, FloatArray]] = deque(maxlen=JOINTS_KEPT)
+
+    def add_wrench(self, host_s: FloatArray, batch: WrenchBatch) -> None:
+        """Take wrench readings; those that are not finite or not valid are kept out of every mean."""
+        usable = np.isfinite(batch.wrench).all(axis=1) & ~batch.invalid
+        self.ring.append(host_s, batch.wrench, usable, batch.saturated | batch.invalid)
+
+    def add_joints(self, host_s: float, angles: FloatArray) -> None:
+        """Take joint angles, radians."""
+        self._joints.append((host_s, angles))
+
+    def add_frame(self, host_s: float, arrival_s: float, values: FloatArray) -> None:
+        """Take a skin frame; it is returned by `advance` when its wrench is known."""
+        if self._last_frame_s is not None:
+            self._intervals.append(host_s - self._last_frame_s)
+        self._last_frame_s = host_s
+        period_s = median(self._intervals) if self._intervals else FIRST_PERIOD_S
+        self._waiting.append(_Frame(host_s, arrival_s, period_s, values))
+        if len(self._waiting) > WAITING_MAX:
+            self._waiting.popleft()
+            self.counts[Loss.UNPAIRED] += 1
+
+    def advance(self, now_s: float) -> list[Sample]:
+        """Return the frames whose wrench is known, in order; count those that waited too long.
+
+        Parameters
+        ----------
+        now_s : s, arrival of the newest bytes of any link
+        """
+        samples: list[Sample] = []
+        while self._waiting:
+            frame = self._waiting[0]
+            sample = self._pair(frame) if self.ring.newest_s >= frame.host_s else None
+            if sample is not None:
+                samples.append(sample)
+            elif self.ring.forgot(frame.host_s - frame.period_s):
+                self.counts[Loss.LATE] += 1
+            elif now_s - max(frame.host_s, frame.arrival_s) > WAIT_S:
+                self.counts[Loss.UNPAIRED] += 1
+            else:
+                break
+            self._waiting.popleft()
+        return samples
+
+    def _pair(self, frame: _Frame) -> Sample | None:
+        if self.ring.forgot(frame.host_s - frame.period_s):
+            return None
+        among = self.ring.between(frame.host_s - frame.period_s + EDGE_S, frame.host_s + EDGE_S)
+        wrench, readings = self.ring.mean(among)
+        if not readings:
+            middle_s = frame.host_s - frame.period_s / 2
+            pair = self.ring.usable_around(middle_s, INTERPOLATE_S)
+            if pair is None or self.ring.gap(pair) >= INTERPOLATE_S:
+                return None
+            wrench, readings = self.ring.interpolate(pair, middle_s), len(pair)
+            among = slice(pair[0], pair[1] + 1)
+        return Sample(frame.host_s, frame.values, wrench, readings, self.ring.flagged(among), self._angles_at(frame.host_s))
+
+    def _angles_at(self, host_s: float) -> FloatArray | None:
+        """Return the last joint angles at or before an instant; older ones are dropped, as frames come in order."""
+        while len(self._joints) > 1 and self._joints[1][0] <= host_s:
+            self._joints.popleft()
+        return self._joints[0][1] if self._joints and self._joints[0][0] <= host_s else None
+
+
+class WrenchRing:
+    """Keeps the last `capacity` readings in order of their stamps, as plain slices.
+
+    The arrays are twice as long as needed: readings are written forward, and when the end is reached the newest half moves
+    to the front. So what is kept is always one contiguous slice, and a reading costs the same however long it runs.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._host_s = np.zeros(2 * capacity)
+        self._wrench = np.zeros((2 * capacity, WRENCH_WIDTH))
+        self._usable = np.zeros(2 * capacity, np.bool_)
+        self._flagged = np.zeros(2 * capacity, np.bool_)
+        self._end = 0
+        self._dropped = False
+
+    def append(self, host_s: FloatArray, wrench: FloatArray, usable: NDArray[np.bool_], flagged: NDArray[np.bool_]) -> None:
+        """Add readings that are newer than all before.
+
+        Parameters
+        ----------
+        host_s : (n,) float, seconds, ascending
+        wrench : (n, 6) float, N and N m
+        usable : (n,) the reading may be averaged
+        flagged : (n,) the device says saturated or invalid
+        """
+        kept = slice(max(len(host_s) - self._capacity, 0), None)
+        count = len(host_s[kept])
+        if count < len(host_s):
+            # What was kept is older than what is left out: together they would have a hole.
+            self._dropped = True
+            self._end = 0
+        if self._end + count > len(self._host_s):
+            self._move_to_front()
+        into = slice(self._end, self._end + count)
+        self._host_s[into] = host_s[kept]
+        self._wrench[into] = wrench[kept]
+        self._usable[into] = usable[kept]
+        self._flagged[into] = flagged[kept]
+        self._end += count
+
+    def _move_to_front(self) -> None:
+        count = min(self._capacity, self._end)
+        newest = slice(self._end - count, self._end)
+        for array in (self._host_s, self._wrench, self._usable, self._flagged):
+            array[:count] = array[newest].copy()
+        self._dropped |= count < self._end
+        self._end = count
+
+    @property
+    def newest_s(self) -> float:
+        """Stamp of the last reading, seconds; minus infinity before the first."""
+        return float(self._host_s[self._end - 1]) if self._end else -np.inf
+
+    def forgot(self, host_s: float) -> bool:
+        """Say whether readings from before the oldest kept were dropped and `host_s` lies among them."""
+        return self._dropped and host_s < self._host_s[0]
+
+    def between(self, after_s: float, until_s: float) -> slice:
+        """Return where the readings with `after_s < stamp <= until_s` lie."""
+        first, last = np.searchsorted(self._host_s[: self._end], (after_s, until_s), side="right")
+        return slice(int(first), int(last))
+
+    def mean(self, among: slice) -> tuple[FloatArray, int]:
+        """Return the mean of the usable readings of a slice, and their number; NaN if there are none."""
+        usable = self._usable[among]
+        wrench = self._wrench[among]
+        if not usable.all():
+            wrench = wrench[usable]
+        if not len(wrench):
+            return np.full(WRENCH_WIDTH, np.nan), 0
+        return wrench.mean(axis=0), len(wrench)
+
+    def flagged(self, among: slice) -> bool:
+        """Say whether the device flagged a reading of a slice."""
+        return bool(self._flagged[among].any())
+
+    def usable_around(self, host_s: float, within_s: float) -> tuple[int, int] | None:
+        """Return where the last usable reading before and the first at or after `host_s` lie; None if one is missing.
+
+        Parameters
+        ----------
+        within_s : s, how far to look on either side
+        """
+        near = self.between(host_s - within_s, host_s + within_s)
+        usable = near.start + np.flatnonzero(self._usable[near])
+        right = int(np.searchsorted(self._host_s[usable], host_s))
+        return None if right in (0, len(usable)) else (int(usable[right - 1]), int(usable[right]))
+
+    def interpolate(self, pair: tuple[int, int], host_s: float) -> FloatArray:
+        """Return the wrench at `host_s` on the straight line between two readings."""
+        (left_s, right_s), (left, right) = self._host_s[list(pair)], self._wrench[list(pair)]
+        return left + (right - left) * ((host_s - left_s) / (right_s - left_s))
+
+    def gap(self, pair: tuple[int, int]) -> float:
+        """Return the time between two readings, seconds."""
+        return float(self._host_s[pair[1]] - self._host_s[pair[0]])
+
+    def since(self, host_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return copies of the stamps (n,) and wrenches (n, 6) from `host_s` on, usable or not."""
+        first = int(np.searchsorted(self._host_s[: self._end], host_s))
+        return self._host_s[first : self._end].copy(), self._wrench[first : self._end].copy()
+
 
 RECENT_S = 10.0
 """s. What the live curves show."""

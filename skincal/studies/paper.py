@@ -26,7 +26,7 @@ from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.rig import Rig
+from skincal.simulate.simulated_rig import Rig
 from skincal.studies.measuring import at_rest, bar_lines, bars_of, clock, processes
 from skincal.taxels.result import Method
 

@@ -79,7 +79,7 @@ def recorded_once(tmp_path_factory):
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene
     from skincal.simulate.faults import RigErrors
-    from skincal.simulate.session import simulate_session
+    from skincal.simulate.virtual_session import simulate_session
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
     folder = tmp_path_factory.mktemp("recorded") / "session"

@@ -10,9 +10,8 @@ from guide_support import ASKED, TILT, TO_2, guidance, held, part, target, told_
 from scene3d_support import box
 from window_support import PLAN, SCENE, frame, reading, session
 
-from app.coaching import AIM_FAR, COACH_S, Ask, PressCoach, tilt_hint
-from app.guide_words import Lean
-from app.text.now import NowMemory, Tone, now_line
+from app.text.guidance_text import AIM_FAR, COACH_S, Ask, Lean, PressCoach, tilt_hint
+from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.coaching import leeway
 from skincal.session.guiding import SessionGuide

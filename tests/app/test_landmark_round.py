@@ -10,21 +10,21 @@ from guide_support import guidance, part, target
 from scene3d_support import laid
 from window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
 
-from app.guide_words import gain_words, landmark_words, target_words, why_words
-from app.heard import Ear, Heard, heard
+from app.sound.cues import Ear, Heard, heard
 from app.state.policies import allowed
 from app.state.running import Running
-from app.text.now import NowMemory, Tone, now_line
+from app.text.guidance_text import gain_words, landmark_words, target_words, why_words
+from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide import landmark_targets as landmarks_module
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.landmark_targets import LandmarkTarget
 from skincal.guide.places import PlannedPlaces
+from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
-from skincal.session.actions import FoundAtLandmark
 from skincal.session.guiding import LandmarkGuide, SessionGuide, plan_of
-from skincal.session.known_points import REACTION_S, LandmarkFinder
+from skincal.session.landmark_pokes import REACTION_S, LandmarkFinder
 from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method

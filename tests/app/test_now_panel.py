@@ -12,15 +12,13 @@ from PySide6.QtWidgets import QApplication
 from whole_window import Paints
 from window_support import NAMES, PLAN, changed, frame, pixels, reading, session, slip, touch
 
-from app.coaching import Ask, Hint, hint_words
-from app.guide_words import Lean, enough_words
-from app.panels.dial import DIAL_PX
-from app.panels.now import NowPanel
+from app.panels.now_panel import DIAL_PX, NowPanel
+from app.panels.top_view import AROUND, TOOL, axes_on, top_view
 from app.scene3d.camera import PLAIN, Eye
-from app.text.now import Now, NowMemory, Tone, now_line
+from app.text.guidance_text import Ask, Hint, Lean, enough_words, hint_words
+from app.text.now_text import Now, NowMemory, Tone, now_line
+from app.text.outcomes import verdict_words
 from app.theme import DARK, HEADLINE_PT, LIGHT
-from app.top_view import AROUND, TOOL, axes_on, top_view
-from app.words import verdict_words
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
 

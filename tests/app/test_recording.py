@@ -5,15 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from app.session.open_request import OpenRequest
-from app.session.recording import Recording
-from app.session.storage import Storage
+from app.session.opening import OpenRequest
+from app.session.recording import Recording, Storage
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME
+from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
-from skincal.session.actions import Exclude
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
 
@@ -28,7 +27,7 @@ class Folder:
 def recording(tmp_path, monkeypatch):
     monkeypatch.setattr(Recording, "start", lambda _: None)  # nothing to read: the test feeds the road
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, writer.create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, writer.create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(some_pokes(scene, 2).samples):
         road.feed(item)
     yield Recording(road, Folder(tmp_path / "s"))
@@ -77,7 +76,7 @@ def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path,
     """It goes on while it is copied; lines that speak of bytes that were not copied would not be played."""
     temporary = Storage(OpenRequest(), tmp_path / "documents")
     copy, rest = shutil.copytree, as_chunks(some_pokes(recording.road.scene, 4).samples)
-    road = Road(recording.road.scene, LINKS, None, writer.create_session(temporary.folder, recording.road.scene, LINKS))
+    road = Pipeline(recording.road.scene, LINKS, None, writer.create_session(temporary.folder, recording.road.scene, LINKS))
 
     def slowly(*arguments, **options):
         for _ in range(len(rest) // 2):

@@ -16,15 +16,15 @@ from app.workers.review_client import SKIN, ReviewClient
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
+from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.rig.correction import RIG, Correction
-from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer, Unreviewed
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.rig import Rig
+from skincal.simulate.simulated_rig import Rig
 
 
 @pytest.fixture(scope="module")

@@ -10,20 +10,20 @@ import pytest
 from scene3d_support import estimate
 from window_support import PLAN, arm_scene, frame, session, slip, touch
 
-from app.display_units import DASH
-from app.panels.rig import NO_POINTS, NOT_YET, WAITING, RigPanel
+from app.panels.rig_panel import NO_POINTS, NOT_YET, WAITING, RigPanel
 from app.state.policies import allowed
 from app.state.rig_review import RigReview, offers_of
 from app.state.running import Running
-from app.text.rig import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
+from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
+from app.units import DASH
 from skincal.contacts.outcome import Reason
 from skincal.geometry.arrays import FloatArray
+from skincal.model.actions import Uncorrect
 from skincal.model.scene import Landmark
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
 from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
-from skincal.session.actions import Uncorrect
 from skincal.session.corrections import correction_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot

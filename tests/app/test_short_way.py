@@ -10,7 +10,7 @@ from scene3d_support import estimate
 from window_support import PLAN, frame, session, slip, touch
 
 from app.state.running import Running
-from app.text.now import modules_enough_words
+from app.text.now_text import modules_enough_words
 from skincal.session.guiding import ModulesEnough, plan_of
 from skincal.taxels.result import Estimate, Method, State
 

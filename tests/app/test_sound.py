@@ -10,10 +10,9 @@ import time
 import numpy as np
 import pytest
 
-from app import sound
-from app.earcons import RATE, Sound, samples_of
-from app.sound import NoSoundError, Player, open_output
-from app.speech import Speaker, speech_command
+from app.sound import player as sound_player
+from app.sound.cues import RATE, Cue, samples_of
+from app.sound.player import NoSoundError, Player, Speaker, open_output, speech_command
 
 WAIT_S = 5.0
 """s. What takes milliseconds is waited for so long, on a busy machine."""
@@ -89,17 +88,17 @@ def make():
 def test_a_sound_reaches_the_device_whole_and_then_there_is_silence(make):
     tape = Tape()
     player = make(Shop(tape))
-    player.play(Sound.ACCEPTED)
+    player.play(Cue.ACCEPTED)
     until(lambda: tape.stream is not None)
     sizes = {len(tape.run()) for _ in range(15)}
-    assert tape.heard == samples_of(Sound.ACCEPTED)
+    assert tape.heard == samples_of(Cue.ACCEPTED)
     assert 0 in sizes
     assert 960 in sizes
-    player.play(Sound.DONE)
+    player.play(Cue.DONE)
     until(lambda: tape.run())
     for _ in range(15):
         tape.run()
-    assert tape.heard == samples_of(Sound.ACCEPTED) + samples_of(Sound.DONE)
+    assert tape.heard == samples_of(Cue.ACCEPTED) + samples_of(Cue.DONE)
     assert tape.calls == ["start"]
     assert player.told == [True]
 
@@ -107,11 +106,11 @@ def test_a_sound_reaches_the_device_whole_and_then_there_is_silence(make):
 def test_a_new_sound_cuts_off_the_one_before(make):
     tape = Tape()
     player = make(Shop(tape))
-    player.play(Sound.DONE)
+    player.play(Cue.DONE)
     until(lambda: tape.stream is not None)
-    assert tape.run() == samples_of(Sound.DONE)[:960]
-    player.play(Sound.REJECTED)
-    until(lambda: tape.run() == samples_of(Sound.REJECTED)[:960])
+    assert tape.run() == samples_of(Cue.DONE)[:960]
+    player.play(Cue.REJECTED)
+    until(lambda: tape.run() == samples_of(Cue.REJECTED)[:960])
 
 
 def test_asking_for_a_sound_takes_no_time_whatever_the_device_does(make):
@@ -125,7 +124,7 @@ def test_asking_for_a_sound_takes_no_time_whatever_the_device_does(make):
     times = []
     for _ in range(200):
         begin = time.perf_counter()
-        player.play(Sound.CONTACT)
+        player.play(Cue.CONTACT)
         times.append(time.perf_counter() - begin)
     free.set()
     assert np.median(times) < 1e-3
@@ -133,7 +132,7 @@ def test_asking_for_a_sound_takes_no_time_whatever_the_device_does(make):
 
 
 def test_what_waited_too_long_for_the_device_is_not_played(make, monkeypatch):
-    monkeypatch.setattr(sound, "LATE_S", 0.05)
+    monkeypatch.setattr(sound_player, "LATE_S", 0.05)
     tape, free = Tape(), threading.Event()
 
     def slow() -> Tape:
@@ -141,7 +140,7 @@ def test_what_waited_too_long_for_the_device_is_not_played(make, monkeypatch):
         return tape
 
     player = make(slow)
-    player.play(Sound.REJECTED)
+    player.play(Cue.REJECTED)
     time.sleep(0.1)
     free.set()
     until(lambda: player.told == [True])
@@ -149,15 +148,15 @@ def test_what_waited_too_long_for_the_device_is_not_played(make, monkeypatch):
 
 
 def test_the_device_runs_only_while_sounds_come(make, monkeypatch):
-    monkeypatch.setattr(sound, "LINGER_S", 0.1)
+    monkeypatch.setattr(sound_player, "LINGER_S", 0.1)
     tape = Tape()
     player = make(Shop(tape))
     player.get_ready()
     until(lambda: player.told == [True])
     assert tape.calls == []
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: tape.calls == ["start", "stop"])
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: tape.calls == ["start", "stop"] * 2)
     player.close()
     assert tape.calls[-1] == "close"
@@ -169,16 +168,16 @@ def test_no_device_is_no_error_is_logged_once_and_is_looked_for_again_later(make
     shop = Shop(None, None, tape)
     player = make(shop)
     for _ in range(5):
-        player.play(Sound.CONTACT)
+        player.play(Cue.CONTACT)
     until(lambda: player.told == [False])
     time.sleep(0.05)
     assert shop.opened == 1
-    monkeypatch.setattr(sound, "RETRY_S", 0.0)
+    monkeypatch.setattr(sound_player, "RETRY_S", 0.0)
     player._retry_s = 0.0
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: shop.opened == 2)
     assert player.told == [False]
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: player.told == [False, True])
     until(lambda: tape.run())
     assert [r.getMessage() for r in caplog.records] == ["nothing is heard: no sound device (gone)"]
@@ -189,33 +188,33 @@ def test_a_library_that_cannot_be_imported_is_no_error(make, monkeypatch, caplog
     caplog.set_level(logging.INFO)
     monkeypatch.setitem(sys.modules, "miniaudio", None)
     player = make(open_output)
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: player.told == [False])
     assert "the sound library cannot be loaded" in caplog.text
 
 
 def test_a_device_that_vanished_gives_way_to_the_next(make, monkeypatch):
-    monkeypatch.setattr(sound, "LINGER_S", 0.05)
+    monkeypatch.setattr(sound_player, "LINGER_S", 0.05)
     first, second = Tape(), Tape()
     player = make(Shop(first, second))
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: "stop" in first.calls)
     first.fault = RuntimeError("the plug is out")
-    player.play(Sound.DONE)
+    player.play(Cue.DONE)
     until(lambda: second.stream is not None)
-    assert second.run() == samples_of(Sound.DONE)[:960]
+    assert second.run() == samples_of(Cue.DONE)[:960]
     assert first.calls[-1] == "close"
     assert False not in player.told
 
 
 def test_a_device_that_takes_nothing_any_more_is_given_up(make, monkeypatch):
-    monkeypatch.setattr(sound, "GONE_S", 0.05)
+    monkeypatch.setattr(sound_player, "GONE_S", 0.05)
     first, second = Tape(deaf=True), Tape()
     player = make(Shop(first, second))
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: first.stream is not None)
     time.sleep(0.1)
-    player.play(Sound.DONE)
+    player.play(Cue.DONE)
     until(lambda: second.stream is not None)
     assert first.calls == ["start", "close"]
 
@@ -224,7 +223,7 @@ def test_a_device_that_vanished_for_good_leaves_silence(make):
     first = Tape()
     first.fault = RuntimeError("the plug is out")
     player = make(Shop(first))
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     until(lambda: player.told == [False])
     assert first.calls == ["start", "close"]
 
@@ -234,14 +233,14 @@ def test_sounds_that_are_off_open_nothing(make):
     player = make(shop)
     player.on = False
     player.get_ready()
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     time.sleep(0.02)
     assert shop.opened == 0
     assert not [t for t in threading.enumerate() if t.name == "skincal-sound"]
 
 
 def test_closing_does_not_wait_for_a_device_that_hangs(make, monkeypatch):
-    monkeypatch.setattr(sound, "STOP_S", 0.1)
+    monkeypatch.setattr(sound_player, "STOP_S", 0.1)
     free = threading.Event()
 
     def hangs() -> Tape:
@@ -249,11 +248,11 @@ def test_closing_does_not_wait_for_a_device_that_hangs(make, monkeypatch):
         return Tape()
 
     player = make(hangs)
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     begin = time.monotonic()
     player.close()
     assert time.monotonic() - begin < 1.0
-    player.play(Sound.CONTACT)
+    player.play(Cue.CONTACT)
     free.set()
     until(lambda: not [t for t in threading.enumerate() if t.name == "skincal-sound"])
     assert player.told == []
@@ -263,26 +262,26 @@ def test_the_library_takes_the_samples_at_their_pace(make, monkeypatch):
     """With the library's own device that nobody hears."""
     pytest.importorskip("miniaudio")
     taken: list[tuple[float, int]] = []
-    take = sound.Line.take
+    take = sound_player.Line.take
 
-    def watched(line: sound.Line, frames: int) -> bytes:
+    def watched(line: sound_player.Line, frames: int) -> bytes:
         part = take(line, frames)
         taken.append((time.monotonic(), len(part)))
         return part
 
-    monkeypatch.setattr(sound.Line, "take", watched)
+    monkeypatch.setattr(sound_player.Line, "take", watched)
     player = make(lambda: open_output(real=False))
     player.get_ready()
     until(lambda: player.told == [True])
     assert not taken
-    for each in (Sound.ACCEPTED, Sound.LOST):
+    for each in (Cue.ACCEPTED, Cue.LOST):
         taken.clear()
         player.play(each)
         until(lambda each=each: sum(n for _, n in taken) == len(samples_of(each)))
         until(lambda: taken[-1][1] == 0)
     begin, count = taken[0][0], len(taken)
     time.sleep(0.5)
-    pace = (len(taken) - count) * sound.PERIOD_MS * 1e-3 / 0.5
+    pace = (len(taken) - count) * player.PERIOD_MS * 1e-3 / 0.5
     assert 0.5 < pace < 1.5, f"after {taken[-1][0] - begin:.3f} s"
     player.close()
     count = len(taken)
@@ -291,7 +290,7 @@ def test_the_library_takes_the_samples_at_their_pace(make, monkeypatch):
 
 
 def test_samples_are_what_the_device_is_opened_for():
-    assert {s: len(samples_of(s)) % 2 for s in Sound} == dict.fromkeys(Sound, 0)
+    assert {s: len(samples_of(s)) % 2 for s in Cue} == dict.fromkeys(Cue, 0)
     miniaudio = pytest.importorskip("miniaudio")
     output = open_output(real=False)
     assert (output.sample_rate, output.nchannels, output.sample_width) == (RATE, 1, 2)
@@ -308,7 +307,7 @@ def spoken(path, **options):
 def test_a_word_is_said_after_the_sound_where_that_is_wanted(make, tmp_path):
     tape, path = Tape(), tmp_path / "said"
     player = make(Shop(tape), **spoken(path))
-    player.play(Sound.REJECTED, "slid")
+    player.play(Cue.REJECTED, "slid")
     until(lambda: tape.stream is not None)
     time.sleep(0.05)
     assert not path.exists()
@@ -316,11 +315,11 @@ def test_a_word_is_said_after_the_sound_where_that_is_wanted(make, tmp_path):
     taken = []
     for _ in range(5):
         begin = time.perf_counter()
-        player.play(Sound.REJECTED, "too soft")
+        player.play(Cue.REJECTED, "too soft")
         taken.append(time.perf_counter() - begin)
     assert min(taken) < 0.02, "a busy machine may pause any of them"
     until(lambda: path.exists() and path.read_text() == "too soft")
-    player.play(Sound.REJECTED, "too hard")
+    player.play(Cue.REJECTED, "too hard")
     until(lambda: path.read_text() == "too hard")
     player.close()
 
@@ -330,7 +329,7 @@ def test_a_speech_command_that_cannot_be_run_is_no_error(make, tmp_path):
     player = make(Shop(tape), speech=(str(tmp_path / "nothing"),))
     player.speaks = True
     for _ in range(2):
-        player.play(Sound.REJECTED, "slid")
+        player.play(Cue.REJECTED, "slid")
     until(lambda: tape.stream is not None)
     until(lambda: not player.can_speak)
     assert player.told == [True]

@@ -15,7 +15,14 @@ from view3d_on_screen import pixels as picture
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import NAMES, PLAN, SCENE, frame, session
 
-from app.compare_words import (
+from app.panels.compare_panel import ComparePanel
+from app.scene3d.compare_layer import heads
+from app.scene3d.static_scene import DARK as DARK_LOOK
+from app.scene3d.static_scene import LIGHT as LIGHT_LOOK
+from app.scene3d.static_scene import Cloud, Comparison, Tint
+from app.session.opening import OpenRequest
+from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, sources_of
+from app.text.compare_text import (
     MOST_MODULES,
     difference_words,
     listed_modules,
@@ -27,21 +34,14 @@ from app.compare_words import (
     source_words,
     spacing_words,
 )
-from app.comparing import LAYOUT, Origin, Places, Source, default_pair, sources_of
-from app.display_units import ChannelNames
-from app.panels.compare import ComparePanel
-from app.scene3d.compare import heads
-from app.scene3d.static_scene import DARK as DARK_LOOK
-from app.scene3d.static_scene import LIGHT as LIGHT_LOOK
-from app.scene3d.static_scene import Cloud, Comparison, Tint
-from app.session.open_request import OpenRequest
 from app.theme import DARK
+from app.units import ChannelNames
 from skincal.model.skin import Anchor
 from skincal.modules import health
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.correction_fit import RigAnswer
 from skincal.sentences import left_sentences, misfit_sentence
-from skincal.session.error_history import ErrorCourse
+from skincal.session.error_history import ErrorFollower
 from skincal.session.modules_check import ModulesCheck
 from skincal.session.part import Part
 from skincal.session.review import Review
@@ -49,7 +49,7 @@ from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
 
 METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
-FREE, SURFACE = (Source(Origin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
+FREE, SURFACE = (Source(PlaceOrigin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
 CHANNELS = PLAN.channels
 
 
@@ -125,7 +125,7 @@ def test_a_review_holds_one_side_of_a_correction_and_the_session_the_other():
     before = np.arange(6.0).reshape(2, 3)
     used = review({Method.FREE: before}, {}, np.array([7, 9]))
     places, moment = Places(CHANNELS, None), at(known((0.0, 0.0, 0.001)))
-    first, second = (Source(origin, Method.FREE) for origin in (Origin.BEFORE, Origin.AFTER))
+    first, second = (Source(origin, Method.FREE) for origin in (PlaceOrigin.BEFORE, PlaceOrigin.AFTER))
     found = places.find(first, replace(moment, review=used))
     np.testing.assert_array_equal(found[[7, 9]], before)
     assert np.isnan(np.delete(found, [7, 9], axis=0)).all()
@@ -496,7 +496,7 @@ def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, r
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):
     calls = []
-    for owner, name in ((ModulesCheck, "follow"), (ErrorCourse, "follow"), (Places, "find"), (ComparePanel, "show_state")):
+    for owner, name in ((ModulesCheck, "follow"), (ErrorFollower, "follow"), (Places, "find"), (ComparePanel, "show_state")):
         monkeypatch.setattr(owner, name, lambda *_, name=name: calls.append(name))
     bench.open_served("flat-patch")
     bench.until(lambda: len(bench.accepted()) >= 1)

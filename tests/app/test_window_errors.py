@@ -15,7 +15,11 @@ from scene3d_support import estimate
 from whole_window import OPEN_MS, Bench, Paints
 from window_support import PLAN, SCENE, changed, frame, pixels, session, touch
 
-from app.error_words import (
+from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
+from app.panels.errors_panel import ErrorsPanel
+from app.session import controller
+from app.session.opening import OpenRequest
+from app.text.errors_text import (
     PAPER,
     Axis,
     axis_words,
@@ -27,15 +31,21 @@ from app.error_words import (
     shown_range,
     source_words,
 )
-from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
-from app.panels.errors import ErrorsPanel
-from app.session import controller
-from app.session.open_request import OpenRequest
 from app.theme import DARK, LIGHT
 from app.workers.device_process import DeviceProcess
 from skincal.files.reference import Origin, Reference
 from skincal.model.scene import resource
-from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorCourse, ErrorHistory, ErrorSeries, Recount, error_series
+from skincal.session.error_history import (
+    MAX,
+    MEAN,
+    P95,
+    TAXELS,
+    ErrorFollower,
+    ErrorHistory,
+    ErrorSeries,
+    Recount,
+    error_series,
+)
 from skincal.session.part import Part, load_part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
@@ -131,7 +141,7 @@ def at(made: Session, **changes):
     return frame(made.snapshot(), **changes)
 
 
-def follow(course: ErrorCourse, state) -> None:
+def follow(course: ErrorFollower, state) -> None:
     course.follow(state.snapshot, state.revision)
 
 
@@ -144,7 +154,7 @@ def queue():
 def panel(qtbot, queue):
     """A panel on the screen with its plot."""
     made = ErrorsPanel((Method.FREE,), PLAN)
-    course, show = ErrorCourse(part(reference(Origin.PLAN, "part")), queue), made.show_state
+    course, show = ErrorFollower(part(reference(Origin.PLAN, "part")), queue), made.show_state
 
     def follow_and_show(state) -> None:
         # As the window does: what a panel on the screen shows is followed first.
@@ -190,7 +200,7 @@ def test_the_past_of_a_session_that_is_open_already_is_worked_out_and_drawn(pane
 
 
 def test_each_poke_adds_its_point_and_an_exclusion_rewrites_the_course(panel, queue):
-    from skincal.session.actions import Exclude
+    from skincal.model.actions import Exclude
 
     made = Session(SCENE, None)
     whole = poked(8)
@@ -303,7 +313,7 @@ def test_a_panel_that_is_hidden_follows_nothing(panel, queue):
 
 
 def test_work_for_another_source_is_dropped(queue):
-    tracker = ErrorCourse(part(reference(Origin.PLAN, "part")), queue)
+    tracker = ErrorFollower(part(reference(Origin.PLAN, "part")), queue)
     made = at(poked(6))
     follow(tracker, made)
     (work, done), queue.waiting = queue.waiting[0], []
@@ -323,7 +333,7 @@ def test_work_that_fails_is_tried_again_once_the_session_is_another(queue, monke
     def broken(*_):
         raise RuntimeError("of the estimate")
 
-    tracker = ErrorCourse(part(None), queue)
+    tracker = ErrorFollower(part(None), queue)
     made = poked(6)
     follow(tracker, at(made))
     with monkeypatch.context() as fault:
@@ -342,13 +352,13 @@ def test_work_that_fails_is_tried_again_once_the_session_is_another(queue, monke
 
 
 def test_where_no_place_is_known_it_is_the_predicted_error(queue):
-    tracker = ErrorCourse(part(None), queue)
+    tracker = ErrorFollower(part(None), queue)
     assert (tracker.source, tracker.sources) == (None, [None])
-    assert ErrorCourse(part(reference(Origin.PLAN, "part")), queue).source.origin is Origin.PLAN
+    assert ErrorFollower(part(reference(Origin.PLAN, "part")), queue).source.origin is Origin.PLAN
 
 
 def test_a_file_takes_the_place_of_the_file_before_and_the_plan_stays(queue):
-    tracker = ErrorCourse(part(reference(Origin.PLAN, "part")), queue)
+    tracker = ErrorFollower(part(reference(Origin.PLAN, "part")), queue)
     for name in ("a.json", "b.json"):
         tracker.offer(reference(Origin.FILE, name))
     tracker.offer(reference(Origin.TRUTH))
@@ -359,7 +369,7 @@ def test_a_file_takes_the_place_of_the_file_before_and_the_plan_stays(queue):
 def test_a_panel_that_was_never_open_imports_no_plots():
     code = (
         "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]);"
-        "from app.panels.errors import ErrorsPanel; from skincal.session.error_history import ErrorCourse;"
+        "from app.panels.errors_panel import ErrorsPanel; from skincal.session.error_history import ErrorCourse;"
         "from skincal.taxels.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
         "sys.exit('pyqtgraph' in sys.modules or panel._threads is not None)"
     )
@@ -371,7 +381,7 @@ class Calls:
 
     def __init__(self, monkeypatch) -> None:
         self.count = 0
-        for owner, name in ((ErrorHistory, "take"), (ErrorHistory, "series"), (Recount, "work"), (ErrorCourse, "follow")):
+        for owner, name in ((ErrorHistory, "take"), (ErrorHistory, "series"), (Recount, "work"), (ErrorFollower, "follow")):
             monkeypatch.setattr(owner, name, self._counted(getattr(owner, name)))
 
     def _counted(self, method):

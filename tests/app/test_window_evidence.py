@@ -11,13 +11,13 @@ from scene3d_support import contact, estimate
 from vtkmodules.vtkRenderingCore import vtkRenderer
 from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, session, touch
 
-from app.evidence_words import LISTED, doubt_mark, doubt_words, doubting, miss_of, rival_words, taxel_pokes, weight_of
-from app.panels.inspect import InspectPanel, poke_cells
-from app.panels.pokes import PokesPanel
+from app.panels.inspect_panel import InspectPanel, poke_cells
+from app.panels.pokes_panel import PokesPanel
 from app.panels.taxel_map import TaxelMap
 from app.scene3d import static_scene
 from app.scene3d.estimates import BLIND_REACH, EstimatesLayer
 from app.scene3d.static_scene import StaticScene, View3DState
+from app.text.errors_text import LISTED, doubt_mark, doubt_words, doubting, miss_of, rival_words, taxel_pokes, weight_of
 from app.theme import DARK
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, Rival, State

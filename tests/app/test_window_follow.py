@@ -13,19 +13,19 @@ from PySide6.QtCore import Qt
 from whole_window import OPEN_MS
 
 from app.session.controller import Controller, operator_target
-from app.session.open_request import server_command
+from app.session.opening import server_command
 from app.state.running import Running
-from app.words import peak_channel
+from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
 from skincal.cli.record import OrderLine, _loop
 from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.journal.reader import SessionLog
 from skincal.mesh.load import load_surface
+from skincal.model.actions import FoundAtLandmark, Stamped, to_json
 from skincal.model.readings import Chunk, LinkEvent
 from skincal.rig.correction import RIG, Correction
-from skincal.session.actions import FoundAtLandmark, Stamped, to_json
 from skincal.session.corrections import correct_action
-from skincal.session.road import Road
+from skincal.session.pipeline import Pipeline
 from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
 from tests.skincal.poke_script import outcome_key, same_estimates
 
@@ -165,7 +165,7 @@ def without_a_window(folder, lived) -> None:
         elif isinstance(item, Stamped) and not isinstance(item.action, FoundAtLandmark):
             items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
     surface = load_surface(log.scene.surface)[0]
-    headless = Road(log.scene, log.links, surface)
+    headless = Pipeline(log.scene, log.links, surface)
     _loop(headless, items, {}, None, None)
     headless.close()
     here, there = headless.snapshot(), lived.snapshot()

@@ -18,7 +18,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 from whole_window import Bench, Paints
 from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session
 
-from app.panels.inspect import InspectPanel
+from app.panels.inspect_panel import InspectPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.texts import FittedLabel
 from app.scene3d.camera import PLAIN, Sight
@@ -26,7 +26,7 @@ from app.scene3d.canvas import Canvas
 from app.scene3d.static_scene import StaticScene, View3DState
 from app.scene3d.target import CORE_LIFT, HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
-from app.session.open_request import OpenRequest
+from app.session.opening import OpenRequest
 from app.theme import DARK, Choice
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Target

@@ -11,11 +11,10 @@ from whole_window import OPEN_MS, Bench
 from window_support import changed, pixels
 
 from app.commands import COMMANDS, key_words
-from app.dialogs.export import ExportDialog
+from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog
-from app.dialogs.pedals import PedalsDialog
-from app.pedal import MODIFIERS, PEDALS, USED_BY_WIDGETS, Pedals, key_name, objection
-from app.session.open_request import OpenRequest
+from app.dialogs.pedals import MODIFIERS, PEDALS, USED_BY_WIDGETS, Pedals, PedalsDialog, key_name, objection
+from app.session.opening import OpenRequest
 from app.state.running import Running
 from skincal.taxels.result import Method
 

@@ -9,12 +9,12 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialogButtonBox, QWidget
 from view3d_on_screen import make_view
 
-from app.dialogs.landmark import ASK, LandmarkDialog, LandmarkPicking, free_name, objection_to
+from app.dialogs.landmark_dialog import ASK, LandmarkDialog, LandmarkPicking, free_name, objection_to
 from app.panels.message_bar import MessageBar
-from app.session.open_request import OpenRequest
+from app.session.opening import OpenRequest
 from app.text.message import Message
 from skincal.mesh.search import nearest_points
-from skincal.session.actions import AddLandmark
+from skincal.model.actions import AddLandmark
 
 Key = Qt.Key
 PLACE = np.array([0.01234, -0.0456, 0.0])

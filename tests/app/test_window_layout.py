@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QFileDialog, QPushButton
 from test_window_compare import Queue, anchored, at, judged_and_shown, known, make_panel, open_compare
 from whole_window import OPEN_MS, Bench
 
-from app.panels.compare import ComparePanel
+from app.panels.compare_panel import ComparePanel
 from skincal.model.scene import resource
 from skincal.model.skin import load_layout
 

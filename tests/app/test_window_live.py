@@ -19,7 +19,7 @@ from window_support import changed, pixels
 
 from app.run import GARBAGE, Faults
 from app.scene3d.canvas import best_canvas
-from app.session.open_request import OpenRequest, server_command
+from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
 from app.state.view_state import LinkLook
 from app.text.message import Message

@@ -11,22 +11,20 @@ from PySide6.QtWidgets import QWidget
 from scene3d_support import estimate
 from window_support import NAMES, PLAN, SCENE, arm_scene, changed, frame, link, pixels, reading, session, slip, touch
 
-from app.dialogs.export import ExportDialog
+from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog, shipped_scenes
-from app.display_units import ChannelNames
-from app.panels.arm import ArmPanel
 from app.panels.curves import CurvesPanel
 from app.panels.devices import DevicesPanel, LinkChips
-from app.panels.inspect import InspectPanel
-from app.panels.map_layout import fit, plan_map
-from app.panels.marks import SMALL, Stamps, draw_mark
+from app.panels.inspect_panel import InspectPanel
 from app.panels.message_bar import MessageBar
-from app.panels.now import NowPanel
-from app.panels.pokes import PokesPanel
-from app.panels.taxel_map import TaxelMap
+from app.panels.now_panel import NowPanel
+from app.panels.pokes_panel import PokesPanel
+from app.panels.rig_panel import ArmPanel
+from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map
 from app.state.policies import Mark
 from app.text.message import Message
 from app.theme import DARK, HUES, LIGHT, Choice, Colours, Theme, qpalette
+from app.units import ChannelNames
 from app.workspace import RIGHT_PX
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.model.readings import LinkState, Stream

@@ -14,20 +14,20 @@ from PySide6.QtTest import QTest
 from whole_window import OPEN_MS
 
 from app.session import controller
-from app.session.open_request import OpenRequest
+from app.session.opening import OpenRequest
 from app.state.running import Running
 from app.text.message import STILL_SOLVING
-from app.text.rig import offer_text, offer_words
+from app.text.rig_text import offer_text, offer_words
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
 from skincal.guide.landmark_targets import ASTRAY
+from skincal.model.actions import SetPose, Undo
 from skincal.model.readings import LinkEvent, LinkState
 from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
-from skincal.session.actions import SetPose, Undo
 from skincal.session.corrections import correct_action
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.rig import Rig
+from skincal.simulate.simulated_rig import Rig
 from skincal.taxels.result import Method
 
 Key = Qt.Key

@@ -17,12 +17,12 @@ from whole_window import OPEN_MS
 from window_support import changed, pixels
 
 from app.commands import COMMANDS
-from app.dialogs.export import ExportDialog
+from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.pedals import PedalsDialog
-from app.dialogs.verdict import VerdictDialog
-from app.session.open_request import OpenRequest, server_command
+from app.dialogs.verdict_dialog import VerdictDialog
+from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
-from app.words import peak_channel
+from app.text.outcomes import peak_channel
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import load_reference
 from skincal.guide.guidance import GuidePhase

@@ -12,14 +12,14 @@ from PySide6.QtGui import QColor
 from whole_window import Paints
 from window_support import NAMES, changed, frame, pixels, session
 
-from app.guide_words import FOLLOWS, WHAT, sky_words
-from app.panels.inspect import InspectPanel
-from app.panels.sky import LEGENDS, SKY_PX, SkyPanel
+from app.panels.axis_diversity_panel import LEGENDS, SKY_PX, AxisDiversityPanel
+from app.panels.inspect_panel import InspectPanel
+from app.panels.top_view import AROUND_TAXEL, EDGE, GRAIN, sky_view
 from app.scene3d.camera import PLAIN, Eye
-from app.session.open_request import OpenRequest
+from app.session.opening import OpenRequest
+from app.text.guidance_text import FOLLOWS, WHAT, sky_words
+from app.text.outcomes import METHOD_NAMES
 from app.theme import DARK, LIGHT
-from app.top_view import AROUND_TAXEL, EDGE, GRAIN, sky_view
-from app.words import METHOD_NAMES
 from skincal.guide.candidates import directions
 from skincal.guide.progress import AxisDiversity
 from skincal.taxels.result import Method
@@ -94,7 +94,7 @@ def test_for_the_surface_method_places_count_and_no_sides():
 
 @pytest.fixture
 def panel(qtbot):
-    made = SkyPanel(NAMES)
+    made = AxisDiversityPanel(NAMES)
     made.set_colours(DARK)
     qtbot.addWidget(made)
     made.resize(420, 180)

@@ -10,8 +10,8 @@ from PySide6.QtCore import QSettings, Qt
 from whole_window import Bench
 
 from app.commands import COMMANDS, key_words
-from app.session.open_request import OpenRequest
-from app.sound import NoSoundError, Player
+from app.session.opening import OpenRequest
+from app.sound.player import NoSoundError, Player
 
 
 def test_a_poke_is_heard_in_its_order_and_muting_ends_it(bench):

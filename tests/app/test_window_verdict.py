@@ -9,11 +9,11 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 from window_support import NAMES, changed, pixels
 
-from app.dialogs.export import ExportDialog
-from app.dialogs.verdict import VerdictDialog
-from app.session.open_request import OpenRequest
+from app.dialogs.export_dialog import ExportDialog
+from app.dialogs.verdict_dialog import VerdictDialog
+from app.session.opening import OpenRequest
 from app.state.rig_review import Offer
-from app.verdict_words import check_words, done_words, figures, left_words, rig_state, sentence
+from app.text.verdict_text import check_words, done_words, figures, left_words, rig_state, sentence
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.correction import RIG, Correction, UsedCorrection

@@ -14,15 +14,14 @@ from hypothesis import strategies as st
 from scene3d_support import estimate
 from window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, session, slip, touch
 
-from app.display_units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
-from app.envelope import envelope
-from app.session.open_request import Addresses, OpenRequest, dated_folder, link_specs
-from app.session.storage import Storage
+from app.panels.curves import envelope
+from app.session.opening import Addresses, OpenRequest, dated_folder, link_specs
+from app.session.recording import Storage
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
 from app.state.view_state import LinkLook, same_results
-from app.text.now import SETTLE_S, VERDICT_S, NowMemory, Tone, now_line
-from app.words import (
+from app.text.now_text import SETTLE_S, VERDICT_S, NowMemory, Tone, now_line
+from app.text.outcomes import (
     error_words,
     link_words,
     pitch_of,
@@ -32,6 +31,7 @@ from app.words import (
     verdict_detail,
     verdict_words,
 )
+from app.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.model.readings import LinkState, Stream
 from skincal.taxels.result import Estimate, Method, State

@@ -9,8 +9,8 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QWidget
 
 from app.session.controller import Controller
-from app.session.open_request import OpenRequest, server_command
-from app.sound import Player
+from app.session.opening import OpenRequest, server_command
+from app.sound.player import Player
 from app.text.message import Message
 from app.theme import Choice, Theme
 from app.window import Window

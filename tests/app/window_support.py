@@ -10,10 +10,10 @@ from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QWidget
 from scene3d_support import layout, live, scene, snapshot
 
-from app.display_units import ChannelNames
 from app.state.policies import allowed
 from app.state.running import Running
 from app.state.view_state import ViewState
+from app.units import ChannelNames
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.geometry.arm import Arm, DhLink
 from skincal.model.readings import LinkHealth, LinkState, Loss, Stream

@@ -8,7 +8,7 @@ from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.rig import Rig
+from skincal.simulate.simulated_rig import Rig
 
 
 @lru_cache

@@ -14,15 +14,15 @@ from skincal.files.icub import read_icub
 from skincal.files.reference import error_summary, read_reference
 from skincal.mesh.lay import lay
 from skincal.mesh.load import load_surface
+from skincal.model.actions import AddLandmark, AskLandmark, to_json
 from skincal.model.readings import Loss
 from skincal.model.scene import load_scene, resource
-from skincal.session.actions import AddLandmark, AskLandmark, to_json
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.session.road import Road
 from skincal.simulate.device import DeviceSettings
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.session import simulate_session
+from skincal.simulate.virtual_session import simulate_session
 from skincal.taxels.result import Method, State
 
 PATCH = resource("scenes/flat-patch/scene.toml")
@@ -33,7 +33,7 @@ SLOW = DeviceSettings(wrench_hz=200.0, joints_hz=20.0, block_s=0.02)
 
 
 @pytest.fixture(scope="module")
-def forearm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Road]:
+def forearm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pipeline]:
     """84 careful pokes on the forearm with sensor noise, in two arm poses."""
     scene = load_scene(FOREARM)
     assert scene.surface is not None
@@ -103,7 +103,7 @@ import sys, threading
 from skincal.cli import main
 code = main(["solve", {folder!r}, "--json"])
 heavy = ("PySide6", "shiboken6", "vtkmodules", "pyvista", "pyvistaqt", "pyqtgraph", "matplotlib", "scipy", "trimesh", "serial")
-present = [name for name in (*heavy, "skincal.mesh.surface", "skincal.simulate.rig") if name in sys.modules]
+present = [name for name in (*heavy, "skincal.mesh.surface", "skincal.simulate.simulated_rig") if name in sys.modules]
 print(code, present, threading.active_count(), file=sys.stderr)
 """
 

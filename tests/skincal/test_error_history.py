@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Origin, error_summary, find_truth, load_reference, plan_reference
+from skincal.model.actions import Exclude, MarkDead, Restore, Revive, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
-from skincal.session.actions import Exclude, MarkDead, Restore, Revive, Undo
 from skincal.session.error_history import (
     MAX,
     MEAN,

@@ -18,8 +18,8 @@ from skincal.journal.reader import SessionLog
 from skincal.journal.writer import JournalWriter, create_session
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, next_segment, outcome_key, some_pokes, torn, write_scene
 
 
@@ -28,7 +28,7 @@ def recorded(tmp_path_factory):
     """A session that was closed: its folder and its items."""
     folder = tmp_path_factory.mktemp("damage")
     scene = write_scene(folder / "source")
-    road = Road(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
     for item in as_chunks(some_pokes(scene, 4).samples):
         road.feed(item)
     road.close()
@@ -226,7 +226,7 @@ RECORDER = """
 import sys, time
 from pathlib import Path
 from skincal.journal.writer import create_session
-from skincal.session.road import Road
+from skincal.session.pipeline import Road
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
@@ -265,7 +265,7 @@ def test_kill_9_loses_at_most_the_poke_in_progress(tmp_path, wait_s):
     assert len(contacts) >= final
     scene = write_scene(tmp_path / "source")
     items = as_chunks(some_pokes(scene, 60).samples)
-    whole = Road(scene, LINKS, None)
+    whole = Pipeline(scene, LINKS, None)
     read = [item for item in SessionLog(tmp_path / "s").items() if isinstance(item, Chunk)]
     chunks = [item for item in items if isinstance(item, Chunk)]
     assert read == chunks[: len(read)]
@@ -284,7 +284,7 @@ from pathlib import Path
 from skincal.contacts.outcome import Contact
 from skincal.journal.writer import create_session
 from skincal.session.replay import replay
-from skincal.session.road import Road
+from skincal.session.pipeline import Road
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
@@ -322,7 +322,7 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
 
 def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     monkeypatch.setattr(os, "fsync", _refuse)
     for item in as_chunks(some_pokes(scene, 2).samples):
         road.feed(item)

@@ -13,9 +13,9 @@ from skincal.journal.documents import Taken, Totals
 from skincal.journal.lines import LineWriter, key_of, lines_path, read_lines
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
-from skincal.session.actions import Exclude, MarkDead, Restore, Undo
+from skincal.model.actions import Exclude, MarkDead, Restore, Undo
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.session.road import Road
 from tests.skincal.poke_script import (
     LINKS,
     SPOTS,
@@ -38,7 +38,7 @@ def scene(tmp_path):
 
 
 def record(scene, folder, script, actions=()):
-    road = Road(scene, LINKS, None, create_session(folder, scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(script.samples)
     due = {round(share * len(items)): action for share, action in actions}
     for k, item in enumerate(items):
@@ -115,7 +115,7 @@ def test_what_the_next_line_replaces_is_left_out(scene, tmp_path):
 def test_a_first_outcome_stays_where_something_was_done_before_the_second(scene, tmp_path):
     """The steps of undo follow the order in which a poke was accepted and an action done."""
     script = some_pokes(scene, 2)
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(script.samples):
         road.feed(item)
         if len(road.session.contacts) == 2 and not road.session.outcome(2).final and not road.session.excluded:

@@ -10,15 +10,15 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from skincal.journal import cdr
+from skincal.journal import documents
 from skincal.journal.documents import SegmentMark
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import JournalWriter, create_session
+from skincal.model.actions import Exclude, MarkDead, Stamped, Undo
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample
-from skincal.session.actions import Exclude, MarkDead, Stamped, Undo
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import replay, resume
-from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, outcome_key, same_estimates, some_pokes, write_scene
 
 
@@ -29,7 +29,7 @@ def scene(tmp_path):
 
 def record(scene, folder, pokes=4, actions=(), seed=5):
     """A recorded session; `actions` are done at the shares of it that they name."""
-    road = Road(scene, LINKS, None, create_session(folder, scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(some_pokes(scene, pokes, seed).samples)
     due = {round(share * len(items)): action for share, action in actions}
     for k, item in enumerate(items):
@@ -154,7 +154,7 @@ def test_resume_goes_on_in_a_new_segment(scene, tmp_path):
 
 def test_resume_in_the_middle_of_a_poke_loses_that_poke_alone(scene, tmp_path):
     folder = tmp_path / "s"
-    road = Road(scene, LINKS, None, create_session(folder, scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(some_pokes(scene, 2).samples)
     for item in items[: round(len(items) * 0.72)]:  # the second poke is held
         road.feed(item)
@@ -242,16 +242,20 @@ def test_alignment_holds_for_every_length_of_a_name(frame):
     from mcap_ros2._dynamic import generate_dynamic
 
     name = "geometry_msgs/msg/WrenchStamped"
-    decode = generate_dynamic(name, cdr.SCHEMAS[name])[name]
-    message = decode(cdr.encode_wrench(1_500_000_000_000_000_007, frame, np.arange(6.0)))
+    decode = generate_dynamic(name, documents.SCHEMAS[name])[name]
+    message = decode(documents.encode_wrench(1_500_000_000_000_000_007, frame, np.arange(6.0)))
     assert message.header.frame_id == frame
     assert message.header.stamp.nanosec == 7
     assert [message.wrench.force.x, message.wrench.torque.z] == [0.0, 5.0]
     name = "skincal_msgs/msg/Taxels"
-    message = generate_dynamic(name, cdr.SCHEMAS[name])[name](cdr.encode_taxels(3, frame, 9, 77, np.array([1.5, 2.5])))
+    message = generate_dynamic(name, documents.SCHEMAS[name])[name](
+        documents.encode_taxels(3, frame, 9, 77, np.array([1.5, 2.5]))
+    )
     assert (message.seq, message.device_time_us, list(message.values)) == (9, 77, [1.5, 2.5])
     name = "sensor_msgs/msg/JointState"
-    message = generate_dynamic(name, cdr.SCHEMAS[name])[name](cdr.encode_joints(3, frame, ("x", frame), np.array([1.0, 2.0])))
+    message = generate_dynamic(name, documents.SCHEMAS[name])[name](
+        documents.encode_joints(3, frame, ("x", frame), np.array([1.0, 2.0]))
+    )
     assert (list(message.name), list(message.position), list(message.effort)) == (["x", frame], [1.0, 2.0], [])
 
 

@@ -13,11 +13,11 @@ from skincal.journal.documents import Ending, SegmentMark
 from skincal.journal.lines import lines_path, read_lines
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
+from skincal.model.actions import Exclude, MarkDead, Undo
 from skincal.model.readings import Chunk
 from skincal.model.scene import resource
-from skincal.session.actions import Exclude, MarkDead, Undo
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.session.road import Road
 from tests.skincal.poke_script import (
     LINKS,
     as_chunks,
@@ -39,7 +39,7 @@ def scene(tmp_path, monkeypatch):
 
 
 def recorded(scene, folder, actions=(), pokes=4):
-    road = Road(scene, LINKS, None, create_session(folder, scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(some_pokes(scene, pokes).samples)
     due = {round(share * len(items)): action for share, action in actions}
     for k, item in enumerate(items):
@@ -96,7 +96,7 @@ def test_times_go_on_from_one_segment_to_the_next(scene, tmp_path):
 def test_a_kill_at_any_moment_leaves_a_session_that_goes_on(scene, tmp_path, seed):
     """The folder copied in the middle of the recording is what a kill leaves."""
     rng = random.Random(seed)
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = as_chunks(some_pokes(scene, 4).samples)
     moments = sorted(rng.sample(range(20, len(items)), 4))
     final = {}
@@ -164,7 +164,7 @@ def test_a_pause_of_a_long_session(scene, tmp_path):
 
 
 def test_a_disk_that_takes_no_further_segment_ends_the_journal(scene, tmp_path, monkeypatch):
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = as_chunks(some_pokes(scene, 3).samples)
     for item in items[: len(items) // 2]:
         road.feed(item)
@@ -225,7 +225,7 @@ def test_an_ending_belongs_to_the_segment_that_it_ends(scene, tmp_path):
 
 def test_at_a_contact_both_files_are_forced_onto_the_medium_the_bytes_first(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     names = {path.stat().st_ino: path.suffix for path in (tmp_path / "s").glob("segment-*")}
     synced = []
     monkeypatch.setattr(os, "fsync", lambda file: synced.append((names[os.fstat(file).st_ino], os.fstat(file).st_size)))

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry.arm import Arm, DhLink
+from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec
-from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo, from_json, to_json
 from skincal.session.session import Session
 from skincal.taxels.result import Method, State
 from tests.skincal.poke_script import outcome_key, same_estimates, small_scene, some_pokes

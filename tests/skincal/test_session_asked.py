@@ -13,13 +13,13 @@ from skincal.cli.record import OrderLine, _loop
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
+from skincal.model.actions import AskLandmark, FoundAtLandmark, Stamped, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene
-from skincal.session.actions import AskLandmark, FoundAtLandmark, Stamped, Undo, from_json, to_json
-from skincal.session.known_points import REACTION_S
+from skincal.session.landmark_pokes import REACTION_S
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, Script, as_chunks, outcome_key, same_estimates, small_scene, write_scene
 
 FORCE, POINT = np.array([1.0, 2.0, -8.0]), np.array([0.02, 0.05, 0.10])
@@ -36,7 +36,7 @@ def bytes_of(scene, answers=({}, {3: 80.0}, {})):
 
 def starts_of(scene, items):
     """When each poke begins, host's monotonic clock, nanoseconds."""
-    road = Road(scene, LINKS, None)
+    road = Pipeline(scene, LINKS, None)
     for item in items:
         road.feed(item)
     return [round(record.outcome.start_s * 1e9) for record in road.snapshot().pokes]
@@ -61,7 +61,7 @@ def scene():
 def test_a_poke_that_begins_after_the_landmark_is_asked_for_is_at_it_whether_a_taxel_answers_or_not(scene):
     items = bytes_of(scene)
     _, second, _ = starts_of(scene, items)
-    road = fed(Road(scene, LINKS, None), items, [Stamped(second - 500_000_000, AskLandmark("head"))])
+    road = fed(Pipeline(scene, LINKS, None), items, [Stamped(second - 500_000_000, AskLandmark("head"))])
     kinds = [type(record.outcome) for record in road.snapshot().pokes]
     assert kinds == [Rejection, Contact, Rejection]
     assert road.snapshot().at_landmarks == {2: "head", 3: "head"}
@@ -73,12 +73,12 @@ def test_a_poke_that_was_on_its_way_is_not_at_it_and_none_is_once_nothing_is_ask
     _, second, third = starts_of(scene, items)
     late = second - round(REACTION_S * 0.9e9)
     orders = [Stamped(late, AskLandmark("tail")), Stamped(third - 300_000_000, AskLandmark(""))]
-    assert fed(Road(scene, LINKS, None), items, orders).snapshot().at_landmarks == {}
-    assert fed(Road(scene, LINKS, None), items, orders[:1]).snapshot().at_landmarks == {3: "tail"}
+    assert fed(Pipeline(scene, LINKS, None), items, orders).snapshot().at_landmarks == {}
+    assert fed(Pipeline(scene, LINKS, None), items, orders[:1]).snapshot().at_landmarks == {3: "tail"}
 
 
 def test_a_landmark_that_is_not_there_cannot_be_asked_for_and_asking_changes_nothing_that_is_known(scene):
-    road = Road(scene, LINKS, None)
+    road = Pipeline(scene, LINKS, None)
     before = road.snapshot()
     with pytest.raises(InputError, match="head, tail"):
         road.act(AskLandmark("nose"), 1)
@@ -111,7 +111,7 @@ def recorded(tmp_path):
         Stamped(third - 700_000_000, Undo()),
         Stamped(third - 600_000_000, AskLandmark("tail")),
     ]
-    road = fed(Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS)), items, orders)
+    road = fed(Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS)), items, orders)
     road.close()
     return tmp_path / "s", road
 
@@ -138,7 +138,7 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
             items.put(item)
     items.put(OrderLine(10**18, b'{"do": "ask_landmark", "name": "nose"}\n'))
     items.put(OrderLine(10**18, b"poke 3\n"))
-    headless = Road(SessionLog(folder).scene, LINKS, None)
+    headless = Pipeline(SessionLog(folder).scene, LINKS, None)
     _loop(headless, items, {}, None, None)
     assert headless.snapshot().at_landmarks == {1: "head", 3: "tail"}
     mine, theirs = ([outcome_key(one.outcome) for one in each.snapshot().pokes] for each in (headless, road))
@@ -152,7 +152,7 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
 def test_the_bytes_are_what_counts(recorded):
     """What was found to be at a landmark follows from bytes and orders: without the orders nothing is."""
     folder, _ = recorded
-    headless = Road(SessionLog(folder).scene, LINKS, None)
+    headless = Pipeline(SessionLog(folder).scene, LINKS, None)
     for item in SessionLog(folder).items():
         if isinstance(item, Chunk):
             headless.feed(item)

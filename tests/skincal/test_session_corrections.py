@@ -15,16 +15,16 @@ from skincal.geometry.wrench import axis_point, move_wrench
 from skincal.journal.documents import Taken
 from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
+from skincal.model.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.sentences import correction_words
-from skincal.session.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.session.corrections import correct_action
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.session.road import Road
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
@@ -164,7 +164,7 @@ def test_a_frame_that_is_named_wrong_is_put_right():
 @pytest.mark.parametrize("again", [replay, load])
 def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     script = Script(scene).quiet()
     for _ in range(3):
         script.press(FORCE, POINT, {3: 80.0}).quiet()
@@ -294,7 +294,7 @@ def recorded(poked, tmp_path_factory):
     """A recorded session on the bad rig: its pokes are written as a detector's, without bytes."""
     rig, contacts, landmarks = poked
     folder = tmp_path_factory.mktemp("bad") / "s"
-    road = Road(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
+    road = Pipeline(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
     outcomes = [*contacts, *(rejected(one) for one in landmarks)]
     taken = Taken([(one, None) for one in outcomes], None)
     road.take(taken)
@@ -328,7 +328,7 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
 
 def test_where_nothing_is_offered_a_command_says_so(tmp_path, capsys):
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(Script(scene).quiet().press(FORCE, POINT, {3: 80.0}).quiet().samples):
         road.feed(item)
     road.close()

@@ -9,12 +9,12 @@ import pytest
 from skincal.cli import main
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.journal.writer import create_session
+from skincal.model.actions import AddLandmark, AtLandmark, Exclude, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene, resource
-from skincal.session.actions import AddLandmark, AtLandmark, Exclude, Undo, from_json, to_json
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.session.road import Road
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
@@ -34,7 +34,7 @@ def bytes_of(scene, answers):
 
 
 def road_of(scene, answers=({}, {3: 80.0}), journal=None):
-    road = Road(scene, LINKS, None, journal)
+    road = Pipeline(scene, LINKS, None, journal)
     for item in bytes_of(scene, answers):
         road.feed(item)
     return road
@@ -90,7 +90,7 @@ def test_actions_travel_as_json(action):
 @pytest.mark.parametrize("again", [replay, load])
 def test_a_session_played_again_has_the_same_landmark_pokes(tmp_path, again):
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = bytes_of(scene, ({}, {3: 80.0}))
     for item in items:
         road.feed(item)
@@ -145,7 +145,7 @@ def test_a_session_asks_for_what_corrects_its_rig(rng):
 
 def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = bytes_of(scene, ({}, {3: 80.0}, {}, {}))
     for item in items:
         road.feed(item)

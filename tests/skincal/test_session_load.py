@@ -14,7 +14,7 @@ from skincal.contacts.detector import ContactDetector, Doubt, Known
 from skincal.contacts.gates import FinishedPress, StillMean
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.contacts.tare import Tare
-from skincal.journal import cdr, reader, writer
+from skincal.journal import documents, reader, writer
 from skincal.journal.documents import (
     LinkTotals,
     Taken,
@@ -26,11 +26,11 @@ from skincal.journal.documents import (
 )
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import JournalWriter, create_session
+from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
 from skincal.model.readings import Chunk, Loss, Stream
 from skincal.model.scene import load_scene
-from skincal.session.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.session.road import Road
 from skincal.streams.links import LinkSpec
 from tests.skincal.poke_script import (
     ANSWERS,
@@ -59,7 +59,7 @@ def scene(tmp_path):
 
 def record(scene, folder, script, actions=(), links=LINKS, change=lambda items: items):
     """A session recorded to its end; each action is done at the share of it that it names."""
-    road = Road(scene, links, None, create_session(folder, scene, links))
+    road = Pipeline(scene, links, None, create_session(folder, scene, links))
     feed(road, change(as_chunks(script.samples)), actions)
     return road
 
@@ -121,7 +121,7 @@ def test_several_segments(scene, tmp_path):
 def test_a_pause_and_a_new_start_of_the_program_are_the_same(scene, tmp_path):
     """What follows a break depends on the session alone: with the same bytes both ways give the same pokes."""
     first, then = as_chunks(some_pokes(scene, 2).samples), as_chunks(some_pokes(scene, 2, 9).samples)
-    paused = Road(scene, LINKS, None, create_session(tmp_path / "p", scene, LINKS))
+    paused = Pipeline(scene, LINKS, None, create_session(tmp_path / "p", scene, LINKS))
     feed(paused, first)
     paused.close()
     shutil.copytree(tmp_path / "p", tmp_path / "r")
@@ -299,7 +299,7 @@ def test_a_recovered_segment_is_whole_for_other_programs(scene, tmp_path):
 def test_loading_opens_no_bytes(scene, tmp_path, monkeypatch):
     live = record(scene, tmp_path / "s", some_pokes(scene, 6))
     live.close()
-    monkeypatch.setattr(cdr, "decode_chunk", lambda _: pytest.fail("bytes were decoded"))
+    monkeypatch.setattr(documents, "decode_chunk", lambda _: pytest.fail("bytes were decoded"))
     monkeypatch.setattr(reader, "StreamReader", lambda *_, **__: pytest.fail("bytes were read"))
     assert_same(live, load(tmp_path / "s"))
     monkeypatch.setattr(reader, "read_lines", lambda _: None)  # nor are they of sessions without lines

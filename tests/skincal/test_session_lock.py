@@ -14,8 +14,8 @@ from skincal.cli import main
 from skincal.journal.lock import LOCK_NAME, SessionLock, writer_of
 from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.session.road import Road
 from tests.skincal.poke_script import LINKS, as_chunks, killed, next_segment, outcome_key, some_pokes, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +23,7 @@ RECORDER = """
 import sys
 from pathlib import Path
 from skincal.journal.writer import create_session
-from skincal.session.road import Road
+from skincal.session.pipeline import Road
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
@@ -212,7 +212,7 @@ def test_many_openers_at_once_and_one_gets_it(tmp_path):
 def test_a_session_that_cannot_be_written_is_read(tmp_path):
     """A read-only disk: any attempt to open a file for writing, to rename or to make one fails."""
     scene = write_scene(tmp_path / "source")
-    road = Road(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(some_pokes(scene, 3).samples):
         road.feed(item)
     killed(road)

@@ -8,6 +8,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.methods import estimate_taxels
+from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Uncorrect, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
 from skincal.rig.correction import FRAME, RIG, Correction
@@ -15,7 +16,6 @@ from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
 from skincal.sentences import frame_sentence
 from skincal.session import review
-from skincal.session.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Uncorrect, Undo
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, ReviewedPart, Reviewer, Unreviewed, review_change
 from skincal.session.session import Session

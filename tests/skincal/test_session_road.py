@@ -7,11 +7,11 @@ import pytest
 
 from skincal.contacts.outcome import Contact, PressPhase, Reason
 from skincal.geometry.arm import Arm, DhLink
+from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import ArmSpec
-from skincal.session.actions import SetPose
-from skincal.session.road import Road
+from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, skt_line, small_scene, some_pokes
 
@@ -21,7 +21,7 @@ ANSWERS = {3: 80.0, 7: 40.0}
 
 
 def played(items, scene=None, links=LINKS):
-    road = Road(scene or small_scene(), links, None)
+    road = Pipeline(scene or small_scene(), links, None)
     for item in items:
         road.feed(item)
     return road
@@ -102,7 +102,7 @@ def arm_scene():
 
 def test_a_chosen_pose_goes_into_the_contact():
     scene = arm_scene()
-    road = Road(scene, LINKS, None)
+    road = Pipeline(scene, LINKS, None)
     assert road.snapshot().link_from_sensor is None
     road.act(SetPose("down"), 0)
     assert road.snapshot().pose == "down"
@@ -134,7 +134,7 @@ def test_streamed_joints_give_the_pose_and_its_name():
 def test_a_scene_with_one_pose_needs_no_choice():
     scene = arm_scene()
     one = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, poses={"up": np.array([0.1, 0.2])}))
-    assert Road(one, LINKS, None).snapshot().pose == "up"
+    assert Pipeline(one, LINKS, None).snapshot().pose == "up"
 
 
 def test_bad_bytes_are_counted_and_the_pokes_survive():

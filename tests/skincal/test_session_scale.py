@@ -15,9 +15,9 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.journal.documents import Ending, Taken, taken_to_json
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
+from skincal.model.actions import Exclude, Restore, Undo
 from skincal.model.readings import Chunk
 from skincal.session import solving as solving_module
-from skincal.session.actions import Exclude, Restore, Undo
 from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.taxels.result import Estimate, Method, State

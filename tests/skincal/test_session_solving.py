@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.model.actions import Exclude, MarkDead, Undo
 from skincal.model.errors import InputError
 from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
-from skincal.session.actions import Exclude, MarkDead, Undo
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE

@@ -21,7 +21,7 @@ from skincal.simulate.device import (
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits, HandPress, Move, Told
 from skincal.simulate.orders import PokeOrder, PoseOrder
-from skincal.simulate.rig import Rig
+from skincal.simulate.simulated_rig import Rig
 from skincal.streams.decoders.detect import make_decoder
 from tests.skincal.sim_support import make_rig, scene_and_surface
 

@@ -14,8 +14,8 @@ from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Landmark
-from skincal.session.known_points import poke_at
-from skincal.session.road import Road
+from skincal.session.landmark_pokes import poke_at
+from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Guided, Habits, Move, Told
@@ -257,7 +257,7 @@ def guided_session(rig, pokes, seed=1):
     scene = rig.scene
     operator = Guided(rig, Habits.careful(), np.random.default_rng(seed), pokes)
     line = DeviceTimeline(rig, operator, np.random.default_rng(seed + 1))
-    road = Road(scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface)
+    road = Pipeline(scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface)
     plan = plan_from(scene.skin.layout, lay(scene.skin.layout, scene.skin.anchor, rig.surface))
     guide = Guide(plan, scene.noise, Method.FREE, scene.skin.layout.spacing)
     for link in line.links:
@@ -299,7 +299,9 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
         operator = Guided(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
         operator.accept(read_order(write_wish(TargetOrder(None, head, -outward, known=True))))
         line = DeviceTimeline(rig, operator, np.random.default_rng(4))
-        road = Road(scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface)
+        road = Pipeline(
+            scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface
+        )
         for link in line.links:
             road.feed(LinkEvent(link, 0, LinkState.OPEN))
         while not line.finished:

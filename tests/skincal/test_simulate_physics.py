@@ -11,7 +11,7 @@ from skincal.model.skin import Anchor
 from skincal.simulate.contacts import TareTiming, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors, WrenchNoise
 from skincal.simulate.operator import Habits, aim, place
-from skincal.simulate.rig import Foam, Rig, answer, felt_share
+from skincal.simulate.simulated_rig import Foam, Rig, answer, felt_share
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = tuple("1234567")

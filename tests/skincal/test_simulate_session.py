@@ -10,7 +10,7 @@ from skincal.model.readings import Chunk
 from skincal.simulate.device import DeviceSettings
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
-from skincal.simulate.session import simulate_session
+from skincal.simulate.virtual_session import simulate_session
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import scene_and_surface
 

@@ -11,9 +11,8 @@ from cobs import cobs as reference_cobs
 
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream, WrenchBatch
-from skincal.streams.intake import Intake
+from skincal.streams.intake import INTERPOLATE_S, RING_READINGS, WAIT_S, Intake, Pairing, WrenchRing
 from skincal.streams.links import LinkSpec
-from skincal.streams.pairing import INTERPOLATE_S, RING_READINGS, WAIT_S, Pairing, WrenchRing
 
 LINKS = (LinkSpec("wrench", "a", (Stream.WRENCH,)), LinkSpec("skin", "b", (Stream.SKIN,)))
 SLOPE = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])

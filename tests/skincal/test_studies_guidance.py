@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from skincal.simulate.ways import WAYS, Conditions
-from skincal.studies import guidance
+from skincal.studies import guidance_study
 from skincal.studies.figures import write_figure
-from skincal.studies.guidance import QUICK
+from skincal.studies.guidance_study import QUICK
 
 TINY = replace(
     QUICK, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
@@ -21,37 +21,37 @@ TINY = replace(
 @cache
 def result():
     said = []
-    return guidance.run(True, said.append, TINY), said
+    return guidance_study.run(True, said.append, TINY), said
 
 
 def test_it_says_what_each_way_takes():
     found, said = result()
     assert set(found["pokes_to_5mm"]) == {"guided", *WAYS, "diversity", "optimal"} == set(found["pokes_to_3mm"])
-    assert len(said) == len(found["table"]) == len(guidance.summary(found)) - len(found["bars"])
+    assert len(said) == len(found["table"]) == len(guidance_study.summary(found)) - len(found["bars"])
     json.dumps(found, allow_nan=False)
     for row in found["table"]:
         assert len(row["pokes"]) == len(row["mean_mm"]) == len(row["p95_mm"])
         assert row["pokes"][-1] == row["limit"]
         assert row["mean_mm"][-1] <= row["mean_mm"][0]
-    assert {row["method"] for row in found["table"] if row["case"] == guidance.STANDARD} == {"free", "surface", "modules"}
+    assert {row["method"] for row in found["table"] if row["case"] == guidance_study.STANDARD} == {"free", "surface", "modules"}
     # Nobody gets to 5 mm within 40 pokes: null, and no number that was not measured.
     assert found["pokes_to_5mm"]["random"] is None
     assert not found["bars"]["guided_pokes_to_5mm"]["holds"]
-    assert any("not reached" in line for line in guidance.summary(found))
+    assert any("not reached" in line for line in guidance_study.summary(found))
 
 
 def test_the_figure_is_drawn(tmp_path):
     found, _ = result()
-    paths = write_figure(lambda figure: guidance.draw(found, figure), tmp_path, "guidance")
+    paths = write_figure(lambda figure: guidance_study.draw(found, figure), tmp_path, "guidance")
     assert all(path.stat().st_size > 10_000 for path in paths)
 
 
 def test_an_interval_holds_the_median_and_is_null_where_it_is_not_reached():
-    told = guidance._interval([70.0, 80.0, 90.0, 100.0, float("inf")])
+    told = guidance_study._interval([70.0, 80.0, 90.0, 100.0, float("inf")])
     assert told["low"] <= told["median"] == 90.0
     assert told["high"] is None
-    assert guidance._interval([float("inf")] * 3)["median"] is None
-    many = guidance._interval(np.random.default_rng(1).normal(100, 10, 400).tolist())
+    assert guidance_study._interval([float("inf")] * 3)["median"] is None
+    many = guidance_study._interval(np.random.default_rng(1).normal(100, 10, 400).tolist())
     assert many["low"] < many["median"] < many["high"]
     assert many["high"] - many["low"] < 4.0
 

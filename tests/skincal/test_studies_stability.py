@@ -10,7 +10,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.mesh.surface import make_surface
-from skincal.session.actions import Exclude, Restore, Undo
+from skincal.model.actions import Exclude, Restore, Undo
 from skincal.session.session import Session
 from skincal.studies import exact, stability
 from skincal.studies.stability import ALTERNATIVES, FoundTaxel, judge, shipped

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.fresh import new_folder
+from skincal.cli.record import new_folder
 from skincal.files.icub import read_icub
 from skincal.model.errors import InputError
 

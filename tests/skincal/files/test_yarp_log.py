@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skincal.files.importers.recorded_lines import START_NS
-from skincal.files.importers.yarp_log import read_yarp
+from skincal.files.importers.yarp_folder import read_yarp
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.detect import make_decoder

@@ -8,10 +8,10 @@ import pytest
 from skincal.contacts.outcome import Contact
 from skincal.files.export import write_calibration
 from skincal.files.icub import read_icub
-from skincal.files.importers.yarp_log import read_yarp
+from skincal.files.importers.yarp_folder import read_yarp
 from skincal.files.json_file import read_json
 from skincal.mesh.load import load_surface
-from skincal.session.road import Road
+from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.estimate_support import solve
 from tests.skincal.files.files_support import CHANNELS, Part, make_part
@@ -57,12 +57,12 @@ def write_logs(part: Part, folder: Path) -> tuple[Path, Path]:
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory) -> tuple[Part, Road]:
+def played(tmp_path_factory) -> tuple[Part, Pipeline]:
     part = make_part(tmp_path_factory.mktemp("part"))
     links, chunks, findings = read_yarp(*write_logs(part, tmp_path_factory.mktemp("logs")))
     assert len(findings) == 2
     assert part.scene.surface is not None
-    road = Road(part.scene, links, load_surface(part.scene.surface)[0])
+    road = Pipeline(part.scene, links, load_surface(part.scene.surface)[0])
     for chunk in chunks:
         road.feed(chunk)
     road.close()

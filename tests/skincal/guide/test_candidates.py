@@ -15,7 +15,7 @@ from skincal.guide.places import unplaced
 from skincal.guide.poke_history import PokeAxis, axis_of
 from skincal.guide.progress import GuideSettings, Why
 from skincal.mesh.search import nearest_points
-from skincal.session.actions import Exclude, Restore
+from skincal.model.actions import Exclude, Restore
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.ways import Conditions, MeantPokes, poked, rig_beside

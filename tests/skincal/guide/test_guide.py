@@ -8,7 +8,7 @@ import pytest
 
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import SKIPPED, Guide
-from skincal.session.actions import Exclude, MarkDead, Restore
+from skincal.model.actions import Exclude, MarkDead, Restore
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import errors_of, looks, run_course

@@ -13,9 +13,9 @@ from skincal.guide.places import unplaced
 from skincal.guide.progress import PAUSE_S, GuideSettings, Need, Tried, Why, given_up, pace, pokes_left, worked
 from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
 from skincal.methods import estimate_taxels
+from skincal.model.actions import MarkDead
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel
-from skincal.session.actions import MarkDead
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import errors_of

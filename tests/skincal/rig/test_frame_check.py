@@ -12,7 +12,7 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, diagnose, frame_correction
 from skincal.sentences import frame_sentence
 from skincal.session.corrections import offered
-from skincal.session.known_points import landmark_normals
+from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
 from tests.skincal.sim_support import make_rig

@@ -1,0 +1,204 @@
+"""Write files: the calibration, with format, method and place, then what the lint says about it; the corrected layout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDialog,
+    QDialogButtonBox,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QListWidget,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.panels.texts import plain_buttons, put, quiet
+from app.text.compare_text import saved_words
+from app.text.message import Message
+from app.text.outcomes import METHOD_NAMES
+from app.units import count
+from skincal.model.scene import Scene
+from skincal.modules.health import LayoutMend
+from skincal.taxels.result import Method
+
+FORMATS: tuple[tuple[str, str, str, str], ...] = (
+    ("icub", "iCub position file", ".txt", "What skinManager and skinGui load: every channel, unit normals, taxel2Repr."),
+    ("json", "JSON, complete", ".json", "Covariances, contacts and settings: everything needed to compute it again."),
+    ("csv", "CSV, all methods", ".csv", "One row a channel and method, metres and millimetres."),
+    ("ply", "PLY points", ".ply", "For mesh viewers: positions with normals."),
+)
+"""Name, title, ending, what it is for."""
+
+
+class ExportDialog(QDialog):
+    """Gathers what to write and shows what was found."""
+
+    write_requested = Signal(str, object, object)
+    """Format, path, method."""
+
+    def __init__(self, methods: tuple[Method, ...], shown: Method, stem: Path, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Export calibration")
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self._stem = stem
+        self._named_by_hand = False
+        self.format = QComboBox()
+        for name, title, _, _ in FORMATS:
+            self.format.addItem(title, name)
+        self.about = quiet(wrap=True)
+        self.method = QComboBox()
+        for method in methods:
+            self.method.addItem(METHOD_NAMES[method], method)
+        self.method.setCurrentIndex(self.method.findData(shown))
+        self.path = QLineEdit()
+        self.browse = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
+        self.outcome = quiet(wrap=True)
+        self.findings = QListWidget()
+        self.findings.setWordWrap(True)
+        self.findings.setAccessibleName("what was found")
+        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
+        self.write = self.buttons.addButton("Write file", QDialogButtonBox.ButtonRole.ActionRole)
+        self._arrange()
+        self._connect()
+        self._format_chosen()
+
+    def _arrange(self) -> None:
+        place = QHBoxLayout()
+        place.addWidget(self.path, 1)
+        place.addWidget(self.browse)
+        form = QFormLayout()
+        form.addRow("&Format", self.format)
+        form.addRow("", self.about)
+        form.addRow("&Method", self.method)
+        label = QLabel("F&ile")
+        label.setBuddy(self.path)
+        form.addRow(label, place)
+        self.path.setAccessibleName("file")
+        column = QVBoxLayout(self)
+        column.addLayout(form)
+        column.addWidget(self.outcome)
+        column.addWidget(self.findings, 1)
+        column.addWidget(self.buttons)
+        self.findings.hide()
+        self.write.setDefault(True)
+        plain_buttons(self.buttons)
+        self.setMinimumWidth(560)
+        # Space and Enter go on: they write what is proposed, and then close.
+        self.write.setFocus()
+
+    def _connect(self) -> None:
+        self.format.currentIndexChanged.connect(self._format_chosen)
+        self.method.currentIndexChanged.connect(self._name)
+        self.path.textChanged.connect(self._forget)
+        self.method.currentIndexChanged.connect(self._forget)
+        self.path.textEdited.connect(self._edited)
+        self.browse.clicked.connect(self._browse)
+        self.write.clicked.connect(self._write)
+        self.buttons.rejected.connect(self.reject)
+
+    def show_findings(self, sentences: tuple[str, ...]) -> None:
+        """Say that the file is written and what was found on the way."""
+        self.write.setEnabled(True)
+        found = count(len(sentences), "remark") if sentences else "nothing to remark"
+        put(self.outcome, f"\N{CHECK MARK} Written to {self.path.text()}: {found}.")
+        self.findings.clear()
+        self.findings.addItems(list(sentences))
+        self.findings.setVisible(bool(sentences))
+
+    def show_failure(self, sentence: str) -> None:
+        """Say why there is no file."""
+        self.write.setEnabled(True)
+        put(self.outcome, f"\N{BALLOT X} {sentence}")
+        self.path.setFocus()
+
+    def reject(self) -> None:
+        """Close, but not before it is said what became of the file."""
+        if self.write.isEnabled():
+            super().reject()
+
+    def _forget(self) -> None:
+        """Take away what was said of another file."""
+        put(self.outcome, "")
+        self.findings.hide()
+
+    def _row(self) -> tuple[str, str, str, str]:
+        return FORMATS[self.format.currentIndex()]
+
+    def _format_chosen(self) -> None:
+        name, _, ending, about = self._row()
+        put(self.about, about)
+        self.method.setEnabled(name in ("icub", "ply"))
+        if self._named_by_hand:
+            self.path.setText(str(Path(self.path.text()).with_suffix(ending)))
+        else:
+            self._name()
+
+    def _name(self) -> None:
+        if not self._named_by_hand:
+            name, _, ending, _ = self._row()
+            method = f"-{self.method.currentText()}" if name in ("icub", "ply") else ""
+            self.path.setText(str(self._stem.with_name(f"{self._stem.name}{method}{ending}")))
+
+    def _edited(self) -> None:
+        self._named_by_hand = True
+
+    def _browse(self) -> None:
+        _, title, ending, _ = self._row()
+        path, _ = QFileDialog.getSaveFileName(self, "Export calibration", self.path.text(), f"{title} (*{ending})")
+        if path:
+            self._named_by_hand = True
+            self.path.setText(path)
+
+    def _write(self) -> None:
+        self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
+        self.write.setEnabled(False)
+        put(self.outcome, "Writing \N{HORIZONTAL ELLIPSIS}")
+        self.write_requested.emit(self._row()[0], Path(self.path.text()), self.method.currentData())
+
+
+class Compute(Protocol):
+    """Does work beside the window, and hands over its result or the sentence why there is none."""
+
+    def __call__(self, work: Callable[[], Any], done: Callable[[Any], None], failed: Callable[[str], None]) -> None:
+        """Start the work."""
+        ...
+
+
+def ask_layout(
+    parent: QWidget, documents: Path, scene: Scene, mend: LayoutMend, compute: Compute, say: Callable[[Message], None]
+) -> None:
+    """Ask for a file, write the corrected layout there, and say where it is or why it is not.
+
+    Parameters
+    ----------
+    documents : where files go unless the operator says otherwise
+    scene : whose layout it is
+    mend : of that layout
+    """
+    given = scene.skin.layout
+    if given is None:
+        return
+    # A folder that is not there yet would stand in the dialog as a file's name.
+    folder = documents if documents.is_dir() else Path.home()
+    name = str(folder / f"{scene.name}-corrected.modules.toml")
+    chosen, _ = QFileDialog.getSaveFileName(parent, "Save the corrected layout", name, "Layout (*.toml)")
+    if not chosen:
+        return
+    path = Path(chosen)
+
+    def write() -> None:
+        from skincal.files.layout_file import write_layout
+
+        write_layout(given, mend, path)
+
+    compute(write, lambda _: say(Message(saved_words(path, mend))), lambda sentence: say(Message(sentence, error=True)))

@@ -1,0 +1,376 @@
+"""Two sets of places over each other: arrows of difference in the 3D view, and here what they come to.
+
+It works, and the 3D view draws it, only while it is on the screen.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QHideEvent, QShowEvent
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QGridLayout,
+    QHeaderView,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QPushButton,
+    QScrollArea,
+    QTreeWidget,
+    QTreeWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.panels.texts import on_panel, put, quiet
+from app.scene3d.static_scene import DARK, LIGHT, Cloud, Comparison, Tint
+from app.state.place_sets import Pair, PlaceOrigin, Places, Source, default_pair, sources_of
+from app.state.view_state import ViewState
+from app.text.compare_text import (
+    MODULE_HEADINGS,
+    MODULE_HINTS,
+    SCALES,
+    arrow_words,
+    difference_words,
+    listed_modules,
+    listed_words,
+    misfit_words,
+    module_cells,
+    save_hint,
+    scale_choice,
+    source_words,
+    spacing_words,
+    worst_words,
+)
+from app.theme import GAP, Colours
+from app.units import ChannelNames
+from skincal.geometry.arrays import FloatArray
+from skincal.model.skin import Layout
+from skincal.modules.health import PlannedNeighbours, neighbours_of
+from skincal.session.modules_check import ModulesFound
+from skincal.taxels.differences import compare_modules, differences, summarise, worst_rows
+from skincal.taxels.result import Method
+
+if TYPE_CHECKING:
+    from skincal.modules.health import LayoutMend
+    from skincal.session.part import Part
+
+WORST = 10
+"""Taxels in the list of the worst."""
+ROWS_SHOWN = 7
+"""Modules that are seen at once: those of a forearm; beyond it the list scrolls."""
+BLACK_DOT, ARROW = "\N{BLACK CIRCLE}", "\N{RIGHTWARDS ARROW}"
+TINTS = {Method.FREE: Tint.FREE, Method.SURFACE: Tint.SURFACE, Method.MODULES: Tint.MODULES}
+
+
+class ComparePanel(QScrollArea):
+    """What is compared above, how far it lies apart below, module by module and taxel by taxel.
+
+    Parameters
+    ----------
+    part : what is calibrated
+    methods : that the scene has, in the order in which they are offered
+    """
+
+    taxel_wanted = Signal(int)
+    comparison_changed = Signal(object)
+    """`Comparison`, or None while nothing is compared."""
+    layout_wanted = Signal(object)
+    """`LayoutMend`: the corrected layout is to be saved."""
+
+    def __init__(self, part: Part, methods: tuple[Method, ...], names: ChannelNames, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._methods = methods
+        self._names = names
+        self._layout = part.scene.skin.layout
+        self._channels = part.channels
+        self._places = Places(part.channels, None if part.laid is None else part.laid.places)
+        self._neighbours: PlannedNeighbours | None = None
+        """Of the layout; made when first needed."""
+        self._found: ModulesFound | None = None
+        self._state: ViewState | None = None
+        self._sources: tuple[Source, ...] = ()
+        self._chosen: Pair | None = None
+        """What the operator chose; None while they chose nothing."""
+        self._shown: tuple[object, ...] = ()
+        self._tints = LIGHT.tints
+        self.boxes = (QComboBox(), QComboBox())
+        self.all = QCheckBox("all")
+        self.scale = QComboBox()
+        self.legend = QLabel()
+        self.summary = QLabel()
+        self.health = QLabel()
+        self.save: QPushButton | None = None
+        """Saves the corrected layout; there only while there is one."""
+        self.spacing = quiet(wrap=True)
+        self.listed = quiet()
+        self.modules = _module_list()
+        self.worst = QListWidget()
+        self._fill()
+        self._arrange()
+        self._connect()
+
+    def _fill(self) -> None:
+        for box, name in zip(self.boxes, ("from", "to"), strict=True):
+            box.setAccessibleName(name)
+            box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+            box.setMinimumContentsLength(12)
+        self.scale.addItems([scale_choice(scale) for scale in SCALES])
+        self.scale.setAccessibleName("length of the arrows")
+        self.scale.setToolTip("How many times their own length the arrows are drawn")
+        self.all.setToolTip("Show the layout and every method's places over each other")
+        self.worst.setAccessibleName("taxels that lie farthest apart")
+        self.worst.setMinimumHeight(110)
+        font = self.summary.font()
+        font.setBold(True)
+        self.summary.setFont(font)
+        for label in (self.legend, self.summary, self.health):
+            label.setWordWrap(True)
+        self.legend.setTextFormat(Qt.TextFormat.RichText)
+        self.setWhatsThis(
+            "How far the places of the taxels lie apart by two ways to know them. Errors of the rig move whole modules, so a "
+            "module's difference is told in two: its shift, and what is left after its best turn and shift, its shape."
+        )
+
+    def _arrange(self) -> None:
+        choices = QGridLayout()
+        choices.setHorizontalSpacing(GAP)
+        choices.setVerticalSpacing(GAP // 2)
+        choices.setColumnStretch(1, 1)
+        for row, (text, box, other) in enumerate(zip(("From", "To"), self.boxes, (self.all, self.scale), strict=True)):
+            choices.addWidget(quiet(text), row, 0)
+            choices.addWidget(box, row, 1)
+            choices.addWidget(other, row, 2)
+        inner = on_panel(self)
+        self._column = column = QVBoxLayout(inner)
+        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        column.addLayout(choices)
+        for widget in (self.legend, self.summary, self.health, self.listed, self.modules, self.spacing):
+            column.addWidget(widget)
+        column.addWidget(quiet("Farthest apart"))
+        column.addWidget(self.worst, 1)
+        self.health.hide()
+        self.listed.hide()
+        for widget in (self.modules, self.spacing):
+            widget.setVisible(self._layout is not None)
+        self.setWidget(inner)
+
+    def _connect(self) -> None:
+        for box in self.boxes:
+            box.activated.connect(self._choose)
+        self.all.toggled.connect(self._show_again)
+        self.scale.activated.connect(self._show_again)
+        self.worst.itemActivated.connect(self._worst_chosen)
+        self.worst.itemClicked.connect(self._worst_chosen)
+
+    # Showing
+
+    def show_state(self, state: ViewState) -> None:
+        """Compare the places of a tick; nothing happens where they are the same, or where nobody sees it."""
+        self._state = state
+        if not self.isVisible():
+            return
+        found = self._found = state.modules
+        shown = (
+            state.revision,
+            state.method,
+            state.review,
+            found,
+            self._chosen,
+            self.all.isChecked(),
+            self.scale.currentIndex(),
+        )
+        if shown == self._shown:
+            return
+        self._shown = shown
+        self._show_sources(state)
+        pair = self.pair(state)
+        here, there = (self._places.find(source, state) for source in pair)
+        self._show_numbers(pair, here, there)
+        self._show_health(state)
+        self._draw(state, here, there)
+
+    def pair(self, state: ViewState) -> Pair:
+        """Return what is compared: what the operator chose as long as it is there."""
+        chosen = self._chosen
+        if chosen is not None and set(chosen) <= set(self._sources):
+            return chosen
+        return default_pair(self._sources, state.method)
+
+    def _show_sources(self, state: ViewState) -> None:
+        sources = sources_of(self._methods, state.review, laid=self._places.laid)
+        if sources != self._sources:
+            self._sources = sources
+            for box in self.boxes:
+                box.clear()
+                box.addItems([source_words(source) for source in sources])
+        for box, source in zip(self.boxes, self.pair(state), strict=True):
+            box.setCurrentIndex(sources.index(source))
+
+    def _show_numbers(self, pair: Pair, here: FloatArray, there: FloatArray) -> None:
+        lengths = differences(here, there)[1]
+        channels = self._channels.tolist()
+        put(self.summary, difference_words(summarise(lengths), pair, self._names, channels))
+        rows = [] if pair[0] == pair[1] else worst_rows(lengths, WORST).tolist()
+        _list_taxels(
+            self.worst, [(channels[row], worst_words(channels[row], float(lengths[row]), self._names)) for row in rows]
+        )
+        if self._layout is None:
+            return
+        self._show_modules(self._layout, here, there)
+
+    def _show_modules(self, layout: Layout, here: FloatArray, there: FloatArray) -> None:
+        spacing, modules = self._ratios(there), layout.modules
+        every = compare_modules(layout, self._channels, here, there)
+        put(self.listed, listed_words(len(every)))
+        self.listed.setVisible(bool(self.listed.text()))
+        cells = [
+            module_cells(one, modules[one.module].id, len(modules[one.module].channels), float(spacing[one.module]))
+            for one in listed_modules(every)
+        ]
+        _list_modules(self.modules, cells)
+
+    def _ratios(self, places: FloatArray) -> FloatArray:
+        """Return how far neighbours lie apart over the layout's spacing, module by module and at last over all."""
+        if self._layout is None:
+            return np.full(1, np.nan)
+        if self._neighbours is None:
+            self._neighbours = neighbours_of(self._layout)
+        return self._neighbours.ratios(self._channels, places)
+
+    def _show_health(self, state: ViewState) -> None:
+        ratios = {
+            method: float(self._ratios(self._places.find(Source(PlaceOrigin.METHOD, method), state))[-1])
+            for method in self._methods
+        }
+        put(self.spacing, spacing_words(ratios))
+        found = state.modules
+        sentences = () if found is None else misfit_words(found.mend, found.judged, found.method)
+        put(self.health, "\n".join(sentences))
+        self.health.setVisible(bool(sentences))
+        self._show_offer(None if found is None or not found.mend.changes else found.mend)
+
+    def _show_offer(self, mend: LayoutMend | None) -> None:
+        """Have the button while there is a corrected layout to save."""
+        if mend is None:
+            if self.save is not None:
+                self.save.deleteLater()
+            self.save = None
+            return
+        if self.save is None:
+            self.save = QPushButton("Save the corrected layout\N{HORIZONTAL ELLIPSIS}")
+            # The space bar is taken: Enter presses the button that has the focus.
+            self.save.setAutoDefault(True)
+            self.save.clicked.connect(self._save_wanted)
+            self._column.insertWidget(self._column.indexOf(self.health) + 1, self.save, 0, Qt.AlignmentFlag.AlignLeft)
+            self.save.show()
+            QWidget.setTabOrder(self.scale, self.save)
+        self.save.setToolTip(save_hint(mend))
+
+    def _save_wanted(self) -> None:
+        found = self._found
+        if found is not None and found.mend.changes:
+            self.layout_wanted.emit(found.mend)
+
+    def _draw(self, state: ViewState, here: FloatArray, there: FloatArray) -> None:
+        """Have the 3D view draw it, and say what is what there."""
+        scale = SCALES[self.scale.currentIndex()]
+        first, second = self.pair(state)
+        clouds = [Cloud(Tint.FROM, here), Cloud(Tint.TO, there)]
+        named = [(Tint.FROM, source_words(first)), (Tint.TO, source_words(second))]
+        if self.all.isChecked():
+            sources = [source for source in self._sources if source.origin in (PlaceOrigin.LAYOUT, PlaceOrigin.METHOD)]
+            tints = [TINTS[source.method] if source.method is not None else Tint.LAYOUT for source in sources]
+            clouds = [Cloud(tint, self._places.find(source, state)) for tint, source in zip(tints, sources, strict=True)]
+            named = [(tint, source_words(source)) for tint, source in zip(tints, sources, strict=True)]
+        dots = [f"{self._sign(BLACK_DOT, tint)}&nbsp;{_kept(words)}" for tint, words in named]
+        arrows = self._sign(ARROW, Tint.TO) + "&nbsp;" + arrow_words((first, second), scale, named=self.all.isChecked())
+        put(self.legend, "&nbsp;&nbsp; ".join([*dots, arrows]))
+        ends = np.stack([here, here + scale * (there - here)], axis=1)
+        self.comparison_changed.emit(Comparison(tuple(clouds), ends))
+
+    def _sign(self, sign: str, tint: Tint) -> str:
+        red, green, blue = self._tints[tint]
+        return f'<span style="color:#{red:02x}{green:02x}{blue:02x}">{sign}</span>'
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._tints = (DARK if colours.dark else LIGHT).tints
+        self._show_again()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Compare what came while it was hidden."""
+        super().showEvent(event)
+        self._show_again()
+
+    def hideEvent(self, event: QHideEvent) -> None:
+        """Show the estimates again in the 3D view."""
+        super().hideEvent(event)
+        self._shown = ()
+        self.comparison_changed.emit(None)
+
+    # What the operator wants
+
+    def _show_again(self) -> None:
+        self._shown = ()
+        if self._state is not None:
+            self.show_state(self._state)
+
+    def _choose(self) -> None:
+        first, second = (self._sources[box.currentIndex()] for box in self.boxes)
+        self._chosen = first, second
+        self._show_again()
+
+    def _worst_chosen(self, item: QListWidgetItem) -> None:
+        self.taxel_wanted.emit(int(item.data(Qt.ItemDataRole.UserRole)))
+
+
+def _kept(words: str) -> str:
+    """Return words that are not parted at the end of a line."""
+    return words.replace(" ", "&nbsp;")
+
+
+def _module_list() -> QTreeWidget:
+    modules = QTreeWidget()
+    modules.setHeaderLabels(MODULE_HEADINGS)
+    modules.setRootIsDecorated(False)
+    modules.setUniformRowHeights(True)
+    modules.setSelectionMode(QTreeWidget.SelectionMode.NoSelection)
+    modules.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+    modules.setAccessibleName("modules")
+    modules.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    modules.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+    for column, hint in enumerate(MODULE_HINTS):
+        modules.headerItem().setToolTip(column, hint)
+    return modules
+
+
+def _list_modules(tree: QTreeWidget, rows: list[tuple[str, ...]]) -> None:
+    """List the modules, in as much height as they take."""
+    while tree.topLevelItemCount() > len(rows):
+        tree.takeTopLevelItem(tree.topLevelItemCount() - 1)
+    for at, cells in enumerate(rows):
+        item = tree.topLevelItem(at)
+        if item is None:
+            item = QTreeWidgetItem(tree)
+        for column, text in enumerate(cells):
+            if item.text(column) != text:
+                item.setText(column, text)
+    seen = min(len(rows), ROWS_SHOWN)
+    tree.setFixedHeight(tree.header().sizeHint().height() + seen * max(tree.sizeHintForRow(0), 0) + 2 * tree.frameWidth())
+
+
+def _list_taxels(widget: QListWidget, entries: list[tuple[int, str]]) -> None:
+    while widget.count() > len(entries):
+        widget.takeItem(widget.count() - 1)
+    while widget.count() < len(entries):
+        widget.addItem(QListWidgetItem())
+    for row, (channel, text) in enumerate(entries):
+        item = widget.item(row)
+        item.setData(Qt.ItemDataRole.UserRole, channel)
+        if item.text() != text:
+            item.setText(text)

@@ -1,0 +1,371 @@
+"""The tool on the skin from above: where it is asked to lean, and how it is held while it presses.
+
+The middle is the taxel that is asked for. The outlined area is where the tool's upper end may be; the stick is the tool, thick
+at the tip and with a ball at its upper end. Shape tells all of it, colour only says it again.
+
+What is happening, in large type: a sign, a headline with the verb first, one line of detail, and the force.
+
+It must be readable from two metres while both hands are busy, so shape, words and colour say the same thing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPaintEvent, QPen, QPolygonF
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
+
+from app.panels.texts import ElidedLabel, FittedLabel
+from app.panels.top_view import AROUND, TopView, top_view
+from app.state.view_state import ViewState
+from app.text.now_text import Now, NowMemory, Tone, now_line
+from app.theme import GAP, HEADLINE_PT, LIGHT, Colours, digits_font, mix
+from app.units import degrees, millimetres, newtons
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.coaching import leeway
+from skincal.session.snapshot import Snapshot
+
+DIAL_PX = 104
+RIM_PX = 3.0
+TAXEL_PX = 2.4
+RING_PX = 6.5
+"""Radius of the ring around the taxel that is asked for."""
+BALL_PX = 6.0
+"""Radius of the ball at the tool's upper end."""
+FINEST = 0.2
+"""Pixels. A smaller move is not drawn."""
+
+
+class Dial(QWidget):
+    """Target and tool from above."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFixedSize(DIAL_PX, DIAL_PX)
+        self._view: TopView | None = None
+        self._key: tuple[object, ...] = ()
+        self._colours = LIGHT
+        self.setAccessibleName("tool on the skin, from above")
+        self.setWhatsThis(
+            "The skin around the taxel that is asked for, from above, up as in the 3D view. The outlined area is where the "
+            "tool's upper end may be. The stick is the tool that presses, as the force/torque sensor feels it: a dot at its "
+            "tip, a ball at its upper end; a wedge at the rim where its tip is farther away."
+        )
+
+    def show_state(self, state: ViewState) -> None:
+        """Show the target of a tick and the tool that presses; nothing is drawn where both are the same."""
+        guidance, target = state.guidance, state.target
+        self.setVisible(target is not None)
+        if guidance is None or target is None:
+            return
+        told = state.coaching
+        view = top_view(guidance, target, told, leeway(guidance), state.eye)
+        key = self._looks(view, None if told is None else told.landed)
+        if key != self._key:
+            self._key, self._view = key, view
+            self.update()
+        if told is None:
+            tip = f"Tilt {degrees(target.tilt)} is asked for"
+        else:
+            tip = f"Aim {millimetres(told.away)}, tilt {degrees(told.tilt)} of {degrees(target.tilt)}"
+        if tip != self.toolTip():
+            self.setToolTip(tip)
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self.update()
+
+    def _looks(self, view: TopView, landed: int | None) -> tuple[object, ...]:
+        """Return what decides the picture, as finely as it is seen."""
+        arrays = (view.taxels, view.wanted, view.room, view.tip, view.upper)
+        step = FINEST / self._scale()
+        steps = (b"" if each is None else np.round(each / step).astype(np.int64).tobytes() for each in arrays)
+        return (*steps, view.channels.tobytes(), view.right, landed)
+
+    def _scale(self) -> float:
+        """Pixels a metre."""
+        return (DIAL_PX / 2 - RIM_PX) / AROUND
+
+    def _at(self, point: FloatArray) -> QPointF:
+        x, y = (self._scale() * point).tolist()
+        return QPointF(x, -y)
+
+    def _inside(self, point: FloatArray) -> QPointF:
+        """Return where a point is drawn, at the rim where it lies beyond."""
+        size, most = float(np.sqrt(point @ point)), AROUND - BALL_PX / self._scale()
+        return self._at(point * min(1.0, most / size if size > 0 else 1.0))
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the skin, what is asked for, and the tool."""
+        view = self._view
+        if view is None:
+            return
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.translate(DIAL_PX / 2, DIAL_PX / 2)
+        radius = DIAL_PX / 2 - RIM_PX / 2
+        rim = QRectF(-radius, -radius, 2 * radius, 2 * radius)
+        painter.setPen(QPen(QColor(self._colours.line), RIM_PX - 1))
+        painter.setBrush(QColor(self._colours.window))
+        painter.drawEllipse(rim)
+        inside = QPainterPath()
+        inside.addEllipse(rim.adjusted(1, 1, -1, -1))
+        painter.setClipPath(inside)
+        self._draw_skin(painter, view)
+        self._draw_wanted(painter, view)
+        if view.tip is not None and view.tip @ view.tip > AROUND**2:
+            self._draw_way(painter, view.tip)
+        elif view.tip is not None and view.upper is not None:
+            self._draw_tool(painter, self._at(view.tip), self._inside(view.upper), right=view.right)
+        painter.end()
+
+    def _draw_skin(self, painter: QPainter, view: TopView) -> None:
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(mix(self._colours.muted, self._colours.window, 0.55))
+        for place in view.taxels:
+            painter.drawEllipse(self._at(place), TAXEL_PX, TAXEL_PX)
+
+    def _draw_wanted(self, painter: QPainter, view: TopView) -> None:
+        text = QColor(self._colours.text)
+        faint = QColor(text)
+        faint.setAlphaF(0.10)
+        painter.setPen(QPen(text, 1.6))
+        painter.setBrush(faint)
+        painter.drawPolygon(QPolygonF([self._at(corner) for corner in view.room]))
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.setPen(QPen(text, 1.2, Qt.PenStyle.DashLine))
+        painter.drawLine(QPointF(0, 0) if view.tip is None else self._at(view.tip), self._at(view.wanted))
+        for width, colour in ((5.0, Qt.GlobalColor.black), (2.0, Qt.GlobalColor.white)):
+            painter.setPen(QPen(QColor(colour), width))
+            painter.drawEllipse(QPointF(0, 0), RING_PX, RING_PX)
+
+    def _draw_tool(self, painter: QPainter, tip: QPointF, upper: QPointF, *, right: bool) -> None:
+        colour = QColor(self._colours.accent if right else self._colours.bad)
+        edge = QColor(self._colours.window)
+        for each, more in ((edge, 2.5), (colour, 0.0)):
+            painter.setPen(QPen(each, 4.0 + more, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+            painter.drawLine(tip, upper)
+            painter.setPen(Qt.PenStyle.NoPen)
+            painter.setBrush(each)
+            painter.drawEllipse(upper, BALL_PX + more / 2, BALL_PX + more / 2)
+        painter.setPen(QPen(edge, 1.0))
+        painter.setBrush(QColor(self._colours.text))
+        painter.drawEllipse(tip, 3.5, 3.5)
+
+    def _draw_way(self, painter: QPainter, tip: FloatArray) -> None:
+        """Draw a wedge at the rim, toward a tip that is farther away than the picture reaches."""
+        x, y = (tip / np.sqrt(tip @ tip)).tolist()
+        out, aside, rim = QPointF(x, -y), QPointF(y, x), DIAL_PX / 2 - RIM_PX
+        painter.setPen(QPen(QColor(self._colours.window), 1.0))
+        painter.setBrush(QColor(self._colours.bad))
+        painter.drawPolygon(QPolygonF([out * rim, out * (rim - 12) + aside * 7, out * (rim - 12) - aside * 7]))
+
+
+SIGN_PX = 52
+GAUGE_PX = 170
+
+
+def tone_colour(tone: Tone, colours: Colours) -> str:
+    """Return the colour of a tone; never the only thing that tells it."""
+    return {
+        Tone.GO: colours.accent,
+        Tone.GOOD: colours.accent,
+        Tone.HOLD: colours.warn,
+        Tone.WAIT: colours.muted,
+        Tone.CALM: colours.muted,
+        Tone.BAD: colours.bad,
+    }[tone]
+
+
+class Sign(QWidget):
+    """A ring with a sign of the tone; the ring fills while the poke is held still."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFixedSize(SIGN_PX, SIGN_PX)
+        self._tone = Tone.CALM
+        self._share = 0.0
+        self._colours = LIGHT
+
+    def set(self, tone: Tone, share: float) -> None:
+        """Show a tone and how full the still window is, 0 to 1."""
+        if (tone, round(share, 2)) != (self._tone, round(self._share, 2)):
+            self._tone, self._share = tone, share
+            self.update()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the ring, its filled part and the sign."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        ring = QRectF(5, 5, SIGN_PX - 10, SIGN_PX - 10)
+        colour = QColor(tone_colour(self._tone, self._colours))
+        painter.setPen(QPen(QColor(self._colours.line), 5))
+        painter.drawEllipse(ring)
+        share = self._share if self._tone is Tone.HOLD else (1.0 if self._tone in (Tone.GOOD, Tone.BAD, Tone.GO) else 0.0)
+        pen = QPen(colour, 5)
+        pen.setCapStyle(Qt.PenCapStyle.FlatCap)
+        painter.setPen(pen)
+        painter.drawArc(ring, 90 * 16, -round(share * 360 * 16))
+        painter.translate(SIGN_PX / 2, SIGN_PX / 2)
+        pen = QPen(colour, 4)
+        pen.setCapStyle(Qt.PenCapStyle.RoundCap)
+        pen.setJoinStyle(Qt.PenJoinStyle.RoundJoin)
+        painter.setPen(pen)
+        for line in _SIGNS[self._tone]:
+            painter.drawPolyline(QPolygonF([QPointF(x, y) for x, y in line]))
+        painter.end()
+
+
+_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
+    Tone.GOOD: [[(-8, 1), (-2, 7), (9, -7)]],
+    Tone.BAD: [[(-7, -7), (7, 7)], [(-7, 7), (7, -7)]],
+    Tone.GO: [[(0, -9), (0, 8)], [(-7, 1), (0, 8), (7, 1)]],
+    Tone.HOLD: [[(0, -8), (0, 8)], [(-7, 8), (7, 8)]],
+    Tone.WAIT: [[(-8, 0), (-8, 0)], [(0, 0), (0, 0)], [(8, 0), (8, 0)]],
+    Tone.CALM: [[(-7, 0), (7, 0)]],
+}
+
+
+class ForceGauge(QWidget):
+    """The force of the poke in progress beside the window in which it counts."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFixedWidth(GAUGE_PX)
+        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
+        self._force = 0.0
+        self._window = (4.0, 15.0)
+        self._colours = LIGHT
+        self.setAccessibleName("force of the poke")
+
+    def sizeHint(self) -> QSize:
+        """Return the space for the number above the bar."""
+        return QSize(GAUGE_PX, SIGN_PX)
+
+    def set(self, force: float, low: float, high: float) -> None:
+        """Show a force and the window in which it counts, N."""
+        if round(force, 1) != round(self._force, 1) or (low, high) != self._window:
+            self._force, self._window = force, (low, high)
+            self.update()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the number, the scale, the window and the bar."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        low, high = self._window
+        full = high * 1.25
+        metrics = QFontMetrics(painter.font())
+        bar = QRectF(1, self.height() - metrics.height() - 13, self.width() - 2, 10)
+        x = [bar.left() + bar.width() * min(1.0, v / full) for v in (low, high, self._force)]
+        inside = low <= self._force <= high
+        pressing = self._force > 0.05
+        colour = QColor(self._colours.accent if inside else self._colours.bad if self._force > high else self._colours.warn)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(QColor(self._colours.raised))
+        painter.drawRoundedRect(bar, 3, 3)
+        painter.setBrush(QColor(self._colours.line))
+        painter.drawRect(QRectF(x[0], bar.top(), x[1] - x[0], bar.height()))
+        if pressing:
+            painter.setBrush(colour)
+            painter.drawRoundedRect(QRectF(bar.left(), bar.top() + 2, x[2] - bar.left(), bar.height() - 4), 2, 2)
+        painter.setPen(QColor(self._colours.muted))
+        for place, value in zip(x[:2], (low, high), strict=True):
+            text = f"{value:.0f}"
+            painter.drawText(QPointF(place - metrics.horizontalAdvance(text) / 2, bar.bottom() + metrics.ascent() + 1), text)
+        painter.setPen(QColor(self._colours.text if pressing else self._colours.muted))
+        painter.setFont(digits_font(15, bold=True))
+        area = QRectF(0, 0, self.width(), bar.top() - 2)
+        flags = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom
+        painter.drawText(area, flags, newtons(self._force) if pressing else newtons(None) + " N")
+        painter.end()
+
+
+class NowPanel(QFrame):
+    """The line that says what happens."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setObjectName("card")
+        self._memory = NowMemory()
+        self._now = Now(Tone.CALM, "")
+        self._colours = LIGHT
+        self.sign = Sign()
+        self.headline = FittedLabel()
+        self.detail = ElidedLabel()
+        self.detail.setProperty("quiet", True)
+        self.gauge = ForceGauge()
+        self.dial = Dial()
+        self.dial.hide()
+        font = self.headline.font()
+        font.setPointSizeF(HEADLINE_PT)
+        font.setBold(True)
+        self.headline.setFont(font)
+        self.headline.setAccessibleName("what is happening")
+        self._arrange()
+        self.setWhatsThis(
+            "What is happening now and what to do: which taxel to poke, from which side, and why. The ring fills while a poke "
+            "is held still; the bar is its force and the lighter band the range in which a poke counts."
+        )
+
+    def _arrange(self) -> None:
+        words = QVBoxLayout()
+        words.setSpacing(2)
+        words.addStretch(1)
+        words.addWidget(self.headline)
+        words.addWidget(self.detail)
+        words.addStretch(1)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(2 * GAP, GAP, 2 * GAP, GAP)
+        row.setSpacing(2 * GAP)
+        row.addWidget(self.sign)
+        row.addWidget(self.dial)
+        row.addLayout(words, 1)
+        row.addWidget(self.gauge)
+        # The same height with the dial and without: nothing beside it moves when the guide is switched off.
+        self.setFixedHeight(DIAL_PX + 2 * GAP + 2 * self.frameWidth() + 2)
+
+    def begin(self, snapshot: Snapshot) -> None:
+        """Start with a session whose pokes are known already."""
+        self._memory = NowMemory.of(snapshot)
+
+    def show_state(self, state: ViewState) -> None:
+        """Say what happens now."""
+        now, self._memory = now_line(self._memory, state)
+        self.dial.show_state(state)
+        progress, limits = state.live.progress, state.scene.contacts
+        self.gauge.set(float(np.linalg.norm(progress.force)), limits.force_min, limits.force_max)
+        self.say(now, progress.still)
+
+    def say(self, now: Now, share: float = 0.0) -> None:
+        """Show a line; nothing is drawn where it is shown already."""
+        self.sign.set(now.tone, share)
+        if now != self._now:
+            self._now = now
+            self.headline.setText(now.headline)
+            self.detail.setText(now.detail)
+            self._tint()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+        self.sign.set_colours(colours)
+        self.gauge.set_colours(colours)
+        self.dial.set_colours(colours)
+        self._tint()
+
+    def _tint(self) -> None:
+        plain = self._now.tone in (Tone.WAIT, Tone.CALM)
+        colour = self._colours.text if plain else tone_colour(self._now.tone, self._colours)
+        self.headline.set_colour(QColor(colour))
+        self.detail.set_colour(QColor(self._colours.muted))

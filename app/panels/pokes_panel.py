@@ -1,0 +1,282 @@
+"""The pokes as rows, newest first; numbers are worked out for the rows on the screen only.
+
+The list of pokes: what each ended as, undo, exclude and restore.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from PySide6.QtCore import (
+    QAbstractTableModel,
+    QItemSelection,
+    QItemSelectionModel,
+    QModelIndex,
+    QPersistentModelIndex,
+    QPoint,
+    Qt,
+    Signal,
+)
+from PySide6.QtGui import QAction, QColor
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QVBoxLayout, QWidget
+
+from app.panels.texts import put, quiet
+from app.state.view_state import ViewState
+from app.text.errors_text import doubt_mark, doubt_words, doubting
+from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
+from app.theme import GAP, LIGHT, Colours
+from app.units import DASH, ChannelNames, degrees, in_millimetres, number
+from skincal.contacts.outcome import Contact, Rejection
+from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.taxels.result import Estimate
+
+_Index = QModelIndex | QPersistentModelIndex
+HEADINGS = ("#", "Outcome", "Taxel", "N", "Tilt", "Pitch")
+_HINTS = (
+    "Number of the poke in the session",
+    "Accepted, or why not",
+    "Taxel that answered most, and how many more did",
+    "Force, newtons",
+    "Angle between the push and the inward normal, degrees",
+    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}, millimetres: beyond the noise it tells a second contact or a torque",
+)
+
+
+class PokeTable(QAbstractTableModel):
+    """Rows of `Snapshot.pokes` in falling order of their numbers."""
+
+    def __init__(self, names: ChannelNames) -> None:
+        super().__init__()
+        self._names = names
+        self._records: tuple[PokeRecord, ...] = ()
+        self._estimates: Mapping[int, Estimate] = {}
+        self._doubting: Mapping[int, Sequence[Estimate]] = {}
+        self._at_landmarks: Mapping[int, str] = {}
+        self._colours = LIGHT
+
+    def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
+        """Show another snapshot's pokes, telling the view no more than what changed."""
+        records = snapshot.pokes
+        self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
+        self._doubting = doubting(estimates.values())
+        old, added = self._records, len(records) - len(self._records)
+        if added < 0 or any(a.outcome.poke != b.outcome.poke for a, b in zip(old[-1:], records[len(old) - 1 :], strict=False)):
+            self.beginResetModel()
+            self._records = records
+            self.endResetModel()
+            return
+        if added:
+            self.beginInsertRows(QModelIndex(), 0, added - 1)
+            self._records = records
+            self.endInsertRows()
+        self._records = records
+        self._tell_changed(old, records)
+
+    def _tell_changed(self, old: Sequence[PokeRecord], new: Sequence[PokeRecord]) -> None:
+        if new:
+            # What a poke counts for, and its tilt, follow the estimates, and these all pokes.
+            self.dataChanged.emit(self.index(0, 1), self.index(len(new) - 1, 4))
+        changed = [i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a is not b and a != b]
+        if changed:
+            rows = [len(new) - 1 - i for i in changed]
+            self.dataChanged.emit(self.index(min(rows), 0), self.index(max(rows), len(HEADINGS) - 1))
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self._colours = colours
+
+    def record(self, row: int) -> PokeRecord:
+        """Return the record of a row."""
+        return self._records[len(self._records) - 1 - row]
+
+    def row_of(self, poke: int) -> int | None:
+        """Return the row of a poke's number."""
+        return next((len(self._records) - 1 - i for i, r in enumerate(self._records) if r.outcome.poke == poke), None)
+
+    def rowCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
+        """Return the number of pokes."""
+        return 0 if parent.isValid() else len(self._records)
+
+    def columnCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
+        """Return the number of columns."""
+        return 0 if parent.isValid() else len(HEADINGS)
+
+    def headerData(self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+        """Return a column's heading and its hint."""
+        if orientation is not Qt.Orientation.Horizontal:
+            return None
+        if role == Qt.ItemDataRole.TextAlignmentRole:
+            return int(_alignment(section) | Qt.AlignmentFlag.AlignVCenter)
+        return {Qt.ItemDataRole.DisplayRole: HEADINGS[section], Qt.ItemDataRole.ToolTipRole: _HINTS[section]}.get(
+            Qt.ItemDataRole(role)
+        )
+
+    def data(self, index: _Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+        """Return a cell's text, colour or hint."""
+        record = self.record(index.row())
+        if role == Qt.ItemDataRole.DisplayRole:
+            return self._text(record, index.column())
+        if role == Qt.ItemDataRole.TextAlignmentRole:
+            return int(_alignment(index.column()) | Qt.AlignmentFlag.AlignVCenter)
+        if role == Qt.ItemDataRole.ForegroundRole:
+            return self._colour(record, index.column())
+        if role == Qt.ItemDataRole.ToolTipRole:
+            return self._hint(record)
+        return None
+
+    def _colour(self, record: PokeRecord, column: int) -> QColor | None:
+        if record.excluded:
+            return QColor(self._colours.muted)
+        if isinstance(record.outcome, Rejection) and record.outcome.poke not in self._at_landmarks:
+            return QColor(self._colours.bad if column == 1 else self._colours.muted)
+        return QColor(self._colours.accent) if column == 1 else None
+
+    def _hint(self, record: PokeRecord) -> str:
+        outcome = record.outcome
+        if isinstance(outcome, Rejection):
+            name = self._at_landmarks.get(outcome.poke)
+            return reason_words(outcome) if name is None else f"at the landmark {name}; {outcome.reason.value}, and none need"
+        answered = ", ".join(self._names.short(int(c)) for c in outcome.channels)
+        pose = f"\narm pose {outcome.pose}" if outcome.pose else ""
+        change = f"\ntare changed by {number(outcome.tare_change, 2)} N" if outcome.tare_change == outcome.tare_change else ""
+        doubters = () if record.excluded else self._doubting.get(outcome.poke, ())
+        doubts = "".join(f"\n{doubt_words(outcome, estimate, self._names)}" for estimate in doubters)
+        return f"answered: {answered}{pose}{change}{doubts}"
+
+    def _text(self, record: PokeRecord, column: int) -> str:
+        outcome = record.outcome
+        if column == 0:
+            return str(outcome.poke)
+        if column == 1 and not record.excluded and outcome.poke in self._at_landmarks:
+            return f"\N{WHITE DIAMOND} {self._at_landmarks[outcome.poke]}"
+        if column == 1:
+            return _outcome_text(record, doubt_mark(outcome.poke, self._doubting.get(outcome.poke, ()), self._names))
+        if column == 2:
+            return self._taxel(record)
+        return self._measured(outcome, column) if isinstance(outcome, Contact) else ""
+
+    def _taxel(self, record: PokeRecord) -> str:
+        peak = peak_channel(record.outcome)
+        if peak is None:
+            return DASH
+        more = len(record.outcome.channels) - 1
+        return self._names.short(peak) + (f" +{more}" if more else "")
+
+    def _measured(self, contact: Contact, column: int) -> str:
+        if column == 3:
+            return number(force_of(contact), 1)
+        if column == 4:
+            return degrees(tilt_of(contact, self._estimates))
+        return number(in_millimetres(pitch_of(contact)), 1)
+
+
+def _outcome_text(record: PokeRecord, doubt: str) -> str:
+    if isinstance(record.outcome, Rejection):
+        return f"\N{BALLOT X} {reason_short(record.outcome)}"
+    if record.excluded:
+        return "\N{CIRCLED MINUS} excluded"
+    return f"\N{CIRCLE WITH LEFT HALF BLACK} {doubt}" if doubt else "\N{CHECK MARK} accepted"
+
+
+def _alignment(column: int) -> Qt.AlignmentFlag:
+    return Qt.AlignmentFlag.AlignLeft if column in (1, 2) else Qt.AlignmentFlag.AlignRight
+
+
+class PokesPanel(QWidget):
+    """A table of pokes and a line that counts why pokes were rejected."""
+
+    selection_changed = Signal()
+    taxel_wanted = Signal(int)
+    """A poke was chosen by hand: the channel that answered it most."""
+
+    def __init__(self, names: ChannelNames, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.model = PokeTable(names)
+        self.table = QTableView()
+        self.table.setModel(self.model)
+        self.tally = quiet(wrap=True)
+        self.tally.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
+        self.actions_offered: list[QAction] = []
+        self._generation: tuple[object, object] = (None, None)
+        self._prepare()
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.tally)
+        column.addWidget(self.table, 1)
+        self.setWhatsThis(
+            "Every poke, newest first, with what it ended as. An excluded poke stays in the recording, counts for nothing "
+            "and can be restored; the estimates follow at once."
+        )
+
+    def _prepare(self) -> None:
+        table = self.table
+        table.setAccessibleName("pokes")
+        table.setTabKeyNavigation(False)
+        table.setShowGrid(False)
+        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
+        table.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+        table.verticalHeader().hide()
+        table.verticalHeader().setDefaultSectionSize(table.fontMetrics().height() + 8)
+        table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        header = table.horizontalHeader()
+        header.setHighlightSections(False)
+        header.setMinimumSectionSize(24)
+        for column, text in enumerate(("00000", "", "00-00 +0", "00.0", "00\N{DEGREE SIGN}0", "Pitch0")):
+            fixed = QHeaderView.ResizeMode.Stretch if not text else QHeaderView.ResizeMode.Fixed
+            header.setSectionResizeMode(column, fixed)
+            if text:
+                header.resizeSection(column, table.fontMetrics().horizontalAdvance(text) + 12)
+        table.selectionModel().selectionChanged.connect(self._selection_changed)
+        table.customContextMenuRequested.connect(self._menu)
+
+    def show_state(self, state: ViewState) -> None:
+        """Show the pokes of a tick; nothing happens where they are the same."""
+        generation = (state.revision, state.method)
+        if generation == self._generation:
+            return
+        self._generation = generation
+        self.model.show(state.snapshot, state.by_channel())
+        put(self.tally, tally_words(state.snapshot))
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self.model.set_colours(colours)
+        self.table.viewport().update()
+
+    def selected(self) -> tuple[int, ...]:
+        """Return the numbers of the selected pokes, ascending."""
+        rows = self.table.selectionModel().selectedRows()
+        return tuple(sorted(self.model.record(index.row()).outcome.poke for index in rows))
+
+    def select(self, poke: int) -> None:
+        """Select a poke by its number and bring it into sight."""
+        row = self.model.row_of(poke)
+        if row is not None:
+            flags = QItemSelectionModel.SelectionFlag
+            index = self.model.index(row, 0)
+            self.table.selectionModel().setCurrentIndex(index, flags.ClearAndSelect | flags.Rows)
+            self.table.scrollTo(index)
+
+    def _selection_changed(self, _new: QItemSelection, _old: QItemSelection) -> None:
+        self.selection_changed.emit()
+        rows = self.table.selectionModel().selectedRows()
+        if len(rows) == 1:
+            peak = peak_channel(self.model.record(rows[0].row()).outcome)
+            if peak is not None:
+                self.taxel_wanted.emit(peak)
+
+    def _menu(self, place: QPoint) -> None:
+        menu = QMenu(self)
+        menu.addActions(self.actions_offered)
+        menu.popup(self.table.viewport().mapToGlobal(place))
+
+
+def tally_words(snapshot: Snapshot) -> str:
+    """Return how many pokes there are and why some do not count."""
+    reasons = Counter(outcome.reason.value for outcome in rejections(snapshot))
+    told = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
+    return pokes_words(snapshot, f" ({told})" if told else "")

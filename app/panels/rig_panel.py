@@ -1,0 +1,229 @@
+"""The arm's pose: chosen from those the scene names, or shown as the joints stream it.
+
+The rig: the arm's pose, the landmarks of the part, and what they tell of the sensor and the arm.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QScrollArea,
+    QTreeWidget,
+    QTreeWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.panels.texts import fit_rows, on_panel, put, quiet
+from app.state.rig_review import Offer
+from app.state.view_state import ViewState
+from app.text.guidance_text import gain_words, landmark_words
+from app.text.rig_text import landmark_rows, offer_text, review_words
+from app.theme import GAP
+from app.units import degrees
+from skincal.contacts.outcome import Contact
+from skincal.guide.guidance import Guidance
+from skincal.model.readings import Stream
+from skincal.model.scene import ArmSpec
+
+
+class ArmPanel(QWidget):
+    """The poses of a scene; absent where a scene has no arm."""
+
+    pose_requested = Signal(str)
+
+    def __init__(self, arm: ArmSpec, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._shown: tuple[object, ...] = ()
+        self._streamed = False
+        self.current = QLabel("Arm pose unknown")
+        font = self.current.font()
+        font.setBold(True)
+        self.current.setFont(font)
+        self.current.setWordWrap(True)
+        self.how = quiet(wrap=True)
+        self.poses = QTreeWidget()
+        self.poses.setAccessibleName("arm poses")
+        self.poses.setHeaderLabels(["Pose", "Joints", "Contacts"])
+        self.poses.setRootIsDecorated(False)
+        self.poses.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        self.rows = {name: QTreeWidgetItem(self.poses) for name in arm.poses}
+        for name, row in self.rows.items():
+            row.setData(0, Qt.ItemDataRole.UserRole, name)
+            row.setText(1, "   ".join(degrees(float(angle), 1) for angle in np.atleast_1d(arm.poses[name])))
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, GAP, 0, 0)
+        column.addWidget(self.current)
+        column.addWidget(self.how)
+        column.addWidget(self.poses)
+        self.poses.itemActivated.connect(self._chosen)
+        self.poses.itemClicked.connect(self._chosen)
+        self.setWhatsThis(
+            "The pose of the arm says where the sensor is in the frame of the part. Choose the one the arm stands in, or let "
+            "the joints be streamed; a poke with an unknown pose does not count."
+        )
+
+    def show_state(self, state: ViewState) -> None:
+        """Show the current pose and how it is known."""
+        streamed = any(Stream.JOINTS in link.carries for link in state.live.links)
+        shown = (state.revision, state.snapshot.pose, streamed)
+        if shown == self._shown:
+            return
+        self._shown = shown
+        pose = state.snapshot.pose
+        put(self.current, f"Arm pose {pose}" if pose else "Arm pose unknown")
+        put(self.how, "The joints are streamed." if streamed else "Click the pose in which the arm stands, after moving it.")
+        self._streamed = streamed
+        used = [p.outcome.pose for p in state.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
+        for name, row in self.rows.items():
+            mark = "\N{BLACK CIRCLE}" if name == pose else "\N{WHITE CIRCLE}"
+            _put(row, 0, f"{mark}  {name}")
+            _put(row, 2, str(used.count(name)))
+        fit_rows(self.poses)
+
+    def _chosen(self, row: QTreeWidgetItem, _column: int) -> None:
+        if not self._streamed:
+            self.pose_requested.emit(str(row.data(0, Qt.ItemDataRole.UserRole)))
+
+
+def _put(row: QTreeWidgetItem, column: int, text: str) -> None:
+    if row.text(column) != text:
+        row.setText(column, text)
+
+
+HEADINGS = ("Landmark", "Here", "All", "Off by")
+_HINTS = (
+    "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
+    "Pokes at it in the present arm pose",
+    "Pokes at it in all arm poses",
+    "How far their axes pass it, as the rig tells and under the correction that was found",
+)
+NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
+WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
+NOT_YET = (
+    "Poke landmarks: three tell whether the sensor's frame is right, six or more, at four different ones, correct the rig."
+)
+
+
+class RigPanel(QScrollArea):
+    """What is known of the rig, and what could put it right."""
+
+    correct_requested = Signal(object)
+    """`Correct`."""
+    uncorrect_requested = Signal(str)
+    """What is to be corrected no more."""
+
+    def __init__(self, arm: ArmSpec | None, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._shown: tuple[object, ...] = ()
+        self._offer: Offer | None = None
+        self._used = ""
+        self.arm = None if arm is None else ArmPanel(arm)
+        self.points = _list()
+        self.asked = quiet(wrap=True)
+        self.said = quiet(wrap=True)
+        self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.offer = QPushButton()
+        self.drop = QPushButton()
+        self._arrange()
+        self.offer.clicked.connect(self._offer_taken)
+        self.drop.clicked.connect(lambda: self.uncorrect_requested.emit(self._used))
+        self.setWhatsThis(
+            "Pokes at landmarks, known points of the part, tell what is wrong with the rig: the sensor's frame, its matrix, "
+            "the arm's poses. What is found is only offered; what is used can be taken back. One landmark in four is held "
+            "out, and a correction of the rig is offered only if it meets these better."
+        )
+
+    def _arrange(self) -> None:
+        inner = on_panel(self)
+        column = QVBoxLayout(inner)
+        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        column.addWidget(self.asked)
+        column.addWidget(self.said)
+        row = QHBoxLayout()
+        row.addWidget(self.offer)
+        row.addWidget(self.drop)
+        row.addStretch(1)
+        column.addLayout(row)
+        column.addWidget(self.points)
+        if self.arm is not None:
+            column.addWidget(self.arm)
+        column.addStretch(1)
+        self.offer.hide()
+        self.drop.hide()
+        self.setWidget(inner)
+
+    def show_state(self, state: ViewState) -> None:
+        """Show the rig of a tick; nothing happens where it is the same."""
+        if self.arm is not None:
+            self.arm.show_state(state)
+        snapshot, guidance = state.snapshot, state.guidance
+        shown = (state.revision, snapshot.pose, snapshot.landmarks, state.review, state.offers, guidance, state.method)
+        if len(shown) == len(self._shown) and all(one is other for one, other in zip(shown, self._shown, strict=True)):
+            return
+        self._shown = shown
+        self._list_points(state)
+        put(self.asked, _asked_words(guidance))
+        self.asked.setVisible(bool(self.asked.text()))
+        put(self.said, _words(state))
+        self._offer = state.offers[0] if state.offers else None
+        self._used = next(reversed(tuple(state.snapshot.corrections)), "")
+        offer = "" if self._offer is None else f"{offer_text(self._offer)}  (C)"
+        for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):
+            button.setVisible(bool(text))
+            if button.text() != text:
+                button.setText(text)
+
+    def _list_points(self, state: ViewState) -> None:
+        rows = landmark_rows(state.snapshot, state.review)
+        self.points.setVisible(bool(rows))
+        while self.points.topLevelItemCount() > len(rows):
+            self.points.takeTopLevelItem(self.points.topLevelItemCount() - 1)
+        asked = "" if state.target is None else state.target.landmark
+        for index, row in enumerate(rows):
+            item = self.points.topLevelItem(index) or QTreeWidgetItem(self.points)
+            mark = "\N{BLACK RIGHT-POINTING TRIANGLE} " if row.name == asked else ""
+            for column, text in enumerate((mark + row.name, str(row.here), str(row.every), row.off)):
+                if item.text(column) != text:
+                    item.setText(column, text)
+
+        fit_rows(self.points)
+
+    def _offer_taken(self) -> None:
+        if self._offer is not None:
+            self.correct_requested.emit(self._offer.action)
+
+
+def _asked_words(guidance: Guidance | None) -> str:
+    if guidance is None or guidance.landmark is None:
+        return ""
+    return "; ".join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
+
+
+def _words(state: ViewState) -> str:
+    if not state.snapshot.landmarks:
+        return NO_POINTS
+    if state.review is None:
+        return WAITING if state.snapshot.at_landmarks else NOT_YET
+    return "\n".join(review_words(state.review, state.snapshot, state.method, state.estimates))
+
+
+def _list() -> QTreeWidget:
+    points = QTreeWidget()
+    points.setAccessibleName("landmarks")
+    points.setHeaderLabels(list(HEADINGS))
+    points.setRootIsDecorated(False)
+    points.setUniformRowHeights(True)
+    points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+    points.header().setStretchLastSection(False)
+    points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+    points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+    for column, hint in enumerate(_HINTS):
+        points.headerItem().setToolTip(column, hint)
+    return points

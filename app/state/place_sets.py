@@ -1,0 +1,128 @@
+"""Sets of places that can be laid over each other: the layout, each method, and each method before and after a correction.
+
+Pure: which sets there are and what they hold follows from the views' state. Places stand in the order of the part's channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from app.state.view_state import ViewState
+from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.session.review import Review
+from skincal.taxels.differences import places_of
+from skincal.taxels.result import Method
+
+
+class PlaceOrigin(Enum):
+    """Where places come from."""
+
+    LAYOUT = "layout"
+    METHOD = "method"
+    BEFORE = "before correction"
+    AFTER = "after correction"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One set of places."""
+
+    origin: PlaceOrigin
+    method: Method | None = None
+    """None for the layout."""
+
+
+LAYOUT = Source(PlaceOrigin.LAYOUT)
+Pair = tuple[Source, Source]
+
+
+def sources_of(methods: Sequence[Method], review: Review | None, *, laid: bool) -> tuple[Source, ...]:
+    """Return the sets of places that there are.
+
+    Parameters
+    ----------
+    methods : of the scene, in the order in which they are offered
+    review : of the rig; None where there is none
+    laid : whether the layout has a place on the part
+    """
+    found = [LAYOUT] if laid else []
+    found += [Source(PlaceOrigin.METHOD, method) for method in methods]
+    if review is not None:
+        reviewed = [method for method in methods if method in review.before or method in review.after]
+        found += [Source(origin, method) for origin in (PlaceOrigin.BEFORE, PlaceOrigin.AFTER) for method in reviewed]
+    return tuple(found)
+
+
+def default_pair(sources: Sequence[Source], shown: Method) -> Pair:
+    """Return what is compared while the operator chose nothing: the layout with the shown method, or free with surface."""
+    free, surface = Source(PlaceOrigin.METHOD, Method.FREE), Source(PlaceOrigin.METHOD, Method.SURFACE)
+    if LAYOUT in sources:
+        return LAYOUT, Source(PlaceOrigin.METHOD, shown)
+    others = [one for one in sources if one != free]
+    return free, surface if surface in sources else next(iter(others), free)
+
+
+class Places:
+    """Where each source puts the taxels of a part, worked out once for what it follows from.
+
+    Parameters
+    ----------
+    channels : (n,) int, of the taxels
+    laid : (width, 3) float, metres, of the layout by channel; None where it has no place on the part
+    """
+
+    def __init__(self, channels: IntArray, laid: FloatArray | None) -> None:
+        self.channels = channels
+        self._laid = None if laid is None or not np.isfinite(laid[channels]).any() else laid[channels]
+        self._kept: dict[Source, tuple[object, FloatArray]] = {}
+
+    @property
+    def laid(self) -> bool:
+        """Whether the layout has a place on the part."""
+        return self._laid is not None
+
+    def find(self, source: Source, state: ViewState) -> FloatArray:
+        """Return the places of a source at a tick, (n, 3) float, metres, link frame; NaN where unknown."""
+        if source.method is None:
+            return self._unknown() if self._laid is None else self._laid
+        review = state.review
+        reviewed = None if review is None else _reviewed(source, source.method, review)
+        told = state.snapshot.estimates.get(source.method, ()) if reviewed is None else reviewed
+        kept, places = self._kept.get(source, (None, None))
+        if kept is not told or places is None:
+            if review is None or reviewed is None:
+                places = self._worked_out(source.method, state)
+            else:
+                places = self._in_order(review.channels, reviewed)
+            self._kept[source] = told, places
+        return places
+
+    def _worked_out(self, method: Method, state: ViewState) -> FloatArray:
+        estimates = state.snapshot.estimates.get(method, ())
+        return places_of(estimates) if len(estimates) == len(self.channels) else self._unknown()
+
+    def _in_order(self, channels: IntArray, found: FloatArray) -> FloatArray:
+        places = self._unknown()
+        row_of = {channel: row for row, channel in enumerate(self.channels.tolist())}
+        there = [(row_of[channel], row) for row, channel in enumerate(channels.tolist()) if channel in row_of]
+        if there:
+            own, theirs = np.array(there).T
+            places[own] = found[theirs]
+        return places
+
+    def _unknown(self) -> FloatArray:
+        return np.full((len(self.channels), 3), np.nan)
+
+
+def _reviewed(source: Source, method: Method, review: Review) -> FloatArray | None:
+    """Return the places that a review holds of a source; None where the session's own estimates are these.
+
+    While a correction is in use the session's estimates are those after it, else those before it; the review holds the others.
+    """
+    if source.origin is PlaceOrigin.METHOD:
+        return None
+    return (review.before if source.origin is PlaceOrigin.BEFORE else review.after).get(method)

@@ -1,0 +1,244 @@
+"""The line that says what is happening, as a pure function of what a tick hands to the views.
+
+What has to be remembered between two ticks (a verdict that stays long enough to be read, a phase that must last before it is
+announced) is a frozen value that goes in and comes out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from app.state.policies import GOOD_RMS, is_news, newest_outcome
+from app.state.running import Running
+from app.state.view_state import LinkLook, ViewState
+from app.text.guidance_text import (
+    BETWEEN,
+    SILENT,
+    CoachMemory,
+    Force,
+    asked_words,
+    done_words,
+    end_words,
+    enough_words,
+    follow,
+    force_words,
+    hint_words,
+    landmark_poked_words,
+    newly_done,
+    pressing_words,
+    target_words,
+    why_words,
+)
+from app.text.outcomes import counted_words, link_detail, peak_channel, verdict_detail, verdict_words
+from app.units import count, newtons, number
+from skincal.contacts.outcome import Outcome, PressPhase, Rejection
+from skincal.guide.coaching import PRESSING
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.progress import GuideSettings
+from skincal.session.snapshot import Snapshot
+
+VERDICT_S = 2.5
+"""s. A verdict stays at least this long unless the next poke begins: a dozen words are read in it."""
+SETTLE_S = 0.15
+"""s. A calm phase must last this long before it is said, so that the line does not flicker with noise."""
+
+
+class Tone(Enum):
+    """The mood of the line; each has its own colour and its own sign."""
+
+    CALM = "calm"
+    WAIT = "wait"
+    GO = "go"
+    HOLD = "hold"
+    GOOD = "good"
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class Now:
+    """What is happening, verb first, and one line of detail."""
+
+    tone: Tone
+    headline: str
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class NowMemory:
+    """What the line remembers between two ticks."""
+
+    outcome: Outcome | None = None
+    """The newest poke that was seen."""
+    verdict_until_s: float = -math.inf
+    phase: PressPhase = PressPhase.NO_DATA
+    """The phase that is said."""
+    coming: PressPhase = PressPhase.NO_DATA
+    coming_since_s: float = -math.inf
+    asked: int | None = None
+    """Channel that the frame before asked to poke."""
+    meant: int | None = None
+    """Channel that was asked for when the newest poke was made."""
+    guidance: Guidance | None = None
+    """The frame's before."""
+    done: tuple[int, ...] = ()
+    """Channels that became done with the newest poke, ascending."""
+    coach: CoachMemory = SILENT
+
+    @staticmethod
+    def of(snapshot: Snapshot) -> NowMemory:
+        """Return a memory that does not announce the pokes that are there already."""
+        return NowMemory(outcome=newest_outcome(snapshot))
+
+
+def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
+    """Return what is said now, and what has to be remembered.
+
+    Trouble goes before everything. A poke in progress is said at once; a
+    verdict stays `VERDICT_S`; a calm phase is said once it lasted `SETTLE_S`.
+    """
+    memory = _settle(_see_guidance(_see_outcome(memory, at), at), at)
+    memory = replace(memory, coach=follow(memory.coach, at))
+    trouble = _trouble(at)
+    if trouble is not None:
+        return trouble, memory
+    if memory.phase in PRESSING:
+        return _pressing(memory, at), memory
+    if at.now_s < memory.verdict_until_s and memory.outcome is not None:
+        return _verdict(memory.outcome, memory, at), memory
+    return _calm(memory.phase, at), memory
+
+
+def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
+    newest = newest_outcome(at.snapshot)
+    if newest is not None and at.snapshot.pokes[-1].excluded:
+        # It was taken back: nobody must read that it counts.
+        return replace(memory, outcome=newest, verdict_until_s=-math.inf)
+    if newest is None or newest is memory.outcome:
+        return memory
+    grown = newly_done(memory.guidance, at.guidance)
+    if is_news(memory.outcome, newest):
+        until_s = at.now_s + VERDICT_S
+        return replace(memory, outcome=newest, verdict_until_s=until_s, meant=memory.asked, done=tuple(sorted(grown)))
+    if memory.outcome is None or newest.poke < memory.outcome.poke:
+        return replace(memory, outcome=newest, done=())
+    # The same poke again, with the tare after it: that may be what a taxel lacked.
+    return replace(memory, outcome=newest, done=tuple(sorted(grown.union(memory.done))))
+
+
+def _see_guidance(memory: NowMemory, at: ViewState) -> NowMemory:
+    asked = None if at.target is None else at.target.channel
+    if asked == memory.asked and at.guidance is memory.guidance:
+        return memory
+    return replace(memory, asked=asked, guidance=at.guidance)
+
+
+def _settle(memory: NowMemory, at: ViewState) -> NowMemory:
+    phase = at.live.progress.phase
+    if phase is not memory.coming:
+        memory = replace(memory, coming=phase, coming_since_s=at.now_s)
+    # A poke's begin and end are said at once: the detector's own two thresholds keep them from flickering.
+    if phase in PRESSING or memory.phase in PRESSING or at.now_s - memory.coming_since_s >= SETTLE_S:
+        memory = replace(memory, phase=phase)
+    return memory
+
+
+def _trouble(at: ViewState) -> Now | None:
+    if at.running is Running.OPENING:
+        return Now(Tone.WAIT, "opening", at.scene.name)
+    if at.running is Running.PAUSED:
+        return Now(Tone.CALM, "paused", "Nothing is recorded; the space bar goes on.")
+    if at.running is Running.OFFLINE:
+        return Now(Tone.CALM, "no device connected", "Look, change and export; the space bar connects the devices.")
+    lost = next((link for link in at.live.links if at.look(link) is LinkLook.LOST), None)
+    if lost is not None:
+        return Now(Tone.BAD, f"lost {lost.link}", link_detail(lost, at) or "It is taken up again by itself.")
+    return None
+
+
+def _pressing(memory: NowMemory, at: ViewState) -> Now:
+    how = pressing_words(at.coaching, at.target, at.names)
+    if memory.phase is PressPhase.HELD:
+        return Now(Tone.GOOD, "enough, release", how or "The still window is full.")
+    hint = memory.coach.hint
+    asked = hint_words(hint, at.target, at.names) if hint is not None and at.target is not None else ""
+    force, detail = force_words(memory.coach, at)
+    if force:
+        tone = Tone.HOLD if memory.coach.force is Force.LOW else Tone.BAD
+        return Now(tone, force, BETWEEN.join(filter(None, (detail, asked or how))))
+    return Now(Tone.HOLD, asked or "hold still", f"{detail}{BETWEEN}{how}" if how else f"{detail}, keep the tip where it is")
+
+
+def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
+    name = at.snapshot.at_landmarks.get(outcome.poke)
+    if name is not None:
+        return Now(Tone.GOOD, landmark_poked_words(outcome.poke, name), _next(at))
+    detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
+    if isinstance(outcome, Rejection):
+        return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
+    words = verdict_words(outcome, at.names)
+    if memory.meant is not None and memory.meant != peak_channel(outcome):
+        words, detail = counted_words(outcome, at.names), asked_words(outcome, memory.meant, at.names)
+    # Whoever is quick pokes again while this is still said.
+    return Now(Tone.GOOD, words, BETWEEN.join(filter(None, (done_words(memory.done, at.names), _next(at), detail))))
+
+
+def _calm(phase: PressPhase, at: ViewState) -> Now:
+    if at.unsolved:
+        left = f"{count(at.unsolved, 'taxel')} to go: what changed concerns all of them. Pokes count meanwhile."
+        return Now(Tone.WAIT, "solving anew", left)
+    if phase is PressPhase.NO_DATA:
+        return _no_data(at)
+    if phase is PressPhase.TARING:
+        following = _next(at)
+        taring = (
+            f"Taring.  {following}" if following else "Taring: the sensor's offset is taken while nothing touches the part."
+        )
+        return Now(Tone.WAIT, "keep hands off", taring)
+    return _guided(at) or _ready(at)
+
+
+def _next(at: ViewState) -> str:
+    """Return what to do next, or that it is enough; empty where nobody guides."""
+    if at.guidance is not None and at.guidance.phase is GuidePhase.ENOUGH:
+        return enough_words(at.guidance, GOOD_RMS, at.snapshot.dead)
+    if at.guidance is None or at.target is None:
+        return ""
+    return f"Next: {target_words(at.guidance, at.target, at.names)}"
+
+
+def _guided(at: ViewState) -> Now | None:
+    guidance, dead = at.guidance, at.snapshot.dead
+    if guidance is None:
+        return None
+    if guidance.phase is GuidePhase.ENOUGH:
+        first = "C uses the correction that is offered. " if at.offers else ""
+        return Now(Tone.GOOD, enough_words(guidance, GOOD_RMS, dead), first + end_words(guidance, dead))
+    if at.target is None:
+        return None
+    return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))
+
+
+def _ready(at: ViewState) -> Now:
+    limits = at.scene.contacts
+    low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)
+    return Now(Tone.GO, "ready: poke", f"Press {low} to {high} onto a taxel and hold {number(limits.still_s, 1)} s.")
+
+
+def _no_data(at: ViewState) -> Now:
+    links = at.live.links
+    missing = [link for link in links if at.look(link) in (LinkLook.WAITING, LinkLook.SILENT)]
+    if missing:
+        return Now(Tone.WAIT, f"waiting for {' and '.join(link.link for link in missing)}", link_detail(missing[0], at))
+    if links and all(at.look(link) is LinkLook.ENDED for link in links):
+        return Now(Tone.CALM, "recording ended", "Everything that was recorded has been read.")
+    return Now(Tone.WAIT, "waiting for data", "Both streams must run before a poke can be taken.")
+
+
+def modules_enough_words() -> str:
+    """Return what is said once the modules method needs no more, while another is shown."""
+    settings = GuideSettings()
+    pokes, wanted = settings.module_pokes, 1e3 * settings.wanted
+    words = f"By the modules method it is enough: {pokes} pokes on every module, predicted errors of at most {wanted:g} mm."
+    return f"{words} The box above the map, or V, shows that method; then F leads to the file."

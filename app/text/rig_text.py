@@ -1,0 +1,124 @@
+"""What is said of a rig and of what could put it right."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.state.rig_review import Offer
+from app.units import DASH, in_millimetres, millimetres, number
+from skincal.contacts.outcome import Outcome
+from skincal.model.actions import Correct
+from skincal.rig.correction import RIG
+from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
+from skincal.session.corrections import used_of
+from skincal.session.review import Review
+from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Estimate, Method
+
+
+def offer_text(offer: Offer) -> str:
+    """Return what the button of a correction that could be used says."""
+    if offer.frame is not None:
+        return "Correct the sensor's frame"
+    return "Correct the rig anew" if offer.anew else "Correct the rig"
+
+
+def offer_words(offer: Offer) -> str:
+    """Return what is said of a correction that could be used, with the misses."""
+    if offer.frame is None:
+        return rig_words(offer.action.before, offer.action.after)
+    perhaps = "" if offer.frame.sure else " Another mistake would be nearly as likely: poke another landmark."
+    return frame_sentence(offer.frame) + perhaps
+
+
+def offer_news(offer: Offer) -> str:
+    """Return what is said once of a correction that could be used."""
+    return f"{offer_words(offer)} C uses that; the Rig tab says more, and takes it back."
+
+
+def corrected_words(action: Correct) -> str:
+    """Return what is said when a correction is used."""
+    return f"{correction_sentence(used_of(action))} Backspace takes it back until the next poke, the Rig tab at any time."
+
+
+def rig_words(before: float, after: float) -> str:
+    """Return what a correction of the rig would do, with the misses of held-out pokes, metres."""
+    then, now = millimetres(after), millimetres(before)
+    return f"The rig can be corrected: held-out pokes then pass their landmarks at {then}, now at {now}."
+
+
+def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
+    """Return how far a correction moves, or has moved, the taxels of a method; empty where nobody knows."""
+    other = review.before.get(method, review.after.get(method))
+    if other is None:
+        return ""
+    here = {estimate.channel: estimate.position for estimate in estimates}
+    pairs = [
+        (place, there)
+        for channel, place in zip(review.channels.tolist(), other, strict=True)
+        if (there := here.get(channel)) is not None and np.isfinite(place).all()
+    ]
+    if not pairs:
+        return ""
+    apart = np.array([np.linalg.norm(first - second) for first, second in pairs])
+    verb = "has moved" if method in review.before else "would move"
+    return f"It {verb} the taxels by {millimetres(float(apart.mean()))} in the mean, {millimetres(float(apart.max()))} at most."
+
+
+def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: Sequence[Estimate]) -> tuple[str, ...]:
+    """Return what is said of the rig, most important first."""
+    frame, rig, found = review.frame, review.rig, rig_sentences(review.rig)
+    said = [] if frame is None else [frame_sentence(frame)]
+    said += [correction_sentence(used) for used in snapshot.corrections.values()]
+    if RIG not in snapshot.corrections:
+        said += found[:1]
+    elif not rig.used:
+        said.append(f"The landmark pokes that count now do not speak for it any more. {found[0]}")
+    moved = moved_words(review, method, estimates)
+    return tuple(filter(None, (*said, moved, *found[1:])))
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkRow:
+    """What a list says of one landmark."""
+
+    name: str
+    here: int
+    """Pokes in the present arm pose."""
+    every: int
+    off: str
+    """How far its pokes pass it, root mean square, as the rig reports them and under the correction that was found."""
+
+
+def landmark_rows(snapshot: Snapshot, review: Review | None) -> list[LandmarkRow]:
+    """Return one row for each landmark."""
+    outcomes = {record.outcome.poke: record for record in snapshot.pokes if record.outcome.poke in snapshot.at_landmarks}
+    counting = {poke: record.outcome for poke, record in outcomes.items() if not record.excluded}
+    of: dict[str, list[int]] = defaultdict(list)
+    for poke in counting:
+        of[snapshot.at_landmarks[poke]].append(poke)
+    return [_landmark_row(point.name, of[point.name], counting, snapshot.pose, review) for point in snapshot.landmarks]
+
+
+def _landmark_row(
+    name: str, pokes: Sequence[int], outcomes: Mapping[int, Outcome], pose: str, review: Review | None
+) -> LandmarkRow:
+    reported, found = ({}, {}) if review is None else (review.told, review.rig.distances)
+    off = _off([reported[poke] for poke in pokes if poke in reported], [found[poke] for poke in pokes if poke in found])
+    return LandmarkRow(name, sum(outcomes[poke].pose == pose for poke in pokes), len(pokes), off)
+
+
+def _off(reported: Sequence[float], found: Sequence[float]) -> str:
+    if not reported:
+        return DASH
+    if not found:
+        return millimetres(_rms(reported))
+    return f"{number(in_millimetres(_rms(reported)), 1)} \N{RIGHTWARDS ARROW} {millimetres(_rms(found))}"
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

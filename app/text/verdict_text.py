@@ -1,0 +1,107 @@
+"""How a session ends, put into words; pure functions of the verdict, without Qt."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from app.state.rig_review import Offer
+from app.text.outcomes import METHOD_NAMES
+from app.text.rig_text import offer_words
+from app.units import count, millimetres, minutes
+from skincal.guide.progress import GuideSettings, Why
+from skincal.guide.verdict import Left, Verdict
+from skincal.rig.correction import UsedCorrection
+from skincal.sentences import correction_sentence, rig_sentences
+from skincal.session.review import Review
+from skincal.taxels.result import Method
+
+
+def sentence(verdict: Verdict) -> str:
+    """Return what the session has come to: `"All 84 taxels are done, predicted to 3 mm, and the held-out pokes agree."`.
+
+    Taxels that are predicted to so much and not done, because they need something else, are not counted.
+    """
+    if not verdict.used:
+        return "No taxel is used." if verdict.left else "No taxel has answered yet."
+    if verdict.done == verdict.used:
+        used = "used " if any(one.why is Why.DEAD for one in verdict.left) else ""
+        done = f"All {count(verdict.used, used + 'taxel')} are done, predicted to {millimetres(verdict.wanted, 0)}"
+    else:
+        done = f"{verdict.done} of {count(verdict.used, 'taxel')} are done"
+    early = "" if verdict.enough else "Not enough yet: "
+    return f"{early}{done}{_agreement(verdict)}."
+
+
+def _agreement(verdict: Verdict) -> str:
+    if not verdict.check.believed:
+        return ", but the held-out pokes speak against it"
+    if not verdict.check.tells:
+        return "; too few pokes are held out to check it" if verdict.done else ""
+    return ", and the held-out pokes agree" if verdict.check.agrees else ", but the held-out pokes hardly agree"
+
+
+def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
+    """Return the numbers behind the sentence, each with its name."""
+    return (
+        ("Done", f"{verdict.done} of {count(verdict.used, 'taxel')}, {METHOD_NAMES[verdict.method]} method"),
+        ("Needs", done_words(verdict.method, verdict.wanted)),
+        ("Check", check_words(verdict)),
+        ("Work", f"{count(verdict.pokes, 'poke')} in {minutes(verdict.seconds)}"),
+    )
+
+
+def done_words(method: Method, wanted: float) -> str:
+    """Return what makes a taxel done: `"a predicted error of 3 mm or less, and 4 pokes on its module"`.
+
+    Parameters
+    ----------
+    wanted : m, the predicted error that is asked for
+    """
+    settings = GuideSettings()
+    error = f"a predicted error of {millimetres(wanted, 0)} or less"
+    if method is Method.MODULES:
+        return f"{error}, and {settings.module_pokes} pokes on its module"
+    sides = "tilted to several sides and " if method is Method.FREE else ""
+    return f"{error}, {settings.own_pokes} pokes of its own {sides}evenly around it, and the last hardly moved it"
+
+
+def check_words(verdict: Verdict) -> str:
+    """Return how many held-out pokes fell where they were foretold, and what it means where these are too few."""
+    check = verdict.check
+    if not check.checked:
+        return "no poke could be held out yet"
+    words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others foretold"
+    if check.believed and not check.tells:
+        return f"{words}: too few to say anything"
+    if check.agrees:
+        return words
+    if check.believed:
+        return f"{words}, of 20 it should be 19: the errors may be larger than predicted"
+    return (
+        f"{words}: the errors are larger than predicted. Look whether the part or the sensor moved, and at the scene's frames."
+    )
+
+
+def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
+    """Return what is known of the rig's own errors, which held-out pokes of the skin hardly show.
+
+    Parameters
+    ----------
+    offers : what could put the rig right
+    used : corrections in use
+    review : what pokes at landmarks tell; None while nothing does
+    """
+    if offers:
+        return f"{offer_words(offers[0])} C uses that, the Rig tab says more."
+    in_use = " ".join(correction_sentence(correction) for correction in used)
+    if in_use:
+        return in_use
+    if review is not None and review.pokes:
+        return rig_sentences(review.rig)[0]
+    return "not checked, since landmarks were not poked: an error of the sensor's matrix or of the arm moves all taxels alike"
+
+
+def left_words(left: Left) -> str:
+    """Return why a taxel is not done: `"not poked enough yet: needs pokes of its own"`."""
+    needs = ", ".join(need.value for need in left.needs)
+    return f"{left.why.value}: needs {needs}" if needs else left.why.value

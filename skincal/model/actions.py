@@ -1,0 +1,191 @@
+"""What an operator does to a session, as values that go to the journal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, TypeAlias, cast
+
+from skincal.model.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Exclude:
+    """Take a poke out of the estimates; it stays in the session."""
+
+    poke: int
+
+
+@dataclass(frozen=True, slots=True)
+class Restore:
+    """Take an excluded poke in again."""
+
+    poke: int
+
+
+@dataclass(frozen=True, slots=True)
+class Undo:
+    """Take back the last action, or exclude the last accepted poke, whichever came later."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetPose:
+    """Choose the arm pose by its name in the scene; an empty name leaves it to the joint stream."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class MarkDead:
+    """Leave a channel out: the operator knows that it is dead."""
+
+    channel: int
+
+
+@dataclass(frozen=True, slots=True)
+class Revive:
+    """Use a channel again that was marked or found to be dead; it is not found dead again."""
+
+    channel: int
+
+
+@dataclass(frozen=True, slots=True)
+class AddLandmark:
+    """Name a point of the part that is known, beside those of the scene: picked on the surface, say."""
+
+    name: str
+    x: float
+    y: float
+    z: float
+    """m, link frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class AtLandmark:
+    """Say at which landmark a poke was; an empty name takes it back. No taxel need have answered."""
+
+    poke: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class FoundAtLandmark:
+    """The pipeline found that a poke was at the landmark that was asked for; see `skincal.session.pipeline`.
+
+    It follows from the bytes and from `AskLandmark`, so a session that is played again from its bytes finds it anew.
+    """
+
+    poke: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class AskLandmark:
+    """Ask the operator for pokes at a landmark from now on; an empty name asks for none."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Correct:
+    """Use a correction of what the rig tells, in place of one of its kind; the numbers travel with it, SI units."""
+
+    of: str
+    """`FRAME` or `RIG` of `skincal.rig.correction`, where the rest is described, too."""
+    matrix: tuple[float, ...]
+    """36, row by row."""
+    everywhere: tuple[float, ...]
+    """16, row by row."""
+    poses: tuple[str, ...]
+    """Names of the arm poses that are moved."""
+    motions: tuple[float, ...]
+    """16 a pose, row by row."""
+    before: float
+    after: float
+    """m."""
+    pokes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Uncorrect:
+    """Use the correction of that kind no more."""
+
+    of: str
+
+
+Action: TypeAlias = (
+    Exclude
+    | Restore
+    | Undo
+    | SetPose
+    | MarkDead
+    | Revive
+    | AddLandmark
+    | AtLandmark
+    | FoundAtLandmark
+    | AskLandmark
+    | Correct
+    | Uncorrect
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """An action with the host's monotonic clock at which it was done, nanoseconds."""
+
+    host_ns: int
+    action: Action
+
+
+_KINDS: dict[str, type[Action]] = {
+    "exclude": Exclude,
+    "restore": Restore,
+    "undo": Undo,
+    "set_pose": SetPose,
+    "mark_dead": MarkDead,
+    "revive": Revive,
+    "add_landmark": AddLandmark,
+    "at_landmark": AtLandmark,
+    "found_at_landmark": FoundAtLandmark,
+    "ask_landmark": AskLandmark,
+    "correct": Correct,
+    "uncorrect": Uncorrect,
+}
+_TYPES = {"str": str, "int": int, "float": float}
+_LISTS = {f"tuple[{name}, ...]": kind for name, kind in _TYPES.items()}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
+
+
+def to_json(action: Action) -> dict[str, Any]:
+    """Return an action as a JSON object: `do`, and its fields."""
+    return {"do": _NAMES[type(action)], **asdict(action)}
+
+
+def from_json(document: Mapping[str, Any]) -> Action:
+    """Return the action of a JSON object.
+
+    Raises
+    ------
+    InputError
+        It is not one that this version knows.
+    """
+    kind = _KINDS.get(str(document.get("do")))
+    if kind is None:
+        raise InputError(f"action {document.get('do')!r}: expected one of {', '.join(_KINDS)}; a newer skincal may know it.")
+    values = {key: _frozen(value) for key, value in document.items() if key != "do"}
+    wanted = {item.name: str(item.type) for item in fields(kind)}
+    if values.keys() != wanted.keys() or not all(_is(values[key], type_) for key, type_ in wanted.items()):
+        raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v})' for k, v in wanted.items())}.")
+    return kind(**values)
+
+
+def _frozen(value: Any) -> Any:
+    """Return a JSON list as a tuple."""
+    return tuple(cast("list[Any]", value)) if isinstance(value, list) else value
+
+
+def _is(value: object, type_: str) -> bool:
+    """Return whether a value is of a field's type, as its annotation has it."""
+    if isinstance(value, tuple):
+        return type_ in _LISTS and all(type(each) is _LISTS[type_] for each in cast("tuple[object, ...]", value))
+    return type(value) is _TYPES.get(type_)

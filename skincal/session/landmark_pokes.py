@@ -1,0 +1,191 @@
+"""The landmarks of a session, and which pokes were at them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.contacts.outcome import Outcome, Reason, Rejection
+from skincal.geometry.arrays import FloatArray
+from skincal.guide.landmark_targets import was_there
+from skincal.model.actions import AddLandmark, AskLandmark, AtLandmark, FoundAtLandmark
+from skincal.model.errors import InputError
+from skincal.model.scene import Landmark
+from skincal.model.tables import LENGTH_MAX
+from skincal.rig.correction_fit import LandmarkPoke
+from skincal.session.history import Step
+
+if TYPE_CHECKING:
+    from skincal.mesh.surface import Surface
+
+REACTION_S = 0.25
+"""s. A poke that is held so soon after another landmark came up was on its way to the one before: a visual reaction."""
+ON_SURFACE = 0.010
+"""m: what lies farther from the surface is no point of it, such as one of a jig, and may be poked from any side."""
+
+
+class SessionLandmarks:
+    """Known points of the part, and the pokes that were there.
+
+    Parameters
+    ----------
+    landmarks : of the scene
+    """
+
+    def __init__(self, landmarks: tuple[Landmark, ...]) -> None:
+        self.landmarks = landmarks
+        self._named: dict[int, str] = {}
+
+    def named(self, outcome: Callable[[int], Outcome | None]) -> Mapping[int, str]:
+        """Return the number of each poke that was at a landmark and tells its axis, and the landmark's name.
+
+        Parameters
+        ----------
+        outcome : gives what a poke ended as, by its number
+        """
+        places = {landmark.name: landmark for landmark in self.landmarks}
+        ended = ((poke, name, outcome(poke)) for poke, name in self._named.items() if name in places)
+        return {poke: name for poke, name, end in ended if end is not None and poke_at(end, places[name]) is not None}
+
+    def add(self, action: AddLandmark) -> Step:
+        """Take another landmark; return how it is taken back.
+
+        Raises
+        ------
+        InputError
+            The name is empty or taken, or the place is no place in metres.
+        """
+        place = np.array([action.x, action.y, action.z])
+        if not action.name.strip() or any(action.name == landmark.name for landmark in self.landmarks):
+            raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
+        if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
+            raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")
+        before = self.landmarks
+        self.landmarks = (*before, Landmark(action.name, place, None))
+
+        def take_back() -> None:
+            self.landmarks = before
+
+        return Step(f"landmark {action.name}", take_back)
+
+    def put(self, action: AtLandmark | FoundAtLandmark, outcome: Outcome | None) -> Step:
+        """Say at which landmark a poke was; return how that is taken back.
+
+        Raises
+        ------
+        InputError
+            There is no such landmark or poke, or nothing is known of the poke's axis.
+        """
+        self._check_name(action.name)
+        if action.name and (outcome is None or poke_at(outcome, self.landmarks[0]) is None):
+            raise InputError(
+                f"Poke {action.poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered."
+            )
+        before = dict(self._named)
+        self._named.pop(action.poke, None)
+        if action.name:
+            self._named[action.poke] = action.name
+
+        def take_back() -> None:
+            self._named = before
+
+        return Step(f"poke {action.poke} at {action.name or 'no landmark'}", take_back)
+
+    def check_ask(self, action: AskLandmark) -> None:
+        """Refuse to ask for a landmark that is not there.
+
+        Raises
+        ------
+        InputError
+            There is no such landmark.
+        """
+        self._check_name(action.name)
+
+    def _check_name(self, name: str) -> None:
+        if name and all(name != landmark.name for landmark in self.landmarks):
+            known = ", ".join(landmark.name for landmark in self.landmarks) or "none: the scene has no landmarks"
+            raise InputError(f"There is no landmark {name!r}; expected one of {known}.")
+
+    def pokes(self, outcomes: Iterable[Outcome]) -> tuple[LandmarkPoke, ...]:
+        """Return those of `outcomes` that were at a landmark."""
+        return tuple(landmark_pokes(outcomes, self.landmarks, self._named))
+
+
+class LandmarkFinder:
+    """Finds which new pokes were at the landmark that the operator was asked for.
+
+    Parameters
+    ----------
+    places : gives (3,) float, metres, of taxels by their channel, where the layout puts them; called when it is first needed
+    """
+
+    def __init__(self, places: Callable[[], Mapping[int, FloatArray]]) -> None:
+        self._places = places
+        self.asked = ""
+        """Name of the landmark that is asked for; empty where none is."""
+        self._asked_s = math.inf
+
+    def ask(self, name: str, host_s: float) -> None:
+        """Take what the operator is asked for since `host_s`, seconds of the host's monotonic clock."""
+        self.asked, self._asked_s = name, host_s
+
+    def find(self, new: Iterable[Outcome], landmarks: Iterable[Landmark]) -> list[FoundAtLandmark]:
+        """Return which of `new` pokes were at the landmark that is asked for.
+
+        They began `REACTION_S` after it was asked for at least, tell their axis, and no taxel far from it answered.
+        """
+        landmark = next((landmark for landmark in landmarks if landmark.name == self.asked), None)
+        if landmark is None:
+            return []
+        late = [outcome for outcome in new if outcome.start_s >= self._asked_s + REACTION_S]
+        return [
+            FoundAtLandmark(outcome.poke, landmark.name)
+            for outcome in late
+            if poke_at(outcome, landmark) is not None
+            and (isinstance(outcome, Rejection) or was_there(outcome, landmark, self._places()))
+        ]
+
+
+def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:
+    """Return those of `outcomes` that were at a landmark, in their order.
+
+    Parameters
+    ----------
+    named : pokes that were at a landmark: number to its name; the landmark may be there no more
+    """
+    known = {landmark.name: landmark for landmark in landmarks}
+    there = ((outcome, known.get(named.get(outcome.poke, ""))) for outcome in outcomes)
+    found = (poke_at(outcome, landmark) for outcome, landmark in there if landmark is not None)
+    return [poke for poke in found if poke is not None]
+
+
+def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
+    """Return a poke as one at a landmark; None where it was rejected for more than that no taxel answered."""
+    if isinstance(outcome, Rejection) and outcome.reason is not Reason.NO_TAXEL:
+        return None
+    force, moment, pose = outcome.force, outcome.moment, outcome.link_from_sensor
+    if force is None or moment is None or pose is None:
+        return None
+    return LandmarkPoke(outcome.poke, landmark.name, landmark.place, force, moment, pose, outcome.pose)
+
+
+def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> list[FloatArray | None]:
+    """Return which way is outward at each landmark: its own normal, else that of the nearest triangle, else None.
+
+    A landmark that was added by hand has none of its own; without one a sensor that reports the reaction cannot be recognized.
+    """
+    normals = [landmark.normal for landmark in landmarks]
+    missing = [i for i, normal in enumerate(normals) if normal is None]
+    if surface is None or not missing:
+        return normals
+    places = np.array([landmarks[i].place for i in missing])
+    from skincal.mesh.search import nearest_points  # a scene without a surface does without
+
+    nearest, triangles = nearest_points(surface, places)
+    for i, off, triangle in zip(missing, np.linalg.norm(nearest - places, axis=1), triangles, strict=True):
+        if off <= ON_SURFACE:
+            normals[i] = surface.normals[triangle]
+    return normals

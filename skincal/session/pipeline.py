@@ -1,0 +1,393 @@
+"""The whole road of a reading: journal, decoding, pairing, pokes, landmarks, session.
+
+Real, replayed and simulated devices differ in where the items come from, and in nothing else. What a road holds depends on the
+sequence of items and actions alone, never on a clock: played again it is the same, bit for bit.
+
+A poke that the operator was asked to make at a landmark (`AskLandmark`) is found here, with or without a window, and becomes
+an action of its own (`FoundAtLandmark`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.contacts.detector import ContactDetector, Doubt, Known
+from skincal.contacts.outcome import Contact, Outcome, PressPhase
+from skincal.geometry.arrays import FloatArray
+from skincal.journal.documents import Ending, Item, Note, Taken, Totals
+from skincal.journal.writer import JournalFailure, JournalWriter
+from skincal.model.actions import Action, AskLandmark, Stamped
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
+from skincal.model.scene import ArmSpec, Scene
+from skincal.session.landmark_pokes import LandmarkFinder
+from skincal.session.session import Session
+from skincal.session.snapshot import LiveView, Snapshot
+from skincal.streams.intake import Intake
+from skincal.streams.links import LinkSpec
+
+if TYPE_CHECKING:
+    from skincal.mesh.lay import LaidSkin
+    from skincal.mesh.surface import Surface
+
+DECODED_NS = 500_000_000
+"""ns. Decoded wrenches go to the journal so often."""
+TOTALS_NS = 5_000_000_000
+"""ns. Counts of readings go to the journal so often, and at the end."""
+_BREAKS = (LinkState.LOST, LinkState.FAILED)
+
+
+class Pipeline:
+    """Takes items and actions, and holds what they led to.
+
+    Parameters
+    ----------
+    scene : what there is to calibrate
+    links : where the items come from
+    surface : the scene's mesh; None leaves out the surface method
+    journal : open for writing; None records nothing
+    laid : the layout on the part, where it was laid already; else it is laid when the first landmark poke needs it
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        links: Sequence[LinkSpec],
+        surface: Surface | None,
+        journal: JournalWriter | None = None,
+        laid: LaidSkin | None = None,
+    ) -> None:
+        self.scene = scene
+        self.links = tuple(links)
+        self.session = Session(scene, surface)
+        self.journal = journal
+        self.journal_failure = ""
+        """Why nothing is recorded any more, for the operator; empty while all is well."""
+        self.findings: tuple[str, ...] = ()
+        """Sentences about damage of the session that this road was played from."""
+        self._detector = ContactDetector(scene)
+        self._dead = self._detector.dead
+        self._doubts: dict[int, Doubt] = {}
+        self._intake = Intake(scene.skin.channels, links)
+        self._poses = _Poses(scene)
+        self.laid = laid
+        """The layout on the part; None where it was not laid yet, or where it lies nowhere."""
+        self._landmarks = LandmarkFinder(self._taxel_places)
+        self._earlier = Totals()
+        self._totals_ns: int | None = None
+        self._now_ns = 0
+        self._found_dead = False
+        self._away: set[str] = set()
+        self._decoded_ns = 0
+        self._decoded_s = -np.inf
+        self._show_pose(None)
+
+    def feed(self, item: Chunk | LinkEvent) -> None:
+        """Take the next item of the queue, the journal or a recording.
+
+        Raises
+        ------
+        InputError
+            It is of a link that was not described.
+        """
+        self._intake.check(item)  # before anything is recorded
+        outcomes: list[Outcome] = []
+        try:
+            for sample in self._intake.feed(item):
+                outcomes += self._take(sample)
+            if isinstance(item, LinkEvent) and self._breaks(item):
+                outcomes += self._detector.reset(item.host_ns * 1e-9)
+        finally:
+            self._settle_item(item, outcomes)  # also where the work fails: these bytes are worth keeping
+        self._decoded_wrenches(item.host_ns)
+
+    def take(self, note: Note) -> None:
+        """Take what this or another road's detector made of an item: its outcomes, the dead channels, and counts."""
+        if isinstance(note, Totals):
+            self._earlier = note
+            return
+        if note.dead is not None:
+            self.session.find_dead(note.dead)
+        for outcome, doubt in note.outcomes:
+            self.session.add(outcome)
+            if doubt is None:
+                self._doubts.pop(outcome.poke, None)
+            else:
+                self._doubts[outcome.poke] = doubt
+
+    def act(self, action: Action, host_ns: int) -> None:
+        """Do what the operator wants, and record it.
+
+        Raises
+        ------
+        InputError
+            It cannot be done; nothing is changed and nothing recorded.
+        """
+        self.session.act(action)
+        if isinstance(action, AskLandmark):
+            self._landmarks.ask(action.name, host_ns * 1e-9)
+        self._show_pose(None)
+        self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
+        # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
+        if not isinstance(action, AskLandmark):
+            self._record(lambda journal: journal.sync())
+
+    @property
+    def asked_landmark(self) -> str:
+        """Name of the landmark that the operator is asked for; empty where none is."""
+        return self._landmarks.asked
+
+    def tick(self, now_ns: int) -> None:
+        """Write what the journal buffers if it is due; call it in any rhythm."""
+        self._record(lambda journal: journal.tick(now_ns))
+
+    def snapshot(self, within_s: float = np.inf) -> Snapshot:
+        """Return what the session holds; see `Session.snapshot`."""
+        return self.session.snapshot(within_s)
+
+    def live(self, now_ns: int) -> LiveView:
+        """Return the newest readings."""
+        detector = self._detector
+        name, link_from_sensor = self._poses.current
+        progress = self.session.corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name)
+        if is_silent(detector.last_s, now_ns * 1e-9):
+            progress = replace(progress, phase=PressPhase.NO_DATA)
+        times, wrench = self._intake.recent_wrench()
+        return LiveView(
+            wrench_s=times,
+            wrench=wrench,
+            skin=detector.responses,
+            skin_s=detector.last_s,
+            progress=progress,
+            links=self._intake.health(now_ns),
+            losses_unpaired=self._intake.unpaired,
+        )
+
+    def totals(self) -> Totals:
+        """Return how many readings the whole session has had, and lost."""
+        return self._earlier.plus(self._intake.health(0), self._intake.unpaired)
+
+    def demand_record(self) -> None:
+        """Make sure that everything is recorded, so that another segment may follow.
+
+        Raises
+        ------
+        InputError
+            The disk refused before: this road holds what no segment does.
+        """
+        if self.journal_failure:
+            raise InputError(
+                "What happened since the disk refused is not recorded, so this session cannot be recorded on as it stands: "
+                "export its calibration, then open the session again."
+            )
+
+    def begin_segment(self, links: Sequence[LinkSpec] | None = None, journal: JournalWriter | None = None) -> None:
+        """Go on after a break: the devices and the detector start anew, and a poke in progress is forgotten.
+
+        What follows depends on the session as it stands and on nothing else that this road went through, so that it does not
+        matter whether the session was lived, played or loaded.
+
+        Parameters
+        ----------
+        links : where the items come from now; as before if None
+        journal : the new segment; None records nothing
+
+        Raises
+        ------
+        InputError
+            A journal cannot go on from here; see `demand_record`.
+        """
+        if journal is not None and self.journal_failure:
+            journal.close()
+            self.demand_record()
+        self._earlier = self.totals()
+        self.session.settle()
+        self.links = self.links if links is None else tuple(links)
+        self._intake = Intake(self.scene.skin.channels, self.links)
+        self._poses = _Poses(self.scene)
+        self._show_pose(None)
+        self._away.clear()
+        self._decoded_ns, self._decoded_s = 0, -np.inf
+        self._totals_ns = None
+        self._landmarks = LandmarkFinder(self._taxel_places)
+        self.journal = journal
+        self.renew_detector()
+
+    def renew_detector(self) -> None:
+        """Let a new detector take the session up as it stands."""
+        session = self.session
+        doubts = [
+            (doubt, outcome)
+            for number, doubt in sorted(self._doubts.items())
+            if (outcome := session.outcome(number)) is not None
+        ]
+        self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
+        self._dead = self._detector.dead
+        for outcome in self._detector.use_all_but(session.dead.keys()):
+            session.add(outcome)
+
+    def put_down(self, host_ns: int) -> None:
+        """Come to an end in good order: a poke in progress is over, and those that wait are final."""
+        self._settle_item(Ending(host_ns), self._detector.reset())
+
+    def close(self) -> None:
+        """Finish the journal; the session stays."""
+        self._decoded_wrenches(self._decoded_ns + DECODED_NS)
+        self.put_down(self._now_ns)
+        self._record(lambda journal: journal.close())
+        self.journal = None
+
+    def _take(self, sample: Sample) -> list[Outcome]:
+        self._record(lambda journal: journal.write_sample(sample))
+        if self.scene.wrench_sign < 0:
+            sample = replace(sample, wrench=-sample.wrench)
+        name, link_from_sensor = self._show_pose(sample.angles)
+        outcomes = self._detector.feed(sample, link_from_sensor, name)
+        if self._detector.dead is not self._dead:
+            self._dead = self._detector.dead
+            self.session.find_dead(self._dead)
+            self._found_dead = True
+            outcomes += self._detector.use_all_but(self.session.dead.keys())
+        return outcomes
+
+    def _settle_item(self, item: Item, outcomes: Sequence[Outcome]) -> None:
+        """Give the session what an item led to, and the journal both; then find which new pokes were at a landmark."""
+        last = self.session.last_poke
+        self._note(item, outcomes)
+        new = {outcome.poke: outcome for outcome in outcomes if outcome.poke > last}
+        for found in self._landmarks.find(new.values(), self.session.landmarks):
+            self.act(found, item.host_ns)
+
+    def _note(self, item: Item, outcomes: Sequence[Outcome]) -> None:
+        self._now_ns = max(self._now_ns, item.host_ns)
+        notes: list[Note] = []
+        if outcomes or self._found_dead:
+            dead = self._dead if self._found_dead else None
+            taken = Taken([(outcome, self._detector.doubt(outcome)) for outcome in outcomes], dead)
+            self.take(taken)
+            self._found_dead = False
+            notes.append(taken)
+        if self.journal is None:
+            return
+        if self._totals_due(item):
+            notes.append(self.totals())
+        self._record(lambda journal: journal.write(item, notes))
+        if any(isinstance(outcome, Contact) for outcome in outcomes):
+            self._record(lambda journal: journal.sync())
+
+    def _taxel_places(self) -> Mapping[int, FloatArray]:
+        """Return where the layout puts each taxel, (3,) float, metres, by its channel; none where it does not."""
+        layout = self.scene.skin.layout
+        if layout is None:
+            return {}
+        if self.laid is None:
+            from skincal.mesh.lay import lay  # it costs a second on a large mesh, and few sessions need it
+
+            self.laid = lay(layout, self.scene.skin.anchor, self.session.surface)
+        laid = self.laid
+        if laid is None:
+            return {}
+        return {
+            channel: laid.places[channel] for channel in layout.channels.tolist() if np.isfinite(laid.places[channel]).all()
+        }
+
+    def _totals_due(self, item: Item) -> bool:
+        if self._totals_ns is None:
+            self._totals_ns = item.host_ns
+        due = isinstance(item, Ending) or item.host_ns - self._totals_ns >= TOTALS_NS
+        if due:
+            self._totals_ns = item.host_ns
+        return due
+
+    def _breaks(self, event: LinkEvent) -> bool:
+        """Tell whether an event interrupts the samples: a needed link vanished, or the last of a recording ended."""
+        needed = {link.name for link in self.links if {Stream.WRENCH, Stream.SKIN} & set(link.carries)}
+        if event.link not in needed:
+            return False
+        if event.state is LinkState.OPEN:
+            self._away.discard(event.link)
+        if event.state is LinkState.ENDED:
+            self._away.add(event.link)
+        return event.state in _BREAKS or (event.state is LinkState.ENDED and self._away >= needed)
+
+    def _show_pose(self, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
+        name, link_from_sensor = self._poses.at(self.session.pose, angles)
+        self.session.set_current_pose(name, link_from_sensor)
+        return name, link_from_sensor
+
+    def _decoded_wrenches(self, host_ns: int) -> None:
+        """Hand the wrenches of the last half second to the journal, for other programs."""
+        if self.journal is None or host_ns - self._decoded_ns < DECODED_NS:
+            return
+        self._decoded_ns = host_ns
+        times, wrenches = self._intake.recent_wrench()
+        new = int(np.searchsorted(times, self._decoded_s, side="right"))
+        if new < len(times):
+            self._decoded_s = float(times[-1])
+            self._record(lambda journal: journal.write_wrenches(times[new:], wrenches[new:]))
+
+    def _record(self, work: Callable[[JournalWriter], None]) -> None:
+        """Do something with the journal, if there is one; a full disk ends it and nothing else."""
+        if self.journal is None:
+            return
+        try:
+            work(self.journal)
+        except JournalFailure as failure:
+            self.journal_failure = str(failure)
+            self.journal = None
+
+
+class _Poses:
+    """The arm's pose as it holds: chosen, streamed, or the only one there is."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._chosen: dict[str, FloatArray] = {}
+        self._angles: FloatArray | None = None
+        self._streamed: tuple[str, FloatArray] | None = None
+        self.current: tuple[str, FloatArray | None] = ("", None)
+
+    def at(self, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
+        """Return name and link_from_sensor.
+
+        Parameters
+        ----------
+        chosen : name of the pose that the operator chose; empty if none
+        angles : (joints,) float, radians, streamed; None keeps the last
+        """
+        arm = self._scene.arm
+        if arm is None:
+            self.current = "", self._scene.sensor_pose
+            return self.current
+        if angles is not None:
+            self._stream(arm, angles[list(arm.arm.joints)])
+        if not chosen and self._streamed is not None:
+            self.current = self._streamed
+        elif not chosen and len(arm.poses) == 1:
+            self.current = self._named(arm, next(iter(arm.poses)))
+        else:
+            self.current = self._named(arm, chosen) if chosen else ("", None)
+        return self.current
+
+    def _named(self, arm: ArmSpec, name: str) -> tuple[str, FloatArray]:
+        if name not in self._chosen:
+            self._chosen[name] = arm.arm.link_from_sensor(arm.poses[name])
+        return name, self._chosen[name]
+
+    def _stream(self, arm: ArmSpec, angles: FloatArray) -> None:
+        if self._angles is not None and np.array_equal(angles, self._angles):
+            return
+        self._angles = angles
+        self._streamed = _pose_name(arm, angles), arm.arm.link_from_sensor(angles)
+
+
+def _pose_name(arm: ArmSpec, angles: FloatArray) -> str:
+    """Return the name of the scene's pose that is this one, within the arm's tolerance, else the angles in words."""
+    for name, named in arm.poses.items():
+        if np.abs(named - angles).max(initial=0.0) <= arm.tolerance:
+            return name
+    return ", ".join(f"{angle:.0f} deg" for angle in np.degrees(angles).round() + 0.0)

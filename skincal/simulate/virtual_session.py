@@ -1,0 +1,105 @@
+"""A whole session at once: the simulated devices' bytes in virtual time, through the road into a journal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skincal.files.reference import TRUTH_NAME
+from skincal.journal.writer import create_session
+from skincal.mesh.surface import Surface
+from skincal.model.readings import Chunk, LinkEvent, LinkState
+from skincal.model.scene import Scene
+from skincal.session.pipeline import Pipeline
+from skincal.simulate.device import DeviceSettings, DeviceTimeline
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.operator import Auto, Habits
+from skincal.simulate.simulated_rig import Rig
+from skincal.streams.links import LinkSpec
+
+START_NS = 1_000_000_000
+"""Host's clock at the start of a virtual session, nanoseconds; any will do."""
+
+
+def simulate_session(
+    scene: Scene,
+    surface: Surface | None,
+    folder: Path,
+    pokes: int,
+    seed: int,
+    errors: RigErrors,
+    *,
+    poses: Sequence[str] = (),
+    channels: Sequence[int] | None = None,
+    habits: Habits | None = None,
+    settings: DeviceSettings | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Pipeline:
+    """Poke a simulated rig and record it, as if devices had sent it.
+
+    Parameters
+    ----------
+    scene, surface : what is poked; the scene's modules and anchor say where taxels are
+    folder : of the new session; `truth.json` is written there too
+    pokes : how many
+    seed : the same one gives the same bytes
+    errors : how wrong the rig is
+    poses : names of arm poses that share the pokes; the scene's first where none are given
+    channels : taxels to poke; all for None
+    habits, settings : of the operator and the devices
+    progress : called with the number of pokes begun, whenever it grows
+
+    Returns
+    -------
+    The road at its end, its journal closed.
+
+    Raises
+    ------
+    InputError
+        The scene does not say where its taxels are, a pose is not known, or the folder cannot be used.
+    """
+    rng = np.random.default_rng(seed)
+    rig_rng, operator_rng, device_rng = rng.spawn(3)
+    rig = Rig(scene, surface, errors, rig_rng)
+    operator = Auto(rig, habits or Habits(), operator_rng, pokes, poses, channels)
+    line = DeviceTimeline(rig, operator, device_rng, settings)
+    links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
+    road = Pipeline(scene, links, surface, create_session(folder, scene, links))
+    write_truth(folder / TRUTH_NAME, rig)
+    _play(line, operator, road, progress)
+    road.close()
+    return road
+
+
+def _play(line: DeviceTimeline, operator: Auto, road: Pipeline, progress: Callable[[int], None] | None) -> None:
+    for link in line.links:
+        road.feed(LinkEvent(link, START_NS, LinkState.OPEN))
+    begun = 0
+    while not line.finished:
+        for at_ns, link, data in line.step():
+            road.feed(Chunk(link, START_NS + at_ns, data))
+        road.tick(START_NS + round(line.now * 1e9))
+        if progress is not None and operator.begun != begun:
+            begun = operator.begun
+            progress(begun)
+    end_ns = START_NS + round(line.now * 1e9)
+    for link in line.links:
+        road.feed(LinkEvent(link, end_ns, LinkState.ENDED))
+
+
+def truth(rig: Rig) -> dict[str, Any]:
+    """Return where the taxels of a rig really are: link frame, metres, unit normals."""
+    taxels = zip(rig.channels.tolist(), rig.places.tolist(), rig.normals.tolist(), strict=True)
+    return {
+        "link": rig.scene.link,
+        "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
+    }
+
+
+def write_truth(path: Path, rig: Rig) -> None:
+    """Write `truth` as a JSON file."""
+    path.write_text(json.dumps(truth(rig), indent=1) + "\n", encoding="utf-8")
