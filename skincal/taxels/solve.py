@@ -23,18 +23,20 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
 from skincal.solver.machine import INTEGER, Call, shared
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.least_squares import Factors
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, Rival, State, StateReason
+
+if TYPE_CHECKING:
+    from skincal.mesh.surface import Surface
 
 RIVAL_ODDS = 20.0
 """A place that is less than 20 times less likely than the estimate is a rival: the usual 95 %."""
