@@ -29,7 +29,7 @@ HALVES = (("-m", "not quiet", "tests", "--ignore=tests/app", f"--ignore={PLAYED}
 """The tests, in two parts that take about as long."""
 QUIET = ("-m", "quiet", "tests/app")
 """Those that nothing may run beside."""
-PIXELS = ("-m", "pixels", "tests/app/test_scene3d_pixels.py")
+PIXELS = ("-m", "pixels", "tests/app/scene3d/test_pixels.py")
 """What the 3D view must show on any processor."""
 CAPABILITIES = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's switch for what its software OpenGL may use of a processor."""

@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
-from whole_window import OPEN_MS, Bench, Paints
-from window_support import changed, pixels
 
 from app.run import GARBAGE, Faults
 from app.scene3d.canvas import best_canvas
@@ -32,6 +30,8 @@ from skincal.model.scene import load_scene, resource
 from skincal.session.replay import replay
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method, State
+from tests.app.whole_window import OPEN_MS, Bench, Paints
+from tests.app.window_support import changed, pixels
 
 
 def known(snapshot) -> dict[tuple[Method, int], bytes]:
