@@ -285,8 +285,9 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     bench.open(OpenRequest(session=tmp_path / "strange"))
     assert bench.controller.running is Running.OFFLINE
     bench.controller.go_on()
-    bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in bench.window.desk.frame.links))
-    assert {link.look for link in bench.window.desk.frame.links} == {LinkLook.LOST}
+    view = bench.window.session_view
+    bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in view.state.live.links))
+    assert {view.state.look(link) for link in view.state.live.links} == {LinkLook.LOST}
     assert kept.read_text() == "a thesis"
 
 
