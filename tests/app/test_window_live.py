@@ -286,7 +286,7 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     assert bench.controller.running is Running.OFFLINE
     bench.controller.go_on()
     view = bench.window.session_view
-    bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in view.state.live.links))
+    bench.until(lambda: all("does not open what begins with spy:" in link.text for link in view.state.live.links))
     assert {view.state.look(link) for link in view.state.live.links} == {LinkLook.LOST}
     assert kept.read_text() == "a thesis"
 
