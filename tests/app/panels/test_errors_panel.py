@@ -369,7 +369,7 @@ def test_a_file_takes_the_place_of_the_file_before_and_the_plan_stays(queue):
 def test_a_panel_that_was_never_open_imports_no_plots():
     code = (
         "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]);"
-        "from app.panels.errors_panel import ErrorsPanel; from skincal.session.error_history import ErrorCourse;"
+        "from app.panels.errors_panel import ErrorsPanel;"
         "from skincal.taxels.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
         "sys.exit('pyqtgraph' in sys.modules or panel._threads is not None)"
     )

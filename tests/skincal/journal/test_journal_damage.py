@@ -226,11 +226,11 @@ RECORDER = """
 import sys, time
 from pathlib import Path
 from skincal.journal.writer import create_session
-from skincal.session.pipeline import Road
+from skincal.session.pipeline import Pipeline
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
-road = Road(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 items = as_chunks(some_pokes(scene, 60).samples)
 print("begin", flush=True)
 for count, item in enumerate(items):
@@ -284,11 +284,11 @@ from pathlib import Path
 from skincal.contacts.outcome import Contact
 from skincal.journal.writer import create_session
 from skincal.session.replay import replay
-from skincal.session.pipeline import Road
+from skincal.session.pipeline import Pipeline
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
-road = Road(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 for item in as_chunks(some_pokes(scene, 8).samples):
     road.feed(item)

@@ -23,11 +23,11 @@ RECORDER = """
 import sys
 from pathlib import Path
 from skincal.journal.writer import create_session
-from skincal.session.pipeline import Road
+from skincal.session.pipeline import Pipeline
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
-road = Road(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 items = as_chunks(some_pokes(scene, 4).samples)
 for item in items[: len(items) * 2 // 3]:
     road.feed(item)
