@@ -24,8 +24,8 @@ settings.load_profile("repeatable")
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """Give random numbers that are the same in every run of this test, in whatever order tests run."""
-    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+    """Give random numbers that are the same in every run of this test, in whatever order tests run and wherever it stands."""
+    return np.random.default_rng(zlib.crc32(request.node.name.encode()))
 
 
 @pytest.fixture

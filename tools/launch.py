@@ -6,8 +6,8 @@ import os
 import shlex
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from app.preflight import LIBRARIES, X_LIBRARIES
 from tools import checkout, packages, system
@@ -16,25 +16,30 @@ from tools.checkout import USER_CAN_HELP, StopError, say
 INTERRUPTED = 130
 """Exit code of a program ended with Ctrl-C."""
 
+PYTEST = ("-m", "pytest", "-p", "no:cacheprovider")
+PIXELS = "tests/app/scene3d/test_pixels.py"
+"""What the 3D view must show on any processor."""
+PROCESSORS = ("sse2", "sse4.1", "avx")
+"""As on which these tests run again."""
+CAPABILITIES = "GALLIUM_OVERRIDE_CPU_CAPS"
+"""Mesa's switch for what its software OpenGL may use of a processor."""
+APART = ("tests/skincal/cli", "tests/skincal/guide", "tests/skincal/studies")
+"""Tests of the core that take about as long as its others."""
 CHECKS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
+    "pytest of the window": (*PYTEST, "-m", "not quiet", "tests/app"),
+    "pytest of the core": (*PYTEST, "-m", "not quiet", "tests", *(f"--ignore={folder}" for folder in ("tests/app", *APART))),
+    f"pytest {shlex.join(APART)}": (*PYTEST, "-m", "not quiet", *APART),
     "pyright": ("-m", "pyright"),
+    **{f"pytest as on {caps}": (*PYTEST, "-m", "pixels", PIXELS) for caps in PROCESSORS},
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
-"""Name of each check, and what Python is told to run it; the tests come last."""
-PLAYED = "tests/skincal/cli/test_cli_layout.py"
-"""Plays a session's bytes again and again, which takes a minute."""
-HALVES = (("-m", "not quiet", "tests", "--ignore=tests/app", f"--ignore={PLAYED}"), ("-m", "not quiet", "tests/app", PLAYED))
-"""The tests, in two parts that take about as long."""
-QUIET = ("-m", "quiet", "tests/app")
-"""Those that nothing may run beside."""
-PIXELS = ("-m", "pixels", "tests/app/test_scene3d_pixels.py")
-"""What the 3D view must show on any processor."""
-CAPABILITIES = "GALLIUM_OVERRIDE_CPU_CAPS"
-"""Mesa's switch for what its software OpenGL may use of a processor."""
-PROCESSORS = ("sse2", "sse4.1", "avx")
-"""As on which these tests run again."""
+"""Name of each check, and what Python is told to run it: long ones first, so that two cores are done at about the same time."""
+AT_ONCE = 2
+"""Checks that run beside each other: each takes one core, and more would lengthen what some tests measure."""
+QUIET = {"pytest of what is measured": (*PYTEST, "-m", "quiet", "tests/app")}
+"""Tests that nothing may run beside."""
 
 PROBE = """
 import ctypes, importlib, pathlib, sys
@@ -110,11 +115,11 @@ def _check(arguments: Sequence[str]) -> int:
     environment = system.environment()
     environment.pop("QT_QPA_PLATFORM", None)  # "offscreen" has no OpenGL; the tests look at real pixels
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
-    failed = [] if arguments else [name for name, told in CHECKS.items() if _run(name, told, environment)]
-    tests = _run("pytest", ("-m", "pytest", *arguments), environment) if arguments else _run_tests(environment)
-    if failed:
-        say(f"Failed beside the tests: {', '.join(failed)}")
-    return 1 if failed or tests else 0
+    if arguments:
+        return 1 if _run("pytest", ("-m", "pytest", *arguments), environment) else 0
+    failed = [*_run_beside_each_other(environment), *(name for name, told in QUIET.items() if _run(name, told, environment))]
+    say(f"\nFailed: {', '.join(failed)}" if failed else "\nAll checks passed.")
+    return 1 if failed else 0
 
 
 def _draws(arguments: Sequence[str]) -> bool:
@@ -147,29 +152,36 @@ def _run(name: str, told: Sequence[str], environment: Mapping[str, str]) -> int:
     return subprocess.call([checkout.interpreter(), *told], env=environment, cwd=checkout.CHECKOUT, stdin=subprocess.DEVNULL)
 
 
-def _run_tests(environment: Mapping[str, str]) -> int:
-    """Run all tests, those of the window beside the others: each uses one core, and half of the time is enough for both."""
-    alone, beside, quiet, pixels = (("-m", "pytest", "-p", "no:cacheprovider", *part) for part in (*HALVES, QUIET, PIXELS))
-    with tempfile.TemporaryFile() as told:
-        window = subprocess.Popen(
-            [checkout.interpreter(), *beside],
-            env=environment,
-            cwd=checkout.CHECKOUT,
-            stdin=subprocess.DEVNULL,
-            stdout=told,
-            stderr=subprocess.STDOUT,
-        )
+def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
+    """Run the checks, show what each said once it is done, and return the names of those that failed."""
+    failed: list[str] = []
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        running = {pool.submit(_captured, name, told, environment): name for name, told in CHECKS.items()}
+        say(f"\n{len(running)} checks, {AT_ONCE} at a time; what each says is shown at its end.")
         try:
-            failed = _run(shlex.join(("pytest", *HALVES[0])), alone, environment)
-            say(f"\n$ {shlex.join(('pytest', *HALVES[1]))}")
-            failed_beside = window.wait()
-        finally:
-            window.kill()
-        told.seek(0)
-        say(told.read().decode(errors="replace").rstrip())
-    failed_quiet = _run(shlex.join(("pytest", *QUIET)), quiet, environment)
-    failed_pixels = [_run(f"pytest as on {caps}", pixels, {**environment, CAPABILITIES: caps}) for caps in PROCESSORS]
-    return failed or failed_beside or failed_quiet or max(failed_pixels)
+            for done in as_completed(running):
+                code, said = done.result()
+                say(f"\n$ {running[done]}\n{said.rstrip()}")
+                failed += [running[done]] if code else []
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return failed
+
+
+def _captured(name: str, told: Sequence[str], environment: Mapping[str, str]) -> tuple[int, str]:
+    """Return a check's exit code and what it said."""
+    caps = name.removeprefix("pytest as on ")
+    done = subprocess.run(
+        [checkout.interpreter(), *told],
+        env={**environment, CAPABILITIES: caps} if caps in PROCESSORS else environment,
+        cwd=checkout.CHECKOUT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+    )
+    return done.returncode, done.stdout.decode(errors="replace")
 
 
 def _become(command: list[str], environment: Mapping[str, str]) -> int:

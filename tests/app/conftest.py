@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
 from PySide6.QtWidgets import QApplication
-from whole_window import Bench
 
 from app.workers.device_process import DeviceProcess
 from skincal.model.scene import resource
+from tests.app.whole_window import Bench
 
 WAIT_S = 5.0
 """s. A thread that was told to stop has so long on a busy machine."""

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scene3d_support import laid
-from window_support import PLAN, SCENE, reading
 
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.guide.coaching import Coaching, coach, smooth
@@ -16,6 +14,8 @@ from skincal.guide.progress import Need
 from skincal.session.part import Part
 from skincal.session.snapshot import LiveView
 from skincal.taxels.result import Method
+from tests.app.scene3d_support import laid
+from tests.app.window_support import PLAN, SCENE, reading
 
 TILT = float(np.radians(28.0))
 NEEDED = (Need.POKES, Need.ACCURACY)

@@ -7,16 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import guidance, target
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow
-from scene3d_support import box, estimate, laid
-from view3d_on_screen import drag, screen_place, wheel
 from vtkmodules.vtkRenderingCore import vtkRenderer
-from whole_window import Bench, Paints
-from window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session
 
 from app.panels.inspect_panel import InspectPanel
 from app.panels.taxel_map import TaxelMap
@@ -31,6 +26,11 @@ from app.theme import DARK, Choice
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Target
 from skincal.taxels.result import Method
+from tests.app.guide_support import guidance, target
+from tests.app.scene3d_support import box, estimate, laid
+from tests.app.view3d_on_screen import drag, screen_place, wheel
+from tests.app.whole_window import Bench, Paints
+from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session
 
 TILT = float(np.radians(28.0))
 

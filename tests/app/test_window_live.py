@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
-from whole_window import OPEN_MS, Bench, Paints
-from window_support import changed, pixels
 
 from app.run import GARBAGE, Faults
 from app.scene3d.canvas import best_canvas
@@ -32,6 +30,8 @@ from skincal.model.scene import load_scene, resource
 from skincal.session.replay import replay
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method, State
+from tests.app.whole_window import OPEN_MS, Bench, Paints
+from tests.app.window_support import changed, pixels
 
 
 def known(snapshot) -> dict[tuple[Method, int], bytes]:
@@ -285,8 +285,9 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     bench.open(OpenRequest(session=tmp_path / "strange"))
     assert bench.controller.running is Running.OFFLINE
     bench.controller.go_on()
-    bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in bench.window.desk.frame.links))
-    assert {link.look for link in bench.window.desk.frame.links} == {LinkLook.LOST}
+    view = bench.window.session_view
+    bench.until(lambda: all("does not open what begins with spy:" in link.text for link in view.state.live.links))
+    assert {view.state.look(link) for link in view.state.live.links} == {LinkLook.LOST}
     assert kept.read_text() == "a thesis"
 
 

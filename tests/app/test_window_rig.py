@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtTest import QTest
-from whole_window import OPEN_MS
 
 from app.session import controller
 from app.session.opening import OpenRequest
@@ -29,6 +28,7 @@ from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.taxels.result import Method
+from tests.app.whole_window import OPEN_MS
 
 Key = Qt.Key
 SHIFT = Qt.KeyboardModifier.ShiftModifier

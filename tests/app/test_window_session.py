@@ -13,8 +13,6 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialog
-from whole_window import OPEN_MS
-from window_support import changed, pixels
 
 from app.commands import COMMANDS
 from app.dialogs.export_dialog import ExportDialog
@@ -28,6 +26,8 @@ from skincal.files.reference import load_reference
 from skincal.guide.guidance import GuidePhase
 from skincal.session.replay import replay
 from skincal.taxels.result import Method, State
+from tests.app.whole_window import OPEN_MS
+from tests.app.window_support import changed, pixels
 
 Key = Qt.Key
 ENOUGH_MS = 240_000

@@ -8,11 +8,11 @@ import numpy as np
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QImage, QMouseEvent, QWheelEvent
 from PySide6.QtWidgets import QApplication, QMainWindow
-from scene3d_support import box, laid, layout, scene
 
 from app.scene3d import camera
 from app.scene3d.canvas import Canvas
 from app.scene3d.view import View3D
+from tests.app.scene3d_support import box, laid, layout, scene
 
 KEPT: list[QMainWindow] = []
 """Windows of this test: Python would delete them with their views."""

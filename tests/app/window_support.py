@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QWidget
-from scene3d_support import layout, live, scene, snapshot
 
 from app.state.policies import allowed
 from app.state.running import Running
@@ -20,6 +19,7 @@ from skincal.model.readings import LinkHealth, LinkState, Loss, Stream
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
 from skincal.taxels.result import Estimate, Method
+from tests.app.scene3d_support import layout, live, scene, snapshot
 
 PLAN = layout()
 NAMES = ChannelNames(PLAN)

@@ -19,7 +19,7 @@ from skincal.simulate.benches import SHAPES, Bench
 from skincal.studies import alternatives, runtime
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
-from tests.skincal.test_session_scale import write_pokes
+from tests.skincal.session.test_session_scale import write_pokes
 
 PER_TAXEL = 12
 BOTH = [Method.FREE, Method.SURFACE]

@@ -1,6 +1,6 @@
 """Every small case of the stability study, in the processes that it uses: `python3 -m pytest tests/long`.
 
-Some of them, and what is said of them, are in `tests/skincal/test_studies_stability.py`.
+Some of them, and what is said of them, are in `tests/skincal/studies/test_stability.py`.
 """
 
 import json
@@ -9,7 +9,7 @@ import pytest
 
 from skincal.studies import stability
 from skincal.studies.stability_cases import all_cases, all_module_cases
-from tests.skincal.test_studies_stability import TINY
+from tests.skincal.studies.test_stability import TINY
 
 
 @pytest.fixture(scope="module")

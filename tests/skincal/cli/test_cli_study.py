@@ -8,7 +8,7 @@ import pytest
 
 from skincal.cli import main
 from skincal.studies import STUDIES, runtime
-from tests.skincal.studies_support import tiny
+from tests.skincal.studies.studies_support import tiny
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
 from skincal.taxels import solve
 from skincal.taxels.result import Method
-from tests.skincal.mesh_support import KINDS, random_metrics, same, soup, together, tube
+from tests.skincal.mesh.mesh_support import KINDS, random_metrics, same, soup, together, tube
 from tests.skincal.sim_support import make_rig
 from tools import solver
 

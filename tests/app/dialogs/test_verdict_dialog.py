@@ -1,0 +1,228 @@
+"""How a session ends: what is said of it, and the dialog that leads to the file, by keys alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+from app.dialogs.export_dialog import ExportDialog
+from app.dialogs.verdict_dialog import VerdictDialog
+from app.session.opening import OpenRequest
+from app.state.rig_review import Offer
+from app.text.verdict_text import check_words, done_words, figures, left_words, rig_state, sentence
+from skincal.guide.progress import Need, Why
+from skincal.guide.verdict import Check, Left, Verdict
+from skincal.rig.correction import RIG, Correction, UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.sentences import correction_sentence, rig_sentences
+from skincal.session.corrections import correct_action
+from skincal.session.review import Review
+from skincal.taxels.result import Method
+from tests.app.window_support import NAMES, changed, pixels
+
+Key = Qt.Key
+UNUSED = Left(4, Why.DEAD, ())
+GIVEN_UP = Left(7, Why.NEVER_FIRED, (Need.POKES, Need.ACCURACY))
+EARLY = Left(9, Why.EARLY, (Need.BALANCE,))
+
+
+AGREES = Check(14, 13)
+
+
+def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
+    done = used - sum(one.why is not Why.DEAD for one in left)
+    enough = all(one.why is not Why.EARLY for one in left)
+    return Verdict(Method.SURFACE, enough, 0.003, done, used, left, checked, 252, 552.0)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        (verdict(), "All 24 taxels are done, predicted to 3 mm, and the held-out pokes agree."),
+        (verdict(UNUSED), "All 24 used taxels are done, predicted to 3 mm, and the held-out pokes agree."),
+        (verdict(UNUSED, GIVEN_UP), "23 of 24 taxels are done, and the held-out pokes agree."),
+        (verdict(EARLY), "Not enough yet: 23 of 24 taxels are done, and the held-out pokes agree."),
+        (verdict(checked=Check(14, 7)), "All 24 taxels are done, predicted to 3 mm, but the held-out pokes speak against it."),
+        (verdict(checked=Check(11, 8)), "All 24 taxels are done, predicted to 3 mm, but the held-out pokes hardly agree."),
+        (verdict(checked=Check(11, 9)), "All 24 taxels are done, predicted to 3 mm, and the held-out pokes agree."),
+        (verdict(checked=Check(0, 0)), "All 24 taxels are done, predicted to 3 mm; too few pokes are held out to check it."),
+        (verdict(checked=Check(4, 4)), "All 24 taxels are done, predicted to 3 mm; too few pokes are held out to check it."),
+        (verdict(UNUSED, used=0), "No taxel is used."),
+        (verdict(used=0), "No taxel has answered yet."),
+    ],
+)
+def test_one_sentence_says_what_the_session_has_come_to(what, said):
+    assert sentence(what) == said
+
+
+def test_the_figures_are_those_of_the_verdict():
+    assert figures(verdict(GIVEN_UP)) == (
+        ("Done", "23 of 24 taxels, surface method"),
+        (
+            "Needs",
+            "a predicted error of 3 mm or less, 3 pokes of its own evenly around it, and the last hardly moved it",
+        ),
+        ("Check", "13 of 14 held-out pokes fell where the others foretold"),
+        ("Work", "252 pokes in 9 min"),
+    )
+    assert "the errors are larger than predicted" in check_words(verdict(checked=Check(14, 7)))
+    hardly = check_words(verdict(checked=Check(11, 8)))
+    assert hardly == (
+        "8 of 11 held-out pokes fell where the others foretold, of 20 it should be 19: the errors may be larger than predicted"
+    )
+    assert check_words(verdict(checked=Check(4, 4))).endswith("foretold: too few to say anything")
+    assert check_words(verdict(checked=Check(0, 0))) == "no poke could be held out yet"
+
+
+def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
+    assert "tilted to several sides" in done_words(Method.FREE, 0.003)
+    assert done_words(Method.MODULES, 0.002) == "a predicted error of 2 mm or less, and 4 pokes on its module"
+
+
+@pytest.mark.parametrize("why", list(Why))
+def test_every_reason_is_said(why):
+    assert left_words(Left(1, why, ())) == why.value
+    assert left_words(Left(1, why, (Need.POKES, Need.SIDES))) == f"{why.value}: needs pokes of its own, pokes from other sides"
+
+
+def shown(qtbot, *left: Left, checked: Check = AGREES, **changes) -> VerdictDialog:
+    dialog = VerdictDialog(verdict(*left, checked=checked), NAMES, **changes)
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
+    qtbot.addWidget(dialog)
+    with qtbot.waitExposed(dialog):
+        dialog.show()
+    dialog.activateWindow()
+    qtbot.waitUntil(lambda: dialog.isActiveWindow() and dialog.focusWidget() is not None)
+    return dialog
+
+
+def tap(qtbot, key) -> None:
+    QTest.keyClick(QApplication.activeWindow().windowHandle(), key)
+    qtbot.wait(20)
+
+
+@pytest.mark.parametrize("key", [Key.Key_Space, Key.Key_Return])
+def test_the_space_bar_and_enter_go_on_to_the_file(qtbot, key):
+    dialog = shown(qtbot, GIVEN_UP)
+    assert dialog.focusWidget() is dialog.export
+    with qtbot.waitSignal(dialog.export_wanted):
+        tap(qtbot, key)
+    assert not dialog.isVisible()
+
+
+def test_escape_goes_on_with_the_session(qtbot):
+    dialog = shown(qtbot)
+    with qtbot.assertNotEmitted(dialog.export_wanted):
+        tap(qtbot, Key.Key_Escape)
+    assert not dialog.isVisible()
+
+
+def test_where_nothing_can_be_written_the_space_bar_goes_on(qtbot):
+    dialog = shown(qtbot, can_export=False)
+    assert not dialog.export.isEnabled()
+    assert dialog.focusWidget() is dialog.go_on
+    tap(qtbot, Key.Key_Space)
+    assert not dialog.isVisible()
+
+
+@pytest.mark.parametrize("key", [Key.Key_Space, Key.Key_Return])
+def test_where_it_is_not_enough_the_space_bar_and_enter_go_on_with_the_session(qtbot, key):
+    dialog = shown(qtbot, EARLY)
+    assert dialog.export.isEnabled()
+    assert dialog.go_on.isDefault()
+    assert dialog.focusWidget() is dialog.go_on
+    with qtbot.assertNotEmitted(dialog.export_wanted):
+        tap(qtbot, key)
+    assert not dialog.isVisible()
+
+
+def test_what_speaks_against_it_or_is_offered_goes_before_the_file(qtbot):
+    assert shown(qtbot, checked=Check(14, 7)).focusWidget().text() == "Go on"
+    assert shown(qtbot, rig="It can be corrected.", settled=False).focusWidget().text() == "Go on"
+    assert shown(qtbot, rig="nothing to correct").focusWidget().text().startswith("Export")
+
+
+def test_all_that_is_said_is_seen(qtbot):
+    dialog = VerdictDialog(verdict(checked=Check(14, 7)), NAMES, rig=30 * "The rig can be corrected. ")
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
+    qtbot.addWidget(dialog)
+    # Desktops begin with less: a dialog gets two thirds of the screen's height at most.
+    dialog.resize(680, 200)
+    with qtbot.waitExposed(dialog):
+        dialog.show()
+    qtbot.wait(50)
+    for label in (dialog.sentence, *(value for _, value in dialog.figures)):
+        assert label.height() >= label.heightForWidth(label.width()), label.text()
+
+
+def test_what_is_known_of_the_rig_is_said():
+    used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
+    offer = Offer(correct_action(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6))
+    assert rig_state((offer,), (), None).endswith("now at 9.6 mm. C uses that, the Rig tab says more.")
+    assert rig_state((), (used,), None) == correction_sentence(used)
+    assert rig_state((), (), None).startswith("not checked, since landmarks were not poked")
+    few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))
+    pokes = tuple(LandmarkPoke(poke, "wrist", *np.zeros((3, 3)), np.eye(4), "") for poke in (1, 2, 3))
+    for poked, said in ((pokes, rig_sentences(few)[0]), ((), rig_state((), (), None))):
+        review = Review(1, poked, {}, None, few, np.arange(24), {}, {})
+        assert rig_state((), (), review) == said
+    assert "3 pokes at 2 are there" in rig_sentences(few)[0]
+
+
+def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
+    dialog = shown(qtbot, UNUSED, GIVEN_UP, EARLY)
+    assert "3 taxels not done" in dialog.heading.text()
+    wanted: list[int] = []
+    dialog.taxel_wanted.connect(wanted.append)
+    for _ in range(6):
+        if dialog.focusWidget() is dialog.left:
+            break
+        tap(qtbot, Key.Key_Tab)
+    assert dialog.focusWidget() is dialog.left
+    before = pixels(dialog.left)
+    for key in (Key.Key_Home, Key.Key_Down, Key.Key_Return, Key.Key_Down, Key.Key_Enter):
+        tap(qtbot, key)
+    assert changed(before, pixels(dialog.left)) > 50
+    assert wanted == [7, 9]
+    assert dialog.isVisible(), "Enter in the table presses no button"
+    model = dialog.left.model()
+    texts = [[model.index(row, column).data() for column in (0, 1)] for row in range(3)]
+    assert texts[1] == [
+        NAMES.short(7),
+        "never answered where it is expected: needs pokes of its own, a smaller predicted error",
+    ]
+    assert texts[0] == [NAMES.short(4), "not used"]
+
+
+def test_nothing_is_listed_where_nothing_is_left(qtbot):
+    dialog = shown(qtbot)
+    assert not dialog.left.isVisible()
+    assert not dialog.heading.isVisible()
+
+
+def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    session_view = bench.window.session_view
+    bench.key(Key.Key_F)
+    bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
+    dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
+    assert dialog.sentence.text().startswith("Not enough yet: 0 of 84 taxels are done")
+    assert dialog.figures[3][1].text() == "3 pokes in 1 min"
+    assert dialog.left.model().rowCount() == 84
+    on_map = pixels(session_view.workspace.map)
+    dialog.left.setFocus()
+    for key in (Key.Key_Home, Key.Key_Down, Key.Key_Return):
+        tap(bench.qtbot, key)
+    assert session_view.selected == session_view.state.guidance.channels[1]
+    assert changed(on_map, pixels(session_view.workspace.map)) > 20
+    dialog.export.setFocus()
+    tap(bench.qtbot, Key.Key_Space)
+    bench.until(lambda: any(isinstance(w, ExportDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
+    tap(bench.qtbot, Key.Key_Escape)
+
+    bench.key(Key.Key_G)
+    assert not bench.window.commands.actions["verdict"].isEnabled(), "nobody guides, so nothing was wanted"

@@ -1,0 +1,504 @@
+"""The Compare tab: what it says, what its arrows draw, and that it costs nothing while it is closed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+
+from app.panels.compare_panel import ComparePanel
+from app.scene3d.compare_layer import heads
+from app.scene3d.static_scene import DARK as DARK_LOOK
+from app.scene3d.static_scene import LIGHT as LIGHT_LOOK
+from app.scene3d.static_scene import Cloud, Comparison, Tint
+from app.session.opening import OpenRequest
+from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, sources_of
+from app.text.compare_text import (
+    MOST_MODULES,
+    difference_words,
+    listed_modules,
+    listed_words,
+    misfit_words,
+    module_cells,
+    save_hint,
+    saved_words,
+    source_words,
+    spacing_words,
+)
+from app.theme import DARK
+from app.units import ChannelNames
+from skincal.model.skin import Anchor
+from skincal.modules import health
+from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
+from skincal.rig.correction_fit import RigAnswer
+from skincal.sentences import left_sentences, misfit_sentence
+from skincal.session.error_history import ErrorFollower
+from skincal.session.modules_check import ModulesCheck
+from skincal.session.part import Part
+from skincal.session.review import Review
+from skincal.taxels.differences import ModuleDifference, Summary
+from skincal.taxels.result import Method
+from tests.app.scene3d_support import box, estimate, laid, scene
+from tests.app.view3d_on_screen import KEPT, make_view, turn
+from tests.app.view3d_on_screen import pixels as picture
+from tests.app.whole_window import OPEN_MS, Bench, Paints
+from tests.app.window_support import NAMES, PLAN, SCENE, frame, session
+
+METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
+FREE, SURFACE = (Source(PlaceOrigin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
+CHANNELS = PLAN.channels
+
+
+@pytest.fixture(autouse=True)
+def _windows():
+    yield
+    KEPT.clear()
+
+
+def part(*, plan: bool = True, surface: bool = False) -> Part:
+    """The small part: two modules on the plane z = 0."""
+    where = SCENE if plan else scene(None)
+    return Part(where, box() if surface else None, laid(PLAN) if plan else None, CHANNELS, ())
+
+
+def known(shift=(0.0, 0.0, 0.0), method: Method = Method.FREE, rows=range(24)) -> dict:
+    """Estimates that lie `shift` beside the layout."""
+    places = laid(PLAN).places
+    return {channel: estimate(channel, places[channel] + shift, method) for channel in rows}
+
+
+def beside(x: float, y: float, z: float) -> np.ndarray:
+    """The layout's places, shifted."""
+    return laid(PLAN).places + np.array([x, y, z])
+
+
+def at(free: dict, surface: dict | None = None, generation: int = 1, **changes):
+    """A frame of a session with these estimates."""
+    base = session(generation, free)
+    estimates = dict(base.estimates)
+    if surface is not None:
+        estimates[Method.SURFACE] = tuple(surface.get(e.channel, e) for e in estimates[Method.FREE])
+    return frame(replace(base, estimates=estimates), **changes)
+
+
+def review(before: dict, after: dict, channels=CHANNELS) -> Review:
+    answer = RigAnswer(None, False, float("nan"), float("nan"), 0, {}, {}, np.empty(0), np.empty(0))
+    return Review(1, (), {}, None, answer, channels, before, after)
+
+
+# What there is
+
+
+def test_every_set_that_there_is_can_be_chosen():
+    both = (Method.SURFACE, Method.FREE)
+    assert sources_of(both, None, laid=True) == (LAYOUT, SURFACE, FREE)
+    assert sources_of(both, None, laid=False) == (SURFACE, FREE)
+    places = np.zeros((24, 3))
+    for told in (review({Method.FREE: places}, {}), review({}, {Method.FREE: places})):
+        found = sources_of(both, told, laid=False)
+        assert [source_words(one) for one in found[2:]] == ["Free before correction", "Free after correction"]
+    assert [source_words(one) for one in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
+
+
+def test_the_layout_is_compared_with_the_shown_method_and_free_with_surface_without_one():
+    assert default_pair((LAYOUT, SURFACE, FREE), Method.FREE) == (LAYOUT, FREE)
+    assert default_pair((SURFACE, FREE), Method.FREE) == (FREE, SURFACE)
+    assert default_pair((FREE,), Method.FREE) == (FREE, FREE)
+
+
+def test_places_stand_in_the_order_of_the_channels_and_are_worked_out_once():
+    places = Places(CHANNELS, laid(PLAN).places)
+    moment = at(known((0.0, 0.0, 0.001), rows=[3, 5]))
+    found = places.find(FREE, moment)
+    assert np.flatnonzero(np.isfinite(found[:, 0])).tolist() == [3, 5]
+    np.testing.assert_allclose(found[[3, 5], 2], 0.001)
+    assert places.find(FREE, moment) is found
+    assert places.find(FREE, at(known())) is not found
+    np.testing.assert_array_equal(places.find(LAYOUT, moment), laid(PLAN).places)
+
+
+def test_a_review_holds_one_side_of_a_correction_and_the_session_the_other():
+    before = np.arange(6.0).reshape(2, 3)
+    used = review({Method.FREE: before}, {}, np.array([7, 9]))
+    places, moment = Places(CHANNELS, None), at(known((0.0, 0.0, 0.001)))
+    first, second = (Source(origin, Method.FREE) for origin in (PlaceOrigin.BEFORE, PlaceOrigin.AFTER))
+    found = places.find(first, replace(moment, review=used))
+    np.testing.assert_array_equal(found[[7, 9]], before)
+    assert np.isnan(np.delete(found, [7, 9], axis=0)).all()
+    np.testing.assert_allclose(places.find(second, replace(moment, review=used)), beside(0.0, 0.0, 0.001))
+    offered = review({}, {Method.FREE: before}, np.array([7, 9]))
+    np.testing.assert_allclose(places.find(first, replace(moment, review=offered)), beside(0.0, 0.0, 0.001))
+    np.testing.assert_array_equal(places.find(second, replace(moment, review=offered))[[7, 9]], before)
+
+
+# What is said
+
+
+def test_the_summary_is_one_line():
+    told = Summary(84, 0.0021, 0.003, 0.0063, 4)
+    assert difference_words(told, (LAYOUT, FREE), NAMES, CHANNELS.tolist()) == "84 taxels, mean 2.1 mm, largest 6.3 mm (10-04)"
+    assert difference_words(None, (LAYOUT, FREE), NAMES, []) == "No taxel is known in both yet."
+    assert difference_words(told, (FREE, FREE), NAMES, []).startswith("The same places twice")
+
+
+def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
+    cells = module_cells(ModuleDifference(0, 12, 0.0021, 0.002, 0.0005), 17, 12, 0.934)
+    assert cells == ("17", "2.1 mm", "2.0 mm", "0.5 mm", "0.93")
+    cells = module_cells(ModuleDifference(0, 2, 0.0021, 0.002, None), 17, 12, float("nan"))
+    assert cells == ("17  2/12", "2.1 mm", "2.0 mm", "\N{EN DASH}", "\N{EN DASH}")
+
+
+def test_of_too_many_modules_the_worst_are_listed():
+    few = [ModuleDifference(index, 12, 0.001 * (index % 7), 0.0, 0.0) for index in range(MOST_MODULES)]
+    assert listed_modules(few) == few
+    assert listed_words(MOST_MODULES) == ""
+    many = [*few, ModuleDifference(99, 12, 0.02, 0.0, 0.0)]
+    listed = listed_modules(many)
+    assert (len(listed), listed[0].module) == (MOST_MODULES, 99)
+    assert [one.mean for one in listed] == sorted((one.mean for one in listed), reverse=True)
+    assert listed_words(41) == "The 40 of 41 modules that lie farthest apart"
+
+
+def test_spacing_is_said_of_every_method_that_knows():
+    ratios = {Method.SURFACE: 0.93, Method.FREE: float("nan"), Method.MODULES: 1.0}
+    assert spacing_words(ratios) == "Neighbours lie 0.93 (surface), 1.00 (modules) of the layout's spacing apart."
+    assert spacing_words({Method.FREE: float("nan")}) == ""
+
+
+def test_a_misfit_is_an_offer_with_a_sign():
+    misfit = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
+    mend = LayoutMend((misfit,), PLAN, (ModuleChange(17, mirror=True),), (Unmended(UnmendedKind.NO_NEARER, (17,)),))
+    head, sentence, left = misfit_words(mend, 7, Method.SURFACE)
+    assert head.startswith("\N{WARNING SIGN} 1 module not as planned (surface).")
+    assert "Nothing is changed by itself" in head
+    assert (sentence, left) == (misfit_sentence(misfit), left_sentences(mend)[0])
+    assert "says module 17: mirror = true. The file that was read stays" in save_hint(mend)
+    saved = saved_words(Path("folder") / "new.toml", mend)
+    assert saved.startswith(f"The corrected layout is in {Path('folder') / 'new.toml'}, 1 module changed.")
+    assert "skincal solve SESSION --layout FILE" in saved
+    right = LayoutMend((), PLAN, (), ())
+    assert misfit_words(right, 7, Method.FREE) == ("None of 7 modules looks mirrored, turned or swapped (free).",)
+    assert misfit_words(right, 0, Method.FREE) == (), "of nothing that is known nothing is said"
+
+
+# The panel
+
+
+class Queue:
+    """A background whose work is done when the test says so."""
+
+    def __init__(self) -> None:
+        self.waiting = []
+
+    def __call__(self, work, done) -> None:
+        self.waiting.append((work, done))
+
+    def finish(self) -> None:
+        while self.waiting:
+            work, done = self.waiting.pop(0)
+            done(work())
+
+
+def make_panel(qtbot, of: Part, methods=METHODS):
+    panel = ComparePanel(of, methods, NAMES if of.scene.skin.layout is not None else ChannelNames(None))
+    panel.drawn = []
+    panel.comparison_changed.connect(panel.drawn.append)
+    panel.resize(430, 600)
+    qtbot.addWidget(panel)
+    with qtbot.waitExposed(panel):
+        panel.show()
+    panel.set_colours(DARK)
+    return panel
+
+
+def modules_of(panel) -> list[list[str]]:
+    tree = panel.modules
+    return [[tree.topLevelItem(row).text(column) for column in range(5)] for row in range(tree.topLevelItemCount())]
+
+
+def test_it_says_how_far_the_shown_method_lies_from_the_layout(qtbot):
+    panel = make_panel(qtbot, part())
+    free = known((0.0, 0.003, 0.0)) | known((0.0, 0.003, 0.004), rows=[15])
+    panel.show_state(at(free))
+    assert [box.currentText() for box in panel.boxes] == ["Layout", "Free method"]
+    assert panel.summary.text() == "24 taxels, mean 3.1 mm, largest 5.0 mm (11-03)"
+    rows = modules_of(panel)
+    assert [row[0] for row in rows] == ["10", "11"]
+    assert rows[0][1:] == ["3.0 mm", "3.0 mm", "0.0 mm", "1.00"]
+    assert rows[1][3] != "0.0 mm"
+    assert panel.worst.item(0).text() == "11-03   5.0 mm"
+    assert panel.worst.count() == 10
+    assert "1.0" in panel.spacing.text()
+    assert "true to scale" in panel.legend.text()
+
+
+def test_a_click_on_the_worst_wants_that_taxel(qtbot):
+    panel = make_panel(qtbot, part())
+    panel.show_state(at(known() | known((0.0, 0.0, 0.004), rows=[15])))
+    panel.worst.scrollToItem(panel.worst.item(0))
+    panel.ensureWidgetVisible(panel.worst)
+    with qtbot.waitSignal(panel.taxel_wanted) as wanted:
+        middle = panel.worst.visualItemRect(panel.worst.item(0)).center()
+        QTest.mouseClick(panel.worst.viewport(), Qt.MouseButton.LeftButton, pos=middle)
+    assert wanted.args == [15]
+
+
+def test_what_is_drawn_leads_from_one_to_the_other_as_long_as_asked(qtbot):
+    panel = make_panel(qtbot, part())
+    panel.show_state(at(known((0.0, 0.003, 0.0))))
+    drawn = panel.drawn[-1]
+    places = laid(PLAN).places
+    assert [cloud.tint for cloud in drawn.clouds] == [Tint.FROM, Tint.TO]
+    np.testing.assert_allclose(drawn.clouds[1].places, beside(0.0, 0.003, 0.0))
+    np.testing.assert_allclose(drawn.arrows, np.stack([places, beside(0.0, 0.003, 0.0)], axis=1))
+    panel.scale.setCurrentIndex(2)
+    panel.scale.activated.emit(2)
+    np.testing.assert_allclose(panel.drawn[-1].arrows[:, 1], beside(0.0, 0.03, 0.0))
+    np.testing.assert_allclose(panel.drawn[-1].clouds[1].places, beside(0.0, 0.003, 0.0), err_msg="dots lie true")
+    assert "10 times as long as the differences" in panel.legend.text()
+    panel.all.setChecked(True)
+    assert [cloud.tint for cloud in panel.drawn[-1].clouds] == [Tint.LAYOUT, Tint.SURFACE, Tint.FREE, Tint.MODULES]
+    assert "from Layout to Free method" in panel.legend.text()
+    panel.hide()
+    assert panel.drawn[-1] is None
+
+
+def choose(panel, row: int, text: str) -> None:
+    box_ = panel.boxes[row]
+    index = box_.findText(text)
+    assert index >= 0, text
+    box_.setCurrentIndex(index)
+    box_.activated.emit(index)
+
+
+def test_the_operators_choice_stays_and_before_and_after_come_with_a_review(qtbot):
+    panel = make_panel(qtbot, part())
+    panel.show_state(at(known((0.0, 0.003, 0.0))))
+    panel.show_state(at(known((0.0, 0.003, 0.0)), generation=2, method=Method.SURFACE))
+    assert panel.boxes[1].currentText() == "Surface method", "it follows the method while nothing was chosen"
+    told = review({Method.FREE: beside(0.008, 0.0, 0.0)}, {Method.FREE: beside(0.001, 0.0, 0.0)})
+    reviewed = replace(at(known(), generation=3), review=told)
+    panel.show_state(reviewed)
+    choose(panel, 0, "Free before correction")
+    choose(panel, 1, "Free after correction")
+    assert panel.summary.text().startswith("24 taxels, mean 7.0 mm")
+    choose(panel, 0, "Layout")
+    assert panel.summary.text().startswith("24 taxels, mean 1.0 mm")
+    panel.show_state(replace(reviewed, method=Method.SURFACE, revision=4))
+    assert panel.boxes[1].currentText() == "Free after correction"
+    panel.show_state(at(known(), generation=5))
+    assert [each.currentText() for each in panel.boxes] == ["Layout", "Free method"], "what is gone is not compared"
+
+
+def test_without_layout_and_surface_it_has_no_modules_and_says_what_is_missing(qtbot):
+    panel = make_panel(qtbot, part(plan=False), (Method.FREE,))
+    panel.show_state(at(known(), where=scene(None)))
+    assert panel.summary.text().startswith("The same places twice")
+    assert panel.worst.count() == 0
+    assert not panel.modules.isVisible()
+    assert not panel.spacing.isVisible()
+    assert panel.spacing.text() == ""
+    both = make_panel(qtbot, part(plan=False, surface=True), (Method.SURFACE, Method.FREE))
+    both.show_state(at(known(), known((0.0, 0.0, 0.002), Method.SURFACE), where=scene(None)))
+    assert [each.currentText() for each in both.boxes] == ["Free method", "Surface method"]
+    assert both.summary.text().startswith("24 taxels, mean 2.0 mm")
+    assert "ch " in both.worst.item(0).text()
+
+
+def test_the_same_frame_draws_nothing_and_a_hidden_panel_works_nothing(qtbot):
+    panel = make_panel(qtbot, part())
+    moment = at(known())
+    panel.show_state(moment)
+    qtbot.wait(50)
+    paints, drawn = Paints(panel), len(panel.drawn)
+    for now_s in range(20):
+        panel.show_state(replace(moment, now_ns=now_s))
+    qtbot.wait(50)
+    assert (paints.count, len(panel.drawn)) == (0, drawn)
+    panel.hide()
+    drawn = len(panel.drawn)
+    panel.show_state(at(known((0.0, 0.0, 0.001)), generation=9))
+    assert len(panel.drawn) == drawn
+    panel.show()
+    assert panel.summary.text().startswith("24 taxels, mean 1.0 mm")
+
+
+def anchored(mirror: bool) -> Part:
+    """The small part in space, module 10 mounted as planned or planned mirrored."""
+    anchor = Anchor(np.zeros(2), np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    modules = (replace(PLAN.modules[0], mirror=mirror), *PLAN.modules[1:])
+    skin = replace(SCENE.skin, layout=type(PLAN)(modules, PLAN.width), anchor=anchor)
+    return Part(replace(SCENE, skin=skin), None, laid(PLAN), CHANNELS, ())
+
+
+def judge(check: ModulesCheck, state) -> None:
+    check.follow(state.snapshot, state.revision)
+
+
+def judged_and_shown(panel: ComparePanel, of: Part, queue: Queue):
+    """Return what shows a state as the window does: the modules of what is on the screen are judged first."""
+    check = ModulesCheck(of, queue)
+
+    def show(state) -> None:
+        judge(check, state)
+        panel.show_state(replace(state, modules=check.found))
+
+    return show
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_mirrored_module_is_named_beside_the_window(qtbot, mirror):
+    of, queue = anchored(mirror), Queue()
+    panel = make_panel(qtbot, of)
+    show, moment = judged_and_shown(panel, of, queue), at(known())
+    show(moment)
+    assert not panel.health.isVisible()
+    assert len(queue.waiting) == 1, "it is worked out in the background, once"
+    show(moment)
+    assert len(queue.waiting) == 1
+    queue.finish()
+    show(moment)
+    assert panel.health.isVisible()
+    if mirror:
+        assert "\N{WARNING SIGN} 1 module not as planned" in panel.health.text()
+        assert "Module 10 is mirrored against the layout" in panel.health.text()
+    else:
+        assert panel.health.text() == "None of 2 modules looks mirrored, turned or swapped (free)."
+    assert not queue.waiting
+
+
+def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
+    of, queue = anchored(mirror=False), Queue()
+    watch = ModulesCheck(of, queue)
+    for generation in (1, 2, 3):
+        judge(watch, at(known(), generation=generation))
+    assert len(queue.waiting) == 1
+    queue.finish()
+    judge(watch, at(known(), generation=3))
+    assert len(queue.waiting) == 1
+    queue.finish()
+    judge(watch, at(known(), generation=3))
+    assert not queue.waiting
+
+    def broken(*_):
+        raise RuntimeError("of the boards")
+
+    monkeypatch.setattr("skincal.session.modules_check.mend_modules", broken)
+    judge(watch, at(known(), generation=4))
+    with pytest.raises(RuntimeError, match="of the boards"):
+        queue.finish()
+    monkeypatch.setattr("skincal.session.modules_check.mend_modules", health.mend_modules)
+    judge(watch, at(known(), generation=4))
+    assert not queue.waiting, "not at every picture"
+    judge(watch, at(known(), generation=5))
+    queue.finish()
+    assert watch.found.judged == 2
+
+
+# The picture
+
+
+def tinted(seen: np.ndarray, look, tint: Tint) -> int:
+    """How many pixels have a tint, or nearly."""
+    return int((np.abs(seen.astype(int) - look.tints[tint]).max(axis=-1) < 25).sum())
+
+
+def comparison(shift=(0.0, 0.006, 0.0)) -> Comparison:
+    places = laid(PLAN).places
+    there = beside(*shift)
+    return Comparison((Cloud(Tint.FROM, places), Cloud(Tint.TO, there)), np.stack([places, there], axis=1))
+
+
+@pytest.mark.parametrize(("dark", "look"), [(True, DARK_LOOK), (False, LIGHT_LOOK)], ids=["dark", "light"])
+def test_dots_and_arrows_appear_in_their_tints_and_go(qtbot, dark, look):
+    view = make_view(qtbot)
+    view.set_dark(dark)
+    moment = session(1, known())
+    view.show_moment(moment, None, Method.FREE, None)
+    before = picture(view)
+    view.set_comparison(comparison())
+    after = picture(view)
+    assert tinted(after, look, Tint.TO) > tinted(before, look, Tint.TO) + 400
+    layer = view._stage.compare
+    assert (layer.dots.actor.GetVisibility(), view._stage.estimates.balls.actor.GetVisibility()) == (1, 0)
+    longer = replace(comparison(), arrows=comparison((0.0, 0.018, 0.0)).arrows)
+    view.set_comparison(longer)
+    assert tinted(picture(view), look, Tint.TO) > tinted(after, look, Tint.TO) + 300
+    view.set_comparison(None)
+    np.testing.assert_array_equal(picture(view), before)
+
+
+def test_a_comparison_stays_while_moments_pass_and_only_a_new_one_draws(qtbot):
+    view = make_view(qtbot)
+    view.show_moment(session(1, known()), None, Method.FREE, None)
+    view.set_comparison(comparison())
+    shown = picture(view)
+    assert not view.show_moment(session(1, known()), None, Method.FREE, None)
+    np.testing.assert_array_equal(picture(view), shown)
+    points = view._stage.compare.dots._points
+    view.set_comparison(comparison((0.0, 0.0, 0.009)))
+    picture(view)
+    assert view._stage.compare.dots._points is points, "arrays are changed in place"
+
+
+def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_side_is_left_out(qtbot):
+    view = make_view(qtbot)
+    view.show_moment(session(1, {}), None, Method.FREE, None)
+    view.set_comparison(comparison((0.004, 0.0, -0.01)))
+    seen = tinted(picture(view), DARK_LOOK, Tint.TO)
+    assert seen > 400
+    turn(view, 0.0, -179.0)
+    assert tinted(picture(view), DARK_LOOK, Tint.TO) < 0.1 * seen
+
+
+def test_heads_end_at_the_tips_and_one_seen_end_on_has_none():
+    shafts = np.array([[[0, 0, 0], [0.01, 0, 0]], [[0, 0, 0], [0, 0, 0.01]], [[0, 0, 0], [0, 0, 0]]], dtype=float)
+    found = heads(shafts, np.array([0.0, 0.0, 1.0]))
+    assert found.shape == (2, 2, 3)
+    np.testing.assert_allclose(found[:, 1], [[0.01, 0, 0]] * 2)
+    assert (found[:, 0, 0] < 0.01).all()
+    assert found[0, 0, 1] == pytest.approx(-found[1, 0, 1])
+    assert heads(np.empty((0, 2, 3)), np.array([0.0, 0.0, 1.0])).shape == (0, 2, 3)
+
+
+# The whole window
+
+
+def open_compare(bench: Bench, folder) -> ComparePanel:
+    bench.open(OpenRequest(session=folder))
+    bench.until_all_is_there()
+    bench.key(Qt.Key.Key_4)
+    panel = bench.window.session_view.workspace.compare
+    assert panel.isVisible()
+    return panel
+
+
+def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    workspace = bench.window.session_view.workspace
+    before = picture(workspace.view)
+    panel = open_compare(bench, recorded)
+    workspace = bench.window.session_view.workspace
+    bench.until(lambda: tinted(picture(workspace.view), DARK_LOOK, Tint.TO) > tinted(before, DARK_LOOK, Tint.TO) + 50, OPEN_MS)
+    assert "taxel" in panel.summary.text()
+    worst = panel.worst.item(0)
+    panel.worst.itemClicked.emit(worst)
+    assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
+    bench.key(Qt.Key.Key_1)
+    assert workspace.view._state.comparison is None
+    assert not workspace.view._stage.compare.dots.actor.GetVisibility()
+
+
+def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):
+    calls = []
+    for owner, name in ((ModulesCheck, "follow"), (ErrorFollower, "follow"), (Places, "find"), (ComparePanel, "show_state")):
+        monkeypatch.setattr(owner, name, lambda *_, name=name: calls.append(name))
+    bench.open_served("flat-patch")
+    bench.until(lambda: len(bench.accepted()) >= 1)
+    assert calls == []
+    assert bench.window.session_view.workspace.compare._neighbours is None

@@ -1,0 +1,107 @@
+"""The corrected layout in the Compare tab: offered while there is one, saved by keys, and what became of it is said."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import QCoreApplication, QEvent, Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QFileDialog, QPushButton
+
+from app.panels.compare_panel import ComparePanel
+from skincal.model.scene import resource
+from skincal.model.skin import load_layout
+from tests.app.panels.test_compare_panel import Queue, anchored, at, judged_and_shown, known, make_panel, open_compare
+from tests.app.whole_window import OPEN_MS, Bench
+
+
+def test_the_corrected_layout_can_be_saved_only_while_there_is_one(qtbot):
+    of, queue = anchored(mirror=True), Queue()
+    panel = make_panel(qtbot, of)
+    show = judged_and_shown(panel, of, queue)
+    show(at(known()))
+    assert panel.save is None
+    assert panel.findChildren(QPushButton) == []
+    queue.finish()
+    show(at(known()))
+    assert panel.save.isVisible()
+    assert "module 10: mirror = false" in panel.save.toolTip()
+    with qtbot.waitSignal(panel.layout_wanted) as wanted:
+        QTest.keyClick(panel.save, Qt.Key.Key_Return)
+    (mend,) = wanted.args
+    assert [module.mirror for module in mend.layout.modules] == [False, False]
+    # Taxels that lie otherwise: with too few of module 10 nothing is told of it.
+    for _ in range(2):
+        show(at(known(rows=range(9, 24)), generation=2))
+        queue.finish()
+    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    assert panel.save is None
+    assert panel.findChildren(QPushButton) == []
+
+
+@pytest.fixture
+def mirrored_pokes(tmp_path):
+    """The sample session, which has a poke on each taxel, with its first module mirrored in the layout."""
+    folder = shutil.copytree(resource("sessions/sample"), tmp_path / "session")
+    layout = folder / "scene" / "modules.toml"
+    text = layout.read_text(encoding="utf-8")
+    layout.write_text(text.replace("mirror = false", "mirror = true  # so", 1), encoding="utf-8")
+    return folder
+
+
+def until_offered(bench: Bench, folder) -> ComparePanel:
+    panel = open_compare(bench, folder)
+    workspace = bench.window.session_view.workspace
+
+    def offered() -> bool:
+        bench.window.session_view.follow_again()
+        return panel.save is not None
+
+    bench.until(offered, OPEN_MS)
+    assert "Module 17 is mirrored" in panel.health.text()
+    assert workspace.tabs.currentWidget() is panel
+    return panel
+
+
+def test_in_the_window_the_corrected_layout_is_saved_by_keys_and_said(bench, mirrored_pokes, tmp_path, monkeypatch):
+    panel = until_offered(bench, mirrored_pokes)
+    asked, path = [], tmp_path / "corrected.toml"
+
+    def answer(_parent, title, name, _kinds):
+        asked.append((title, name))
+        return str(path), ""
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", answer)
+    bench.window.activateWindow()
+    bench.until(bench.window.isActiveWindow, 5000)
+    panel.scale.setFocus()
+    QTest.keyClick(panel.scale, Qt.Key.Key_Tab)
+    bench.until(panel.save.hasFocus, 2000)
+    QTest.keyClick(panel.save, Qt.Key.Key_Return)
+    bench.until(lambda: str(path) in bench.window.messages.text.text(), OPEN_MS)
+    (title, name), *more = asked
+    assert (title, more) == ("Save the corrected layout", [])
+    assert Path(name) == Path.home() / "icub-right-forearm-v1-corrected.modules.toml"
+    layout = bench.window.session_view.workspace.part.scene.skin.layout
+    assert "mirror = false  # so" in path.read_text(encoding="utf-8")
+    assert load_layout(path, layout.width).modules[0].mirror is False
+    assert layout.modules[0].mirror is True, "nothing is changed by itself"
+
+
+def test_a_layout_that_cannot_be_saved_is_said(bench, mirrored_pokes, tmp_path, monkeypatch):
+    panel = until_offered(bench, mirrored_pokes)
+    for path, why in (
+        (tmp_path / "none" / "new.toml", "does not exist"),
+        (mirrored_pokes / "scene" / "modules.toml", "is the layout that was read"),
+    ):
+        monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, path=path: (str(path), ""))
+        panel.save.click()
+        bench.until(lambda why=why: why in bench.window.messages.text.text(), OPEN_MS)
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: ("", ""))
+    before = bench.window.messages.text.text()
+    panel.save.click()
+    bench.qtbot.wait(50)
+    assert bench.window.messages.text.text() == before
+    assert "mirror = true  # so" in (mirrored_pokes / "scene" / "modules.toml").read_text(encoding="utf-8")

@@ -1,0 +1,234 @@
+"""The line in large type and the tool from above: what fits, what is drawn, and when."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QApplication
+
+from app.panels.now_panel import DIAL_PX, NowPanel
+from app.panels.top_view import AROUND, TOOL, axes_on, top_view
+from app.scene3d.camera import PLAIN, Eye
+from app.text.guidance_text import Ask, Hint, Lean, enough_words, hint_words
+from app.text.now_text import Now, NowMemory, Tone, now_line
+from app.text.outcomes import verdict_words
+from app.theme import DARK, HEADLINE_PT, LIGHT
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.taxels.result import Method
+from tests.app.guide_support import ASKED, TILT, TO_2, guidance, held, target, told_of
+from tests.app.whole_window import Paints
+from tests.app.window_support import NAMES, PLAN, changed, frame, pixels, reading, session, slip, touch
+
+LEEWAY, DEGREE = float(np.radians(10.0)), "\N{DEGREE SIGN}"
+WORST = {
+    Reason.TOO_SOFT: (3.2, 4.0, "N"),
+    Reason.TOO_HARD: (18.2, 15.0, "N"),
+    Reason.NOT_STILL: (0.123, 0.05, "1"),
+    Reason.SLID: (0.0121, 0.0015, "m"),
+    Reason.TWO_CONTACTS: (0.0123, 0.008, "m"),
+    Reason.NO_TAXEL: (0, 1, ""),
+    Reason.TOO_MANY_TAXELS: (12, 6, ""),
+    Reason.NOT_CONNECTED: (0.0543, 0.0081, "m"),
+    Reason.SATURATED: (3, 0, ""),
+    Reason.READINGS_LOST: (0.34, 0.06, "s"),
+    Reason.NO_TARE: (62.0, 60.0, "s"),
+    Reason.TARE_CHANGED: (11.4, 1.0, "N"),
+    Reason.NO_POSE: (0, 1, ""),
+    Reason.ARM_MOVED: (0.4, 0.01, "rad"),
+}
+
+
+class Long:
+    """Names as long as they get: the whole body has 350 modules."""
+
+    def short(self, channel: int) -> str:
+        return f"349-{channel % 12:02d}"
+
+
+def every_headline() -> list[str]:
+    """What the line may say, at its longest."""
+    lean, names = Lean(7, away=True), Long()
+    says = guidance(ASKED)
+    said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
+    said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), "counted for 349-11  11.2 N"]
+    said += [f"poke 349-11, tilt 28{DEGREE} {lean.words(names)}", enough_words(guidance(done=range(24)), 0.003, ())]
+    said += [
+        hint_words(Hint(ask, amount, lean), ASKED, names)
+        for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
+    ]
+    said += ["waiting for wrench and skin and joints", "no device connected", "enough: 4200 of 4200 taxels meet 3 mm"]
+    for phase in PressPhase:
+        for force in (2.0, 8.0, 16.0):
+            at = replace(frame(view=reading(phase, force)), guidance=says)
+            said.append(now_line(NowMemory.of(at.snapshot), at)[0].headline)
+    return said
+
+
+@pytest.fixture
+def panel(qtbot):
+    """The panel as wide as in a window of 1280 pixels."""
+    made = NowPanel()
+    qtbot.addWidget(made)
+    made.resize(1264, made.height())
+    made.set_colours(DARK)
+    with qtbot.waitExposed(made):
+        made.show()
+    return made
+
+
+def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN):
+    """Show a frame in which a tool presses, or none."""
+    told = None if view is None else told_of(view.progress, asked)
+    at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=told, eye=eye)
+    panel.show_state(at)
+    return at
+
+
+def test_every_reason_has_its_longest_words():
+    assert set(WORST) == set(Reason)
+
+
+def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
+    pressed(panel)
+    assert panel.dial.isVisible()
+    assert panel.headline.font().pointSizeF() == HEADLINE_PT
+    cut = []
+    for words in every_headline():
+        panel.say(Now(Tone.BAD, words))
+        if panel.headline.is_elided() or panel.headline.fitted().pointSizeF() < 0.85 * HEADLINE_PT:
+            cut.append(words)
+    assert not cut
+
+
+def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
+    pressed(panel)
+    wide = panel.headline.width()
+    panel.show_state(frame())
+    QApplication.processEvents()
+    assert not panel.dial.isVisible()
+    assert panel.minimumHeight() == panel.maximumHeight() > DIAL_PX
+    assert panel.headline.width() > wide
+
+
+def of(view=None, asked=ASKED, eye=PLAIN, leeway=LEEWAY):
+    return top_view(guidance(asked), asked, None if view is None else told_of(view.progress, asked), leeway, eye)
+
+
+def test_the_picture_from_above_is_what_one_sees_from_above():
+    seen = of()
+    # Looked at along -z with x to the right: places are where the plan has them.
+    for channel, place in zip(seen.channels.tolist(), seen.taxels, strict=True):
+        np.testing.assert_allclose(place, PLAN.places[channel] - PLAN.places[3], atol=1e-12)
+    assert 3 not in seen.channels
+    assert np.linalg.norm(seen.taxels, axis=1).max() < AROUND
+    np.testing.assert_allclose(seen.wanted, TOOL * np.sin(TILT) * np.array(TO_2[:2]), atol=1e-12)
+    assert seen.tip is None
+    assert seen.upper is None
+
+
+def test_the_tool_is_drawn_where_it_is_and_how_it_leans():
+    across = (-TO_2[1], TO_2[0], 0.0)
+    seen = of(held(20.0, across, aside=(0.003, -0.001, 0.0)))
+    np.testing.assert_allclose(seen.tip, [0.003, -0.001], atol=1e-9)
+    np.testing.assert_allclose(seen.upper - seen.tip, TOOL * np.sin(np.radians(20.0)) * np.array(across[:2]), atol=1e-9)
+    np.testing.assert_allclose(seen.wanted - seen.tip, of().wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize(("tilt", "right"), [(28.0, True), (37.0, True), (19.0, True), (39.0, False), (17.0, False)])
+def test_the_upper_end_is_in_its_room_exactly_where_the_tilt_is_as_asked(tilt, right):
+    seen = of(held(tilt, aside=(0.002, 0.001, 0.0)))
+    assert seen.right is right
+    assert inside(seen.upper, seen.room) is right
+
+
+def inside(point, corners) -> bool:
+    """Whether a point lies in a convex outline."""
+    away, sides = point - corners, np.roll(corners, -1, axis=0) - corners
+    turn = sides[:, 0] * away[:, 1] - sides[:, 1] * away[:, 0]
+    return bool((turn > 0).all() or (turn < 0).all())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_up_in_the_picture_is_up_in_the_3d_view(seed):
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    normal, eye = turn[2], Eye(turn[0], turn[1])
+    np.testing.assert_allclose(axes_on(normal, eye), turn[:2], atol=1e-12)
+    for slant in (30.0, 80.0, 90.0, 130.0):
+        c, s = np.cos(np.radians(slant)), np.sin(np.radians(slant))
+        # The part tips over to the right: up stays up.
+        tipped = c * normal + s * turn[0]
+        right, up = axes_on(tipped, eye)
+        assert up @ turn[1] == pytest.approx(1.0)
+        assert abs(right @ tipped) < 1e-12
+        np.testing.assert_allclose(np.cross(right, up), tipped, atol=1e-12)
+
+
+@pytest.mark.parametrize("colours", [DARK, LIGHT])
+def test_the_dial_shows_the_tool_and_nothing_of_it_without_a_tool(panel, colours):
+    panel.set_colours(colours)
+    pressed(panel)
+    empty = pixels(panel.dial)
+    pressed(panel, held(28.0, landed=3))
+    right = pixels(panel.dial)
+    assert changed(empty, right) > 150
+    good, bad = (np.array(QColor(each).getRgb()[:3]) for each in (colours.accent, colours.bad))
+    assert count(right, good) > 60
+    assert count(right, bad) == 0
+    pressed(panel, held(5.0, landed=3))
+    wrong = pixels(panel.dial)
+    assert count(wrong, bad) > 30
+    assert count(wrong, good) == 0
+    pressed(panel)
+    assert changed(empty, pixels(panel.dial)) == 0
+
+
+def count(picture, colour) -> int:
+    return int((np.abs(picture[..., :3].astype(int) - colour).max(axis=2) < 4).sum())
+
+
+def test_a_tip_outside_the_picture_is_a_wedge_at_the_rim_on_its_side(panel):
+    pressed(panel)
+    empty = pixels(panel.dial)
+    pressed(panel, held(28.0, aside=(0.04, 0.0, 0.0), landed=15))
+    there = np.argwhere((pixels(panel.dial) != empty).any(axis=2))
+    bad = np.array(QColor(DARK.bad).getRgb()[:3])
+    wedge = np.argwhere(np.abs(pixels(panel.dial)[..., :3].astype(int) - bad).max(axis=2) < 4)
+    assert len(there) > 30
+    assert len(wedge) > 30
+    assert wedge[:, 1].min() > 0.8 * DIAL_PX
+    assert np.abs(wedge[:, 0] - DIAL_PX / 2).max() < 12
+
+
+def test_the_dial_turns_with_the_3d_view(panel):
+    pressed(panel)
+    one = pixels(panel.dial)
+    pressed(panel, eye=Eye(PLAIN.up, -PLAIN.right))
+    assert changed(one, pixels(panel.dial)) > 100
+
+
+def test_the_same_poke_draws_the_dial_no_second_time(panel, qtbot):
+    view = held(20.0, landed=3)
+    pressed(panel, view)
+    qtbot.wait(30)
+    paints = Paints(panel.dial)
+    for _ in range(5):
+        pressed(panel, view)
+    qtbot.wait(30)
+    assert paints.count == 0
+    pressed(panel, held(24.0, landed=3))
+    qtbot.wait(30)
+    assert paints.count == 1
+
+
+def test_a_verdict_leaves_the_dial_to_the_next_target(panel):
+    pressed(panel, held(28.0, landed=3))
+    before = pixels(panel.dial)
+    other = target(7)
+    at = replace(frame(session(2, pokes=[touch(1)]), reading(PressPhase.TARING)), guidance=guidance(other))
+    panel.show_state(at)
+    assert changed(before, pixels(panel.dial)) > 100
+    assert panel.headline.text().startswith("accepted")

@@ -1,0 +1,469 @@
+"""Each panel on a real (virtual) display: what its pixels and its words do, and that it draws nothing for nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QEvent, QObject, QPoint, Qt
+from PySide6.QtGui import QColor, QImage
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QWidget
+
+from app.dialogs.export_dialog import ExportDialog
+from app.dialogs.new_session import NewSessionDialog, shipped_scenes
+from app.panels.curves import CurvesPanel
+from app.panels.devices import DevicesPanel, LinkChips
+from app.panels.inspect_panel import InspectPanel
+from app.panels.message_bar import MessageBar
+from app.panels.now_panel import NowPanel
+from app.panels.pokes_panel import PokesPanel
+from app.panels.rig_panel import ArmPanel
+from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map
+from app.state.policies import Mark
+from app.text.message import Message
+from app.theme import DARK, HUES, LIGHT, Choice, Colours, Theme, qpalette
+from app.units import ChannelNames
+from app.workspace import RIGHT_PX
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.model.readings import LinkState, Stream
+from skincal.taxels.result import Method
+from tests.app.scene3d_support import estimate
+from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, changed, frame, link, pixels, reading, session, slip, touch
+
+BOTH = (Method.SURFACE, Method.FREE)
+
+
+class Paints(QObject):
+    """Counts how often a widget is painted."""
+
+    def __init__(self, widget: QWidget) -> None:
+        super().__init__()
+        self.count = 0
+        widget.installEventFilter(self)
+
+    def eventFilter(self, _watched, event):
+        self.count += event.type() == QEvent.Type.Paint
+        return False
+
+
+def shown(qtbot, widget, size=(420, 300)):
+    widget.resize(*size)
+    qtbot.addWidget(widget)
+    with qtbot.waitExposed(widget):
+        widget.show()
+    if hasattr(widget, "set_colours"):
+        widget.set_colours(DARK)
+    return widget
+
+
+def test_a_widget_survives_twenty_thousand_updates(qtbot):
+    """Some Qt bindings lose a reference to None in every void call and abort the program within seconds."""
+    widget = shown(qtbot, QWidget(), (50, 50))
+    for _ in range(20_000):
+        widget.update()
+    qtbot.wait(1)
+    assert widget.isVisible()
+
+
+def luminance(colour: str) -> float:
+    parts = np.array(QColor(colour).getRgbF()[:3])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+@pytest.mark.parametrize("colours", [DARK, LIGHT], ids=["dark", "light"])
+def test_text_can_be_read_on_everything_it_stands_on(colours: Colours):
+    for ink in (colours.text, colours.muted, colours.accent, colours.bad, colours.warn, *colours.axes):
+        for ground in (colours.window, colours.panel):
+            high, low = sorted([luminance(ink), luminance(ground)], reverse=True)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, (ink, ground)
+    high, low = sorted([luminance(colours.accent), luminance(colours.on_accent)], reverse=True)
+    assert (high + 0.05) / (low + 0.05) >= 4.5
+
+
+def test_the_theme_is_the_operators_or_the_desktops(qapp):
+    before, sheet = qapp.palette(), qapp.styleSheet()
+    theme = Theme(Choice.DARK)
+    seen: list[Colours] = []
+    theme.changed.connect(seen.append)
+    assert qapp.palette().window().color() == QColor(DARK.window)
+    theme.choose(Choice.LIGHT)
+    assert seen == [LIGHT]
+    assert qapp.palette().windowText().color() == qpalette(LIGHT).windowText().color()
+    theme.choose(Choice.SYSTEM)
+    assert theme.colours in (DARK, LIGHT)
+    qapp.setPalette(before)
+    qapp.setStyleSheet(sheet)
+
+
+def test_now_says_what_happens_and_the_ring_fills(qtbot):
+    panel = shown(qtbot, NowPanel(), (700, 80))
+    panel.begin(session())
+    panel.show_state(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
+    assert panel.headline.text() == "hold still"
+    little = pixels(panel.sign)
+    panel.show_state(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
+    assert changed(little, pixels(panel.sign)) > 200
+    gauge = pixels(panel.gauge)
+    panel.show_state(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
+    assert changed(gauge, pixels(panel.gauge)) > 200
+    panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
+    assert panel.headline.text() == "rejected: slid 2.1 mm, at most 1.5 mm"
+    bad = QColor(DARK.bad).getRgb()[:3]
+    assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100
+
+
+def test_the_same_frame_draws_nothing(qtbot):
+    at = frame(session(1, {3: estimate(3, (0, 0, 0))}, [touch(1)]), view=reading(links=(link(),)))
+    panels = [
+        NowPanel(), TaxelMap(SCENE, PLAN.channels, NAMES), PokesPanel(NAMES), InspectPanel(BOTH, NAMES), DevicesPanel(),
+    ]  # fmt: skip
+    for panel in panels:
+        shown(qtbot, panel)
+        panel.show_state(at)
+        qtbot.wait(30)
+    watched = [child for panel in panels for child in (panel, *panel.findChildren(QWidget))]
+    paints = [Paints(widget) for widget in watched]
+    for _ in range(20):
+        for panel in panels:
+            panel.show_state(at)
+    qtbot.wait(30)
+    assert sum(paint.count for paint in paints) == 0
+
+
+@pytest.fixture
+def taxels(qtbot):
+    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+    view.show_state(frame())
+    return view
+
+
+def around(view: TaxelMap, channel: int, reach: int = 9) -> np.ndarray:
+    place = view.place_of(channel)
+    x, y = round(place.x()), round(place.y())
+    return pixels(view)[y - reach : y + reach, x - reach : x + reach]
+
+
+def test_every_taxel_is_found_where_it_is_drawn(taxels):
+    for channel in PLAN.channels:
+        assert taxels.channel_at(taxels.place_of(int(channel))) == channel
+
+
+def turn(points: np.ndarray) -> float:
+    """Twice the signed area of three of the points."""
+    return float(np.linalg.det(np.stack([points[1] - points[0], points[4] - points[0]])))
+
+
+def test_the_map_keeps_the_proportions_and_the_hand_of_the_layout(taxels):
+    places = np.array([taxels.place_of(int(c)).toTuple() for c in PLAN.channels])
+    plan = PLAN.places[PLAN.channels]
+    drawn = np.linalg.norm(places[:, None] - places, axis=2)
+    real = np.linalg.norm(plan[:, None] - plan, axis=2)
+    np.testing.assert_allclose(drawn, real * drawn.max() / real.max(), atol=1e-6)
+    for points, hand in ((plan, 1.0), (places, -1.0)):
+        assert np.sign(turn(points)) == hand * np.sign(turn(plan))
+
+
+@pytest.mark.parametrize("size", [(900.0, 120.0), (120.0, 900.0), (300.0, 300.0)])
+def test_a_map_of_any_shape_stays_inside(size):
+    plan = plan_map(PLAN, PLAN.channels)
+    placed = fit(plan, *size).pixels(np.concatenate([plan.places, *plan.outlines]))
+    assert (placed >= 0).all()
+    assert (placed <= np.array(size)).all()
+
+
+def test_an_answer_a_state_and_a_selection_each_change_their_taxel_alone(taxels):
+    here, there = 3, 20
+    before, other = around(taxels, here), around(taxels, there)
+    responses = np.zeros(24)
+    responses[here] = 80.0
+    taxels.show_state(frame(view=reading(skin=responses)))
+    answering = around(taxels, here)
+    assert changed(before, answering) > 20
+    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))})))
+    known = around(taxels, here)
+    assert changed(before, known) > 20
+    hue = QColor(HUES[0]).getRgb()[:3]
+    assert tuple(int(v) for v in known[9, 9, :3]) == hue
+    plain = around(taxels, here, 20)
+    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))}), selected=here))
+    assert changed(plain, around(taxels, here, 20)) > 40
+    assert changed(other, around(taxels, there)) == 0
+
+
+def test_nan_and_infinite_answers_draw_nothing(taxels):
+    before = pixels(taxels)
+    taxels.show_state(frame(view=reading(skin=np.full(24, np.nan))))
+    taxels.show_state(frame(view=reading(skin=np.full(24, np.inf))))
+    assert changed(before, pixels(taxels)) == 0
+
+
+def test_states_differ_in_shape_not_only_in_colour():
+    drawn = []
+    for mark in Mark:
+        image = QImage(40, 40, QImage.Format.Format_RGBA8888)
+        image.fill(Qt.GlobalColor.black)
+        from PySide6.QtCore import QPointF
+        from PySide6.QtGui import QPainter
+
+        painter = QPainter(image)
+        draw_mark(painter, QPointF(20, 20), 12, mark, QColor("white"), QColor("white"))
+        painter.end()
+        drawn.append(np.frombuffer(image.constBits(), np.uint8).reshape(40, 40, 4)[..., 0] > 128)
+    for i, one in enumerate(drawn):
+        for other in drawn[i + 1 :]:
+            assert (one != other).sum() > 60
+
+
+@pytest.mark.usefixtures("qapp")
+@pytest.mark.parametrize("radius", [1.6, 2.0, 2.7, SMALL - 0.01])
+def test_small_marks_are_round_and_only_done_is_a_square(radius):
+    stamps, reach = Stamps(radius, 1.0, QColor("white")), max(1, round(radius))
+    drawn = {}
+    for mark in Mark:
+        image = stamps.get(mark.value, "#ffffff").toImage().convertToFormat(QImage.Format.Format_RGBA8888)
+        opaque = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.width(), 4)[..., 3]
+        middle = round(stamps.reach)
+        drawn[mark] = opaque[middle - reach : middle + reach, middle - reach : middle + reach].astype(int)
+        assert opaque.sum() == drawn[mark].sum() or mark is Mark.DEAD, "nothing is cut off, nothing lies outside"
+    assert (drawn[Mark.DONE] == 255).all()
+    for mark in (Mark.UNSEEN, Mark.BLIND, Mark.ROUGH, Mark.GOOD):
+        assert drawn[mark][0, 0] < 0.7 * drawn[mark][0, reach], "no corner"
+    for mark in (Mark.ROUGH, Mark.GOOD):
+        assert drawn[mark][reach, reach] == drawn[mark].max()
+    for mark in (Mark.UNSEEN, Mark.BLIND):
+        assert drawn[mark][reach, reach] < 0.4 * drawn[mark].max(), "hollow"
+    looks = list(drawn.values())
+    for i, one in enumerate(looks):
+        for other in looks[i + 1 :]:
+            assert np.abs(one - other).sum() > 4 * 255 * 0.15
+
+
+def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
+    with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
+        QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
+    assert clicked.args == [5]
+    assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nnot poked yet")
+    taxels.show_state(frame(selected=3))
+    with qtbot.waitSignal(taxels.taxel_clicked) as moved:
+        QTest.keyClick(taxels, Qt.Key.Key_Left)
+    assert taxels.place_of(moved.args[0]).x() < taxels.place_of(3).x()
+    with qtbot.assertNotEmitted(taxels.taxel_clicked):
+        QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=QPoint(1, 1))
+
+
+def test_a_skin_without_a_layout_has_a_map_of_all_its_channels(qtbot):
+    from dataclasses import replace
+
+    bare = replace(SCENE, skin=replace(SCENE.skin, layout=None))
+    view = shown(qtbot, TaxelMap(bare, np.arange(24), ChannelNames(None)))
+    view.show_state(frame(where=bare))
+    assert len({view.place_of(c).toTuple() for c in range(24)}) == 24
+    assert view.tell(7).startswith("ch 7  (channel 7)")
+
+
+def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
+    panel = shown(qtbot, PokesPanel(NAMES))
+    known = {3: estimate(3, (0, 0, 0))}
+    panel.show_state(frame(session(1, known, [touch(1), slip(2)])))
+    row = [panel.model.index(1, column).data() for column in range(6)]
+    assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0\N{DEGREE SIGN}", "2.0"]
+    assert panel.model.index(0, 1).data() == "\N{BALLOT X} slid 2.1 mm"
+    assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == "slid 2.1 mm, at most 1.5 mm"
+    assert panel.tally.text() == "2 pokes, 1 rejected (slid: 1)"
+    with qtbot.waitSignal(panel.taxel_wanted) as wanted:
+        panel.select(1)
+    assert wanted.args == [3]
+    panel.show_state(frame(session(2, known, [touch(1), slip(2), touch(3)], excluded=[1])))
+    assert panel.selected() == (1,)
+    assert panel.model.index(2, 1).data() == "\N{CIRCLED MINUS} excluded"
+    assert panel.model.index(0, 0).data() == "3"
+
+
+@pytest.mark.parametrize(
+    ("count", "excluded", "wholly"), [(3, [3], {0}), (4, [], set())], ids=["a poke is excluded", "a poke more"]
+)
+def test_what_follows_the_estimates_is_told_anew_for_every_poke(qtbot, count, excluded, wholly):
+    panel = shown(qtbot, PokesPanel(NAMES))
+    pokes = [touch(poke) for poke in (1, 2, 3, 4)]
+    panel.show_state(frame(session(1, pokes=pokes[:3])))
+    told = set()
+    panel.model.dataChanged.connect(
+        lambda first, last: told.update(
+            (row, column) for row in range(first.row(), last.row() + 1) for column in range(first.column(), last.column() + 1)
+        )
+    )
+    panel.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))}, pokes[:count], excluded)))
+    assert told >= {(row, column) for row in range(count) for column in (1, 4)}
+    assert {row for row, column in told if column == 0} == wholly
+
+
+@pytest.mark.parametrize("reason", list(Reason))
+def test_every_reason_can_be_read_in_the_list_as_wide_as_the_window_makes_it(qtbot, reason):
+    panel = shown(qtbot, PokesPanel(NAMES), (RIGHT_PX, 250))
+    panel.show_state(frame(session(2, pokes=[*(touch(n) for n in range(1, 40)), slip(40, reason, 0.0345, 0.001, "m")])))
+    index = panel.model.index(0, 1)
+    words = index.data()
+    assert words.startswith("\N{BALLOT X} ")
+    assert panel.table.sizeHintForIndex(index).width() <= panel.table.columnWidth(1), words
+    assert reason.value in index.data(Qt.ItemDataRole.ToolTipRole), "in full where the pointer is"
+
+
+def test_another_session_replaces_the_list(qtbot):
+    panel = shown(qtbot, PokesPanel(NAMES))
+    panel.show_state(frame(session(1, pokes=[touch(1), touch(2)])))
+    panel.show_state(frame(session(2, pokes=[slip(5)])))
+    assert [panel.model.index(r, 0).data() for r in range(panel.model.rowCount())] == ["5"]
+
+
+def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
+    panel = shown(qtbot, InspectPanel(BOTH, NAMES), (420, 500))
+    at = session(1, {3: estimate(3, (0.001, 0.002, 0.003))}, dead={4: "stuck at 255"})
+    panel.show_state(frame(at, selected=3))
+    assert panel.cells[Method.FREE][0].text() == "1.0  2.0  3.0"
+    assert panel.cells[Method.FREE][3].text() == "1.0 mm"
+    assert "apart" in panel.reason.text()
+    assert panel.worst.item(0).text().endswith("not poked yet")
+    with qtbot.waitSignal(panel.mark_dead_requested) as asked:
+        QTest.mouseClick(panel.use, Qt.MouseButton.LeftButton)
+    assert asked.args == [3]
+    panel.show_state(frame(at, selected=4))
+    assert panel.reason.text() == "stuck at 255"
+    with qtbot.waitSignal(panel.revive_requested) as back:
+        QTest.mouseClick(panel.use, Qt.MouseButton.LeftButton)
+    assert back.args == [4]
+    with qtbot.waitSignal(panel.taxel_wanted):
+        panel.worst.itemActivated.emit(panel.worst.item(2))
+
+
+def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
+    panel, chips = shown(qtbot, DevicesPanel()), shown(qtbot, LinkChips(), (300, 24))
+    panel.set_addresses({"wrench": "/dev/ttyUSB0"})
+
+    def show(health, now_s):
+        at = frame(view=reading(links=(health,), losses_unpaired=2), now_s=now_s)
+        panel.show_state(at)
+        chips.show_state(at)
+        return panel.cards["wrench"]
+
+    card = show(link(), 100.1)
+    assert card.rate.text() == "1000 Hz"
+    assert "/dev/ttyUSB0" in card.about.text()
+    assert "3  checksum does not fit" in card.losses.text()
+    assert "2 skin frames" in panel.unpaired.text()
+    good = pixels(card.icon)
+    card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 vanished; plug it in again."), 100.2)
+    assert card.detail.text() == "/dev/ttyUSB0 vanished; plug it in again."
+    assert changed(good, pixels(card.icon)) > 50
+    card = show(link(), 105.0)
+    assert card.rate.text() == "silent"
+
+
+def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):
+    scene = arm_scene()
+    panel = shown(qtbot, ArmPanel(scene.arm))
+    panel.show_state(frame(session(1, pokes=[touch(1)]), where=scene))
+    low, high = panel.rows["low"], panel.rows["high"]
+    assert (low.text(1), low.text(2), high.text(2)) == ("0.0\N{DEGREE SIGN}", "1", "0")
+    with qtbot.waitSignal(panel.pose_requested) as chosen:
+        panel.poses.itemClicked.emit(high, 0)
+    assert chosen.args == ["high"]
+    joints = link("joints", carries=(Stream.JOINTS,))
+    panel.show_state(frame(view=reading(links=(joints,)), where=scene))
+    with qtbot.assertNotEmitted(panel.pose_requested):
+        panel.poses.itemClicked.emit(high, 0)
+
+
+def test_curves_draw_every_axis_and_stop_with_the_stream(qtbot):
+    panel = shown(qtbot, CurvesPanel(), (420, 320))
+    times = np.linspace(90.0, 100.0, 10_000)
+    wrench = np.stack([np.sin(times + i) * (5 if i < 3 else 0.3) for i in range(6)], axis=1)
+    wrench[5000, 0] = np.nan
+    panel.show_state(frame(view=reading(wrench_s=times, wrench=wrench)))
+    seen = pixels(panel)[..., :3].astype(int)
+    for axis in DARK.axes:
+        near = np.abs(seen - QColor(axis).getRgb()[:3]).sum(axis=2) < 60
+        assert near.sum() > 300
+    assert "5." in panel.force.header.text() or "4." in panel.force.header.text()
+    paints = [Paints(widget) for widget in (panel.force.plot.viewport(), panel.moment.plot.viewport())]
+    qtbot.wait(50)
+    before = [paint.count for paint in paints]
+    for _ in range(10):
+        panel.show_state(frame(view=reading(wrench_s=times, wrench=wrench)))
+    qtbot.wait(50)
+    assert [paint.count for paint in paints] == before
+
+
+def test_errors_stay_until_they_are_read_and_news_goes_by_itself(qtbot):
+    bar = shown(qtbot, MessageBar(), (500, 40))
+    assert not bar.isVisible()
+    bar.tell(Message("The disk is full.", error=True))
+    bar.tell(Message("Written."))
+    assert "Written." in bar.text.text()
+    bar._timer.timeout.emit()
+    assert "The disk is full." in bar.text.text()
+    bar._timer.timeout.emit()
+    assert bar.isVisible()
+    QTest.mouseClick(bar.close_button, Qt.MouseButton.LeftButton)
+    assert not bar.isVisible()
+    bar.stop()
+
+
+def test_a_message_begins_with_the_sign_of_its_kind(qtbot):
+    bar = shown(qtbot, MessageBar(), (500, 40))
+    kinds = ({"error": True}, {"asks": True}, {"found": True}, {})
+    signs = []
+    for kind in kinds:
+        bar.tell(Message("It is so.", **kind))
+        signs.append(bar.text.text().split()[0])
+    assert signs == ["\N{BALLOT X}", "\N{RIGHTWARDS ARROW}", "\N{BULLET}", "\N{CHECK MARK}"]
+    bar.stop()
+
+
+def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot, tmp_path):
+    dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
+    assert dialog.path.text() == str(tmp_path / "part-free.txt")
+    dialog.format.setCurrentIndex(1)
+    assert dialog.path.text() == str(tmp_path / "part.json")
+    assert not dialog.method.isEnabled()
+    with qtbot.waitSignal(dialog.write_requested) as wish:
+        QTest.mouseClick(dialog.write, Qt.MouseButton.LeftButton)
+    assert wish.args == ["json", tmp_path / "part.json", Method.FREE]
+    dialog.show_findings(("3 taxels have no position",))
+    assert "1 remark" in dialog.outcome.text()
+    assert dialog.findings.item(0).text() == "3 taxels have no position"
+    dialog.show_failure("cannot be written")
+    assert dialog.outcome.text().startswith("\N{BALLOT X}")
+
+
+@pytest.mark.parametrize("change", ["format", "method", "path"])
+def test_what_was_written_is_not_said_of_what_would_be_written_next(qtbot, tmp_path, change):
+    dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
+    QTest.mouseClick(dialog.write, Qt.MouseButton.LeftButton)
+    dialog.show_findings(("3 taxels have no position",))
+    assert "Written to" in dialog.outcome.text()
+    if change == "path":
+        QTest.keyClicks(dialog.path, "x")
+    else:
+        box = getattr(dialog, change)
+        box.setCurrentIndex(1 - box.currentIndex())
+    assert dialog.outcome.text() == ""
+    assert not dialog.findings.isVisible()
+
+
+def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
+    dialog = shown(qtbot, NewSessionDialog(None, tmp_path / "new"))
+    assert len(shipped_scenes()) >= 3
+    dialog.fields["wrench"].setText("/dev/ttyUSB0")
+    with qtbot.assertNotEmitted(dialog.plan_chosen):
+        dialog.buttons.accepted.emit()
+    assert "No skin device" in dialog.objection.text()
+    dialog.fields["skin"].setText("spy:///dev/ttyACM0?file=x")
+    with qtbot.assertNotEmitted(dialog.plan_chosen):
+        dialog.buttons.accepted.emit()
+    assert "begins with spy:, expected a serial port" in dialog.objection.text()
+    dialog.fields["skin"].setText("/dev/ttyACM0")
+    with qtbot.waitSignal(dialog.plan_chosen) as chosen:
+        dialog.buttons.accepted.emit()
+    plan = chosen.args[0]
+    assert (plan.addresses.wrench, plan.addresses.skin, plan.folder) == ("/dev/ttyUSB0", "/dev/ttyACM0", tmp_path / "new")

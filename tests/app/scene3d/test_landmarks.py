@@ -1,0 +1,289 @@
+"""Landmarks in the 3D view: how they look, and the point of the part that a click means."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
+from PySide6.QtGui import QMouseEvent
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+from app.scene3d.camera import project, ray
+from app.scene3d.canvas import Canvas
+from app.scene3d.entry import seen_point
+from app.scene3d.landmarks import MOST_NAMES, normals_of, poked_here
+from app.scene3d.static_scene import View3DState
+from skincal.guide.guidance import Target
+from skincal.mesh.surface import make_surface
+from skincal.model.scene import Landmark
+from skincal.session.snapshot import PokeRecord
+from skincal.taxels.result import Method
+from tests.app.scene3d_support import box, contact, snapshot
+from tests.app.view3d_on_screen import Drawn, around, make_view, pixels, settle, turn
+
+UP = np.array([0.0, 0.0, 1.0])
+HEAD = Landmark("head", np.array([0.020, -0.022, 0.0]), UP)
+CORNER = Landmark("corner", np.array([-0.025, 0.020, 0.0]), None)
+
+
+@pytest.fixture
+def view(qtbot):
+    return make_view(qtbot)
+
+
+def session(generation, landmarks, at=None, poses=(), pose="low", excluded=()):
+    """A session with landmarks; poke number n was made in the n-th of `poses`."""
+    pokes = [replace(contact(n, 3, (0.0, 0.0, 0.0)), pose=name) for n, name in enumerate(poses, 1)]
+    records = tuple(PokeRecord(poke, poke.poke in excluded) for poke in pokes)
+    return replace(snapshot(generation, {}), landmarks=landmarks, at_landmarks=at or {}, pokes=records, pose=pose)
+
+
+def show(view, at, target=None):
+    return view.show_moment(at, None, Method.FREE, None, target)
+
+
+def seen(view, place):
+    """Where a point appears in the widget."""
+    x, y, _ = project(view._stage.renderer, np.atleast_2d(place))[0]
+    return x, view.height() - y
+
+
+def changed(one, other, place, reach=7):
+    return int((np.abs(around(one, place, reach) - around(other, place, reach)).max(axis=-1) > 25).sum())
+
+
+@pytest.mark.parametrize("dark", [True, False])
+def test_a_landmark_appears_on_the_part_and_looks_otherwise_once_it_is_poked(view, dark):
+    view.set_dark(dark)
+    show(view, session(1, ()))
+    bare = pixels(view)
+    assert show(view, session(2, (HEAD, CORNER)))
+    there = pixels(view)
+    for one in (HEAD, CORNER):
+        assert changed(bare, there, seen(view, one.place)) > 25
+    assert show(view, session(3, (HEAD, CORNER), {1: "head"}, ("low",)))
+    poked = pixels(view)
+    assert changed(there, poked, seen(view, HEAD.place)) > 10
+    assert changed(there, poked, seen(view, CORNER.place)) == 0
+    # Told by shape: the cross is gone from the middle, which looks as it did without a landmark.
+    assert changed(bare, there, seen(view, HEAD.place), 2) > 4
+    assert changed(bare, poked, seen(view, HEAD.place), 2) == 0
+    assert show(view, session(4, ()))
+    np.testing.assert_array_equal(pixels(view), bare)
+
+
+def test_poked_is_said_of_the_pose_in_which_the_arm_stands_and_of_pokes_that_count():
+    three = {1: "head", 2: "corner", 3: "gone"}
+    at = session(1, (HEAD, CORNER), three, ("low", "high", "low"))
+    assert poked_here(at) == {"head", "gone"}
+    assert poked_here(replace(at, pose="high")) == {"corner"}
+    assert poked_here(session(1, (HEAD,), three, ("low", "low", "low"), excluded=(1,))) == {"corner", "gone"}
+    assert poked_here(session(1, (HEAD,), {9: "head"}, ("low",))) == frozenset()
+
+
+def test_nothing_is_drawn_where_nothing_changed_or_there_is_none(view):
+    show(view, session(1, ()))
+    settle()
+    layer, drawn = view._stage.landmarks, Drawn(view)
+    assert not layer.marks.actor.GetVisibility()
+    assert layer.names == []
+    assert not layer.show(View3DState(session(2, ()), None, Method.FREE, None))
+    show(view, session(3, (HEAD,)))
+    settle()
+    count = drawn.count
+    assert not show(view, session(3, (HEAD,)))
+    # Streamed joints make a new snapshot of the same landmarks.
+    assert not layer.show(View3DState(session(4, (HEAD,)), None, Method.FREE, None)), "another tuple with the same landmark"
+    settle()
+    assert drawn.count == count
+
+
+def test_names_stand_beside_few_landmarks_and_many_have_none(view):
+    show(view, session(1, (HEAD, CORNER)))
+    settle()
+    layer = view._stage.landmarks
+    assert [actor.GetInput() for actor in layer.names] == ["head", "corner"]
+    for actor, one in zip(layer.names, (HEAD, CORNER), strict=True):
+        assert actor.GetVisibility()
+        x, y = seen(view, one.place)
+        left, low = actor.GetPosition()
+        assert 8 < left - x < 40
+        assert abs(view.height() - low - y) < 1.5
+    with_names = pixels(view)
+    many = tuple(Landmark(f"p{n}", HEAD.place + np.array([0.0, 0.003 * n, 0.0]), UP) for n in range(MOST_NAMES + 1))
+    show(view, session(2, many))
+    settle()
+    assert not any(actor.GetVisibility() for actor in layer.names)
+    show(view, session(3, many[:MOST_NAMES]))
+    settle()
+    assert sum(actor.GetVisibility() for actor in layer.names) == MOST_NAMES
+    show(view, session(4, (HEAD, CORNER)))
+    np.testing.assert_array_equal(pixels(view), with_names)
+
+
+def test_what_lies_behind_the_part_is_left_out_until_the_part_is_turned(view):
+    below = Landmark("below", np.array([0.0, 0.0, -0.02]), -UP)
+    show(view, session(1, ()))
+    bare = pixels(view)
+    show(view, session(2, (below,)))
+    np.testing.assert_array_equal(pixels(view), bare)
+    turn(view, 180.0, 0.0)
+    settle()
+    layer = view._stage.landmarks
+    assert layer.marks.actor.GetVisibility()
+    assert layer.names[0].GetVisibility()
+
+
+def test_a_landmark_without_a_normal_lies_on_the_face_that_is_nearest():
+    wall = Landmark("wall", np.array([0.041, 0.0, -0.01]), None)
+    np.testing.assert_allclose(normals_of((HEAD, wall, CORNER), box()), [UP, [1.0, 0.0, 0.0], UP], atol=1e-12)
+    np.testing.assert_allclose(normals_of((wall,), None), [UP])
+
+
+@pytest.mark.parametrize("surface", [True, False])
+def test_a_landmark_that_is_asked_for_has_the_ring_in_any_scene(qtbot, surface):
+    view = make_view(qtbot, surface=surface, plan=False)
+    show(view, session(1, (HEAD, CORNER)))
+    before = pixels(view)
+    wanted = Target(None, HEAD.place + 0.002 * UP, UP, -UP, 0.0, np.inf, 0.0, landmark="head")
+    assert show(view, session(1, (HEAD, CORNER)), wanted)
+    view._stage.turner.wanted = False
+    assert changed(before, pixels(view), seen(view, wanted.place), 30) > 60
+    np.testing.assert_array_equal(view._stage.target._at, wanted.place)
+    for place in (HEAD.place, CORNER.place):
+        x, y = seen(view, place)
+        assert 0 < x < view.width()
+        assert 0 < y < view.height()
+
+
+def test_landmarks_come_into_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
+    view = make_view(qtbot, surface=False, plan=False)
+    far = tuple(replace(one, place=one.place + np.array([0.5, 0.4, 0.3])) for one in (HEAD, CORNER))
+    show(view, session(1, far))
+    settle()
+    for one in far:
+        x, y = seen(view, one.place)
+        assert 0 < x < view.width()
+        assert 0 < y < view.height()
+
+
+# The point of the part that a click means
+
+
+def click(view, x, y):
+    QTest.mouseClick(view._canvas, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, QPoint(x, y))
+
+
+@pytest.mark.parametrize("canvas", list(Canvas))
+def test_the_picked_point_lies_on_the_part_within_a_pixel_of_what_is_clicked(qtbot, canvas):
+    view = make_view(qtbot, canvas)
+    picked = []
+    view.surface_picked.connect(picked.append)
+    for known in ((0.011, -0.007, 0.0), (-0.033, 0.021, 0.0), (0.031, 0.036, 0.0)):
+        x, y = seen(view, known)
+        view.set_picking(True)
+        click(view, int(x), int(y))
+        place = picked.pop()
+        assert abs(place[2]) < 1e-9, "on the mesh"
+        assert np.abs(np.array(seen(view, place)) - (int(x) + 0.5, int(y) + 0.5)).max() < 1e-6
+        aside = np.linalg.norm(place - known)
+        pixel = np.linalg.norm(np.array(known) - view._stage.pick_surface(x + 1, view.height() - y))
+        assert aside <= 1.5 * pixel
+        assert pixel < 0.5e-3
+        assert not view.picking, "one click ends it"
+        turn(view, -17.0, 9.0)
+
+
+def test_vtk_finds_the_same_point(view):
+    """By another route: the picker that casts a ray at the drawn triangles."""
+    from vtkmodules.vtkRenderingCore import vtkCellPicker
+
+    turn(view, 25.0, -18.0)
+    settle()
+    renderer, picker = view._stage.renderer, vtkCellPicker()
+    picker.SetTolerance(0.0)
+    found = 0
+    for x, y in np.random.default_rng(1).uniform((200, 150), (440, 330), (40, 2)):
+        ours = view._stage.pick_surface(x, y)
+        hit = picker.Pick(x, y, 0.0, renderer) and picker.GetActor() in renderer.GetActors()
+        if ours is None or not hit:
+            continue
+        found += 1
+        np.testing.assert_allclose(np.array(picker.GetPickPosition()), ours, atol=5e-5)
+    assert found > 25
+
+
+def test_while_a_point_is_wanted_the_pointer_is_a_cross_and_a_click_means_no_taxel(view, qtbot):
+    show(view, snapshot(1, {}))
+    assert view.can_pick
+    view.set_picking(True)
+    assert view._canvas.cursor().shape() == Qt.CursorShape.CrossCursor
+    with qtbot.assertNotEmitted(view.surface_picked), qtbot.assertNotEmitted(view.taxel_picked):
+        click(view, 3, 3)
+    assert view.picking, "a click beside the part says nothing"
+    eye = view.eye()
+    with qtbot.assertNotEmitted(view.surface_picked):
+        QTest.mousePress(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(320, 240))
+        for x in (330, 350, 380):
+            drag(view._canvas, x)
+        QTest.mouseRelease(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(380, 240))
+    assert not view.eye().same(eye), "a drag turns the part"
+    assert view.picking
+    with qtbot.waitSignal(view.surface_picked):
+        click(view, 320, 240)
+    assert view._canvas.cursor().shape() == Qt.CursorShape.ArrowCursor
+    with qtbot.assertNotEmitted(view.surface_picked):
+        click(view, 320, 240)
+
+
+def drag(canvas, x):
+    left, none = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
+    at = QPointF(x, 240)
+    QApplication.sendEvent(canvas, QMouseEvent(QEvent.Type.MouseMove, at, at, none, left, Qt.KeyboardModifier.NoModifier))
+
+
+def test_the_camera_waits_while_a_point_is_wanted(view):
+    behind = Target(None, np.array([0.0, 0.0, -0.02]), -UP, UP, 0.0, np.inf, 0.0, landmark="below")
+    view.set_picking(True)
+    eye = view.eye()
+    for _ in range(5):
+        show(view, session(1, ()), behind)
+    assert view.eye().same(eye)
+    view._stage.turner.touch(-1e9)
+    view.set_picking(False)
+    show(view, session(1, ()), behind)
+    assert view._stage.turner._way is not None, "it turns afterwards"
+
+
+def test_a_scene_without_a_part_to_click_on_cannot_be_picked(qtbot):
+    view = make_view(qtbot, surface=False)
+    assert not view.can_pick
+    assert view._stage.pick_surface(320.0, 240.0) is None
+
+
+def test_an_inner_side_in_front_is_no_place_to_poke():
+    """Two facing squares, open around: through the near one's back one does not pick what lies behind it."""
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.02
+    low, high = (np.column_stack([corners, np.full(4, z)]) for z in (0.0, 0.05))
+    facing_up, facing_down = [(0, 1, 2), (0, 2, 3)], [(4, 6, 5), (4, 7, 6)]
+    eye, down = np.array([0.001, 0.002, 0.3]), -UP
+    alone = make_surface(low, np.array(facing_up))
+    np.testing.assert_allclose(seen_point(alone, eye, down), [0.001, 0.002, 0.0], atol=1e-15)
+    both = make_surface(np.concatenate([low, high]), np.array(facing_up + facing_down))
+    assert seen_point(both, eye, down) is None
+    assert seen_point(both, eye + np.array([0.03, 0.0, 0.0]), down) is None, "beside both"
+    np.testing.assert_allclose(seen_point(both, np.array([0.001, 0.002, 0.03]), down), [0.001, 0.002, 0.0], atol=1e-15)
+    assert seen_point(alone, np.array([0.001, 0.002, -0.1]), down) is None, "behind the eye"
+
+
+def test_a_line_of_sight_passes_through_what_appears_at_its_pixel(view):
+    turn(view, 31.0, 22.0)
+    settle()
+    renderer = view._stage.renderer
+    for known in np.random.default_rng(2).uniform(-0.03, 0.03, (20, 3)):
+        x, y, _ = project(renderer, known[None])[0]
+        place, direction = ray(renderer, x, y)
+        assert np.linalg.norm(np.cross(known - place, direction)) < 1e-9

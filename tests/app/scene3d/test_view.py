@@ -1,0 +1,365 @@
+"""The 3D view on a real (virtual) display: what its pixels show, when it draws, what a click means, what it leaves behind."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QEvent, QPoint, Qt, QTimer
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QApplication, QMainWindow
+
+from app.scene3d import offscreen
+from app.scene3d.axes import MOST_AXES
+from app.scene3d.canvas import Canvas
+from app.scene3d.static_scene import DARK, HUES, LIGHT, View3DState
+from app.scene3d.view import View3D
+from skincal.model.errors import InputError
+from skincal.taxels.result import Estimate, Method, State
+from tests.app.scene3d_support import box, contact, estimate, laid, layout, live, scene, snapshot
+from tests.app.view3d_on_screen import KEPT, Drawn, around, drag, make_view, pixels, screen_place, settle, turn, wheel
+
+PLAN = layout()
+EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "landmarks", "target", "compare", "hints")
+
+
+@pytest.fixture(autouse=True)
+def _windows():
+    yield
+    KEPT.clear()
+
+
+@pytest.fixture
+def view(qtbot):
+    return make_view(qtbot)
+
+
+def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
+    assert make_view(qtbot).list_layers() == EVERY
+    bare = make_view(qtbot, surface=False, plan=False)
+    assert bare.list_layers() == EVERY[2:]
+    assert make_view(qtbot, surface=False).list_layers() == EVERY[1:]
+    actors = bare._stage.renderer.GetActors()
+    assert actors.GetNumberOfItems() == 12, (
+        "balls, marks, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare; no differences"
+    )
+
+
+def test_a_moved_estimate_leaves_its_place_and_appears_at_the_new_one(view):
+    view.show_moment(snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.002))}), None, Method.FREE, None)
+    before, old = pixels(view), screen_place(view, 3)
+    assert view.show_moment(snapshot(2, {3: estimate(3, (0.02, -0.02, 0.002))}), None, Method.FREE, None)
+    after, new = pixels(view), screen_place(view, 3)
+    assert np.hypot(old[0] - new[0], old[1] - new[1]) > 60
+    for place in (old, new):
+        changed = np.abs(around(before, place) - around(after, place)).max(axis=-1) > 25
+        assert changed.mean() > 0.5
+    hue = HUES[0].astype(int)
+    # Lit from the camera, the middle of a ball has its module's hue at nearly full strength.
+    assert np.abs(around(after, new, 2) - hue).max() < 60
+    assert np.abs(around(before, old, 2) - hue).max() < 60
+    np.testing.assert_array_equal(before[:40], after[:40], "the picture's upper edge has nothing to do with it")
+
+
+def test_the_axis_of_a_poke_appears_where_it_enters_and_goes_when_the_tool_lifts(view):
+    session = snapshot(1, {})
+    view.show_moment(session, live(), Method.FREE, None)
+    idle = pixels(view)
+    assert view.show_moment(session, live((0.0, 0.0, 0.1), (2.0, 0.0, -8.0)), Method.FREE, None)
+    pressing = pixels(view)
+    stage = view._stage
+    entry = np.array([0.1 * 2 / 8, 0.0, 0.0])
+    np.testing.assert_allclose(stage.layers[3].contact._points[0], entry, atol=1e-6)
+    from app.scene3d.camera import project
+
+    x, y, _ = project(stage.renderer, entry[None])[0]
+    dot = around(pressing, (x, view.height() - y), 3)
+    assert dot.min() > 180, "the contact is a dot in the ink of the dark theme"
+    assert around(idle, (x, view.height() - y), 3).max() < 180
+    ink = (np.abs(pressing.astype(int) - DARK.ink).max(axis=-1) < 12).sum()
+    assert ink - (np.abs(idle.astype(int) - DARK.ink).max(axis=-1) < 12).sum() > 150
+    assert view.show_moment(session, live(), Method.FREE, None)
+    np.testing.assert_array_equal(pixels(view), idle)
+
+
+def test_the_other_method_shows_its_own_estimates(view):
+    free = {3: estimate(3, (-0.018, 0.005, 0.01))}
+    surface = {3: estimate(3, (-0.010, 0.015, 0.0), Method.SURFACE), 15: estimate(15, (0.02, 0.01, 0.0), Method.SURFACE)}
+    session = snapshot(1, free, surface)
+    view.show_moment(session, None, Method.FREE, None)
+    first, place = pixels(view), screen_place(view, 3)
+    assert screen_place(view, 15) is None
+    assert view.show_moment(session, None, Method.SURFACE, None)
+    second = pixels(view)
+    assert screen_place(view, 3) != place
+    for channel, row in ((3, 0), (15, 1)):
+        ball = around(second, screen_place(view, channel), 2)
+        assert np.abs(ball - HUES[row].astype(int)).max() < 70
+    assert (first != second).any(axis=-1).sum() > 100
+    view.set_difference(True)
+    assert (pixels(view) != second).any(axis=-1).sum() > 30, "a line leads to the other method's estimate"
+    view.set_difference(False)
+    np.testing.assert_array_equal(pixels(view), second)
+
+
+def test_nothing_is_drawn_when_nothing_changed(view):
+    session, still = snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live()
+    pressing = live((0.0, 0.0, 0.1))
+    view.show_moment(session, still, Method.FREE, None)
+    settle()
+    drawn = Drawn(view)
+    for _ in range(5):
+        assert not view.show_moment(session, live(), Method.FREE, None)
+        settle()
+    assert drawn.count == 0
+    assert view.show_moment(session, pressing, Method.FREE, None)
+    settle()
+    assert drawn.count == 1
+    assert not view.show_moment(session, pressing, Method.FREE, None)
+    settle()
+    assert drawn.count == 1
+
+
+def test_many_changes_in_one_tick_make_one_picture(view):
+    drawn = Drawn(view)
+    for generation in range(2, 12):
+        view.show_moment(snapshot(generation, {3: estimate(3, (0.001 * generation, 0.0, 0.0))}), None, Method.FREE, 3)
+    assert drawn.count == 0
+    settle()
+    assert drawn.count == 1
+
+
+def test_a_hidden_view_draws_nothing_and_shows_the_newest_when_it_comes_back(view):
+    drawn = Drawn(view)
+    view.hide()
+    for generation in range(2, 6):
+        assert not view.show_moment(snapshot(generation, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
+        settle()
+    assert drawn.count == 0
+    view.show()
+    settle()
+    assert drawn.count == 1
+    assert screen_place(view, 3) is not None
+
+
+@pytest.mark.parametrize("channel", [3, 8, 15, 20])
+def test_a_click_on_a_ball_names_its_channel(view, qtbot, channel):
+    known = {c: estimate(c, (*PLAN.places[c], 0.0005)) for c in range(24)}
+    view.show_moment(snapshot(1, known), None, Method.FREE, None)
+    settle()
+    x, y = screen_place(view, channel)
+    with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
+        qtbot.mouseClick(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
+    assert picked.args == [channel]
+
+
+def test_neither_the_background_nor_a_drag_nor_the_far_side_picks(view, qtbot):
+    view.show_moment(snapshot(1, {3: estimate(3, (-0.018, 0.0, 0.001), sd=1e-5)}), None, Method.FREE, None)
+    settle()
+    x, y = (round(v) for v in screen_place(view, 3))
+    canvas = view._canvas
+    with qtbot.assertNotEmitted(view.taxel_picked):
+        qtbot.mouseClick(canvas, Qt.MouseButton.LeftButton, pos=QPoint(2, 2))
+        qtbot.mousePress(canvas, Qt.MouseButton.LeftButton, pos=QPoint(x, y))
+        qtbot.mouseMove(canvas, QPoint(x + 30, y))
+        qtbot.mouseRelease(canvas, Qt.MouseButton.LeftButton, pos=QPoint(x + 30, y))
+    view.reset_camera()
+    turn(view, 180.0, 0.0)
+    behind = pixels(view)
+    x, y = (round(v) for v in screen_place(view, 3))
+    assert np.ptp(around(behind, (x, y), 3), axis=-1).max() < 30, "it does not show through the part"
+    with qtbot.assertNotEmitted(view.taxel_picked):
+        qtbot.mouseClick(canvas, Qt.MouseButton.LeftButton, pos=QPoint(x, y))
+
+
+def test_the_mouse_turns_shifts_and_comes_nearer_and_the_camera_comes_back(view):
+    def place():
+        active = view._stage.renderer.GetActiveCamera()
+        return np.array([active.GetPosition(), active.GetFocalPoint()])
+
+    canvas, start, first = view._canvas, place(), pixels(view)
+    drag(canvas, Qt.MouseButton.LeftButton)
+    turned = place()
+    np.testing.assert_allclose(turned[1], start[1], atol=1e-12)
+    assert np.linalg.norm(turned[0] - turned[1]) == pytest.approx(np.linalg.norm(start[0] - start[1]))
+    assert np.linalg.norm(turned[0] - start[0]) > 0.02
+    assert (pixels(view) != first).any(axis=-1).mean() > 0.1
+    drag(canvas, Qt.MouseButton.MiddleButton)
+    np.testing.assert_allclose((place() - turned)[0], (place() - turned)[1], atol=1e-12)
+    before = np.linalg.norm(np.diff(place(), axis=0))
+    wheel(canvas, 240)
+    assert np.linalg.norm(np.diff(place(), axis=0)) == pytest.approx(before / 1.15**2)
+    view.reset_camera()
+    np.testing.assert_allclose(place(), start, atol=1e-9)
+    np.testing.assert_array_equal(pixels(view), first)
+
+
+def test_keys_pass_the_view_by(view, qtbot, monkeypatch):
+    heard = []
+    monkeypatch.setattr(QMainWindow, "keyPressEvent", lambda _, event: heard.append(event.text()), raising=False)
+    picture = pixels(view)
+    qtbot.keyClicks(view._canvas, "wesq")
+    np.testing.assert_array_equal(pixels(view), picture)
+    assert view._canvas.focusPolicy() == Qt.FocusPolicy.NoFocus
+
+
+def test_only_the_worst_three_and_the_selected_have_an_ellipsoid(view):
+    spread = {c: estimate(c, (*PLAN.places[c], 0.0), sd=1e-4 * (1 + c)) for c in range(12)}
+    layer = view._stage.layers[4]
+    session = snapshot(1, spread)
+    assert layer.rows(View3DState(session, None, Method.FREE, None)) == [11, 10, 9]
+    assert layer.rows(View3DState(session, None, Method.FREE, 10)) == [11, 10, 9]
+    assert layer.rows(View3DState(session, None, Method.FREE, 2)) == [11, 10, 9, 2]
+    assert layer.rows(View3DState(session, None, Method.FREE, 20)) == [11, 10, 9]
+    view.show_moment(session, None, Method.FREE, None)
+    first = pixels(view)
+    view.show_moment(snapshot(2, {**spread, 11: estimate(11, (*PLAN.places[11], 0.0), sd=3e-3)}), None, Method.FREE, None)
+    assert (pixels(view) != first).any(axis=-1).sum() > 100
+
+
+def test_what_has_no_position_gets_a_mark_at_its_planned_place_and_never_a_ball(view):
+    view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+    nothing = pixels(view)
+    blind = Estimate(4, Method.FREE, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]))
+    dead = Estimate(16, Method.FREE, State.DEAD, 0)
+    assert view.show_moment(snapshot(2, {4: blind, 16: dead}), None, Method.FREE, None)
+    marked = pixels(view)
+    assert len(view._stage.estimates.shown) == 0
+    from app.scene3d.camera import project
+
+    for channel in (4, 16):
+        x, y, _ = project(view._stage.renderer, np.array([[*PLAN.places[channel], 0.0]]))[0]
+        place = x, view.height() - y
+        changed = np.abs(around(marked, place, 12) - around(nothing, place, 12)).max(axis=-1) > 20
+        assert changed.sum() > 15
+    assert np.isfinite(view._stage.estimates.marks._points).all()
+
+
+def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
+    pokes = [contact(n, 3 if n % 2 else 9, (*PLAN.places[3], 0.0), (0.1 * n, 0.0, -8.0)) for n in range(1, 101)]
+    session = snapshot(1, {3: estimate(3, (*PLAN.places[3], 0.0))}, pokes=pokes)
+    axes = view._stage.layers[3]
+    view.show_moment(session, None, Method.FREE, None)
+    assert axes.past.data.GetNumberOfLines() == 1, "the last poke's"
+    view.show_moment(session, None, Method.FREE, 3)
+    assert axes.past.data.GetNumberOfLines() == 1 + MOST_AXES
+    ends = axes.past._points[2:].reshape(-1, 2, 3).astype(float)
+    through = ends[:, 1] - ends[:, 0]
+    to_taxel = np.array([*PLAN.places[3], 0.0]) - ends[:, 0]
+    miss = np.linalg.norm(np.cross(through, to_taxel), axis=1) / np.linalg.norm(through, axis=1)
+    np.testing.assert_allclose(miss, 0.0, atol=1e-6)
+
+
+def test_the_themes_differ_in_background_and_ink(view):
+    assert tuple(pixels(view)[2, 2]) == DARK.background
+    view.set_dark(False)
+    assert tuple(pixels(view)[2, 2]) == LIGHT.background
+    view.set_dark(True)
+    assert tuple(pixels(view)[2, 2]) == DARK.background
+
+
+def test_a_screenshot_is_what_the_screen_shows(view, tmp_path: Path):
+    view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
+    shown = pixels(view)
+    view.screenshot(tmp_path / "view.png")
+    image = QImage(str(tmp_path / "view.png"))
+    assert (image.width(), image.height()) == (shown.shape[1], shown.shape[0])
+    assert image.pixelColor(2, 2).getRgb()[:3] == tuple(shown[2, 2])
+    with pytest.raises(InputError, match="cannot be written"):
+        view.screenshot(tmp_path / "no" / "view.png")
+
+
+def test_estimates_stay_in_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
+    view = make_view(qtbot, surface=False, plan=False)
+    view.show_moment(snapshot(1, {3: estimate(3, (0.5, 0.4, 0.3)), 4: estimate(4, (0.52, 0.4, 0.3))}), None, Method.FREE, None)
+    settle()
+    for channel in (3, 4):
+        x, y = screen_place(view, channel)
+        assert 0 < x < view.width()
+        assert 0 < y < view.height()
+    assert view.show_moment(snapshot(2, {}), live((0.5, 0.4, 0.3)), Method.FREE, 7)
+
+
+def test_a_new_size_gives_a_new_picture_without_a_gap(view):
+    view.window().resize(800, 500)
+    settle()
+    picture = pixels(view)
+    assert picture.shape == (500, 800, 3)
+    for corner in ((2, 2), (2, 797), (497, 2), (497, 797)):
+        assert tuple(picture[corner]) == DARK.background
+
+
+def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot):
+    view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live((0.0, 0.0, 0.1)), Method.FREE, 3)
+    settle()
+    stage = weakref.ref(view._stage)
+    view.close_view()
+    view.close_view()
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    gc.collect()
+    assert stage() is None
+    assert not [timer for timer in view.findChildren(QTimer) if timer.isActive()]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("scene3d")]
+    assert view.list_layers() == ()
+    assert not view.show_moment(snapshot(2, {}), None, Method.FREE, None)
+    view.reset_camera()
+    view.set_dark(False)
+    with qtbot.waitSignal(view.ready, timeout=60_000):
+        view.begin(scene(PLAN), None, laid(PLAN), range(24))
+    assert view.list_layers() == EVERY[1:], "it may begin again, with another scene"
+
+
+def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
+    view = View3D(canvas=Canvas.RASTER)
+    qtbot.addWidget(view)
+    with qtbot.waitExposed(view):
+        view.show()
+    with qtbot.assertNotEmitted(view.ready):
+        view.begin(scene(PLAN), box(), laid(PLAN), range(24))
+        assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+        view.close_view()
+        settle()
+    assert view.list_layers() == ()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("scene3d")]
+
+
+def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, monkeypatch):
+    def refuse():
+        raise InputError("No picture can be drawn: install libegl1.")
+
+    monkeypatch.setattr(offscreen, "choose_offscreen", refuse)
+    view = View3D(canvas=Canvas.RASTER)
+    qtbot.addWidget(view)
+    with qtbot.waitExposed(view):
+        view.show()
+    view.begin(scene(PLAN), box(), laid(PLAN), range(24))
+    qtbot.waitUntil(lambda: "install libegl1" in view._message.text(), timeout=30_000)
+    assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+    with pytest.raises(InputError, match="no picture yet"):
+        view.screenshot(Path("x.png"))
+
+
+def test_on_a_graphics_card_the_interactor_shows_the_same_layers(qtbot):
+    view = make_view(qtbot, Canvas.OPENGL)
+    assert view.list_layers() == EVERY
+    assert not [timer for timer in view.findChildren(QTimer) if timer.isActive()]
+    view.show_moment(snapshot(1, {15: estimate(15, (0.018, 0.0, 0.002))}), None, Method.FREE, None)
+    settle()
+    drawn = Drawn(view)
+    assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+    settle()
+    assert drawn.count == 0
+    assert view.show_moment(snapshot(2, {15: estimate(15, (0.018, 0.003, 0.002))}), None, Method.FREE, None)
+    settle()
+    assert drawn.count == 1
+    x, y = screen_place(view, 15)
+    assert np.abs(around(pixels(view), (x, y), 2) - HUES[1].astype(int)).max() < 70
+    with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
+        qtbot.mouseClick(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
+    assert picked.args == [15]
+    view.close_view()
+    view.close_view()

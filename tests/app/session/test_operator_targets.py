@@ -1,0 +1,177 @@
+"""The simulated operator is told what the window shows: the lines, who sends them and when, and what comes of them."""
+
+from __future__ import annotations
+
+import json
+import queue
+import sys
+from dataclasses import replace
+
+import numpy as np
+from PySide6.QtCore import Qt
+
+from app.session.controller import Controller, operator_target
+from app.session.opening import server_command
+from app.state.running import Running
+from app.text.outcomes import peak_channel
+from app.workers.device_process import DeviceProcess
+from skincal.cli.record import OrderLine, _loop
+from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.journal.reader import SessionLog
+from skincal.mesh.load import load_surface
+from skincal.model.actions import FoundAtLandmark, Stamped, to_json
+from skincal.model.readings import Chunk, LinkEvent
+from skincal.rig.correction import RIG, Correction
+from skincal.session.corrections import correct_action
+from skincal.session.pipeline import Pipeline
+from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
+from tests.app.guide_support import guidance, target
+from tests.app.whole_window import OPEN_MS
+from tests.skincal.poke_script import outcome_key, same_estimates
+
+LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
+
+
+def test_the_wish_is_what_the_window_shows():
+    asked = target(3, 0.4)
+    wish = operator_target(guidance(asked), Running.STREAMING)
+    assert isinstance(wish, TargetOrder)
+    assert (wish.channel, wish.place.tolist(), wish.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
+    assert not wish.known
+    head = operator_target(guidance(replace(asked, channel=None, landmark="elbow, outer")), Running.STREAMING)
+    assert isinstance(head, TargetOrder)
+    assert (head.channel, head.known) == (None, True)
+    assert operator_target(None, Running.STREAMING) is NoTarget.ANY, "nobody guides"
+    assert operator_target(guidance(None), Running.STREAMING) is NoTarget.WAIT, "it is enough"
+    for running in (Running.OPENING, Running.PAUSED, Running.OFFLINE):
+        assert operator_target(guidance(asked), running) is NoTarget.WAIT
+        assert operator_target(None, running) is NoTarget.WAIT
+
+
+def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
+    heard = tmp_path / "heard"
+    server = DeviceProcess()
+    listen = f"import sys; print('{LINKS}', flush=True); open({str(heard)!r}, 'w').write(sys.stdin.read())"
+    with qtbot.waitSignal(server.served, timeout=OPEN_MS):
+        server.start((sys.executable, "-c", listen))
+    for line in ("wait", "any"):
+        server.tell(line)
+    server.stop()
+    assert heard.read_text() == "wait\nany\n"
+    server.tell("wait")  # nobody is there any more: nothing happens
+
+
+def test_a_process_that_never_reads_holds_nothing_up(qtbot):
+    server = DeviceProcess()
+    with qtbot.waitSignal(server.served, timeout=OPEN_MS):
+        server.start((sys.executable, "-c", f"import time; print('{LINKS}', flush=True); time.sleep(60)"))
+    for _ in range(5000):
+        server.tell("x" * 100)  # eight times what a pipe holds
+    server.stop()
+    assert not server.running
+
+
+class Told:
+    """Stands for the process."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def tell(self, line: str) -> None:
+        self.lines.append(line)
+
+    def stop(self) -> None:
+        pass
+
+    release = stop
+
+
+def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
+    controller = Controller(tmp_path)
+    controller.ask(NoTarget.WAIT)  # real devices: nobody to tell
+    told = Told()
+    controller._server = told
+    shown = operator_target(guidance(target(3)), Running.STREAMING)
+    for wish in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
+        controller.ask(wish)
+    assert told.lines == [write_wish(shown), "wait", write_wish(shown)]
+    controller.close()
+
+
+def test_the_rig_that_opens_by_default_follows():
+    command = server_command(None)
+    assert command[command.index("--operator") + 1] == "guided"
+
+
+def test_pokes_come_where_the_window_asks_for_them(bench, said):
+    bench.open_served("flat-patch")
+    assert said[0] == "wait", "nobody pokes before the session is open"
+    asked: dict[int, int] = {}
+
+    def poked(count: int) -> bool:
+        shown = bench.window.session_view.state.target
+        asked.setdefault(len(bench.accepted()), shown.channel)
+        return len(bench.accepted()) >= count
+
+    bench.until(lambda: poked(6))
+    contacts = bench.accepted()
+    hits = [peak_channel(contact) == asked[i] for i, contact in enumerate(contacts[:6])]
+    # With an aim of 2 mm among taxels 6 mm apart; by itself it would be one of 64.
+    assert sum(hits) >= 2
+    assert read_order(said[-1]).channel == bench.window.session_view.state.target.channel
+
+    bench.key(Qt.Key.Key_N)
+    assert read_order(said[-1]).channel == bench.window.session_view.state.target.channel
+    bench.key(Qt.Key.Key_G)
+    assert said[-1] == "any"
+    bench.key(Qt.Key.Key_G)
+    assert said[-1].startswith("target ")
+    bench.key(Qt.Key.Key_Space)
+    assert said[-1] == "wait"
+    bench.key(Qt.Key.Key_Space)
+    bench.until(lambda: said[-1].startswith("target "), 5000)
+    known = len(bench.snapshot.pokes)
+    bench.until(lambda: len(bench.snapshot.pokes) > known)
+
+
+def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked_for(bench, said, tmp_path):
+    folder = tmp_path / "mine"
+    bench.open_served(folder=folder)
+    session_view = bench.window.session_view
+    bench.until(lambda: session_view.state.target is not None and session_view.state.target.landmark != "")
+    bench.until(lambda: len(bench.snapshot.at_landmarks) >= 3)
+    lived = bench.controller._recording.road
+    order = read_order(said[-1])
+    assert order.known == (bench.window.session_view.state.target.landmark != "")
+    made = bench.controller._recording.road.session.landmark_pokes
+    assert len({one.name for one in made}) == len(made) >= 3, "one after another, each once"
+    for one in made:
+        force, moment = move_wrench(one.link_from_sensor, one.force, one.moment)
+        away = np.cross(one.place - axis_point(force, moment), force) / np.linalg.norm(force)
+        assert np.linalg.norm(away) < 0.006, "sensor noise and 0.7 mm of the hand: the axis passes its landmark"
+    assert bench.controller.act(correct_action(RIG, Correction(1.02 * np.eye(6)), 7e-3, 2e-3, len(made)))
+    bench.until(lambda: RIG in bench.snapshot.corrections)
+    bench.window.close()
+    without_a_window(folder, lived)
+
+
+def without_a_window(folder, lived) -> None:
+    """From the same bytes and orders `record` makes the same session as the window."""
+    log = SessionLog(folder)
+    items = queue.SimpleQueue()
+    for item in log.items():
+        if isinstance(item, Chunk | LinkEvent):
+            items.put(item)
+        elif isinstance(item, Stamped) and not isinstance(item.action, FoundAtLandmark):
+            items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
+    surface = load_surface(log.scene.surface)[0]
+    headless = Pipeline(log.scene, log.links, surface)
+    _loop(headless, items, {}, None, None)
+    headless.close()
+    here, there = headless.snapshot(), lived.snapshot()
+    assert here.at_landmarks == there.at_landmarks
+    assert len(here.at_landmarks) >= 3
+    assert here.corrections.keys() == there.corrections.keys() == {RIG}
+    assert [outcome_key(one.outcome) for one in here.pokes] == [outcome_key(one.outcome) for one in there.pokes]
+    assert same_estimates(here, there)
+    assert here.can_undo == there.can_undo

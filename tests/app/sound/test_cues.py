@@ -1,0 +1,200 @@
+"""Which sound is due when: one poke after another, nothing of old ones, and what a small device gets to play of it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.sound.cues import ALARM_S, EDGE_S, LEVEL, LONGEST_S, RATE, Cue, Ear, Heard, heard, samples_of
+from app.state.running import Running
+from app.text.now_text import NowMemory, now_line
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.model.readings import LinkState
+from skincal.taxels.result import Method
+from tests.app.guide_support import guidance, target
+from tests.app.window_support import NAMES, frame, link, reading, session, slip, touch
+
+READY, PRESSING, STILL, HELD = PressPhase.READY, PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD
+
+
+def at(phase=READY, pokes=(), guided=None, now_s=100.0, lost=(), **changes):
+    """A frame; `lost` are links that are lost."""
+    names = ("wrench", "skin")
+    links = [link(n, LinkState.LOST if n in lost else LinkState.OPEN, last_s=now_s) for n in names]
+    made = frame(session(pokes=pokes), reading(phase, links=tuple(links)), now_s, **changes)
+    return replace(made, guidance=guided)
+
+
+def told(*frames, ear=None):
+    """What is heard in these frames, None where nothing is."""
+    ear, sounds = ear or Ear(), []
+    for each in frames:
+        due, ear = heard(ear, each)
+        sounds.append(None if due is None else due.sound)
+    return sounds
+
+
+def test_a_poke_is_heard_from_its_touch_to_its_verdict():
+    one = (touch(1),)
+    phases = (READY, PRESSING, PRESSING, STILL, HELD, HELD)
+    assert told(*map(at, phases), at(READY, one), at(READY, one)) == [
+        None, Cue.CONTACT, None, None, Cue.HELD, None, Cue.ACCEPTED, None,
+    ]  # fmt: skip
+
+
+def test_enough_is_heard_once_a_press_and_again_in_the_next():
+    assert told(*map(at, (HELD, STILL, HELD))) == [Cue.HELD, None, None]
+    assert told(*map(at, (HELD, READY, PRESSING, HELD))) == [Cue.HELD, None, Cue.CONTACT, Cue.HELD]
+
+
+def test_a_rejection_comes_with_its_word():
+    _, ear = heard(Ear(), at())
+    due, _ = heard(ear, at(pokes=(slip(1, Reason.TOO_SOFT),)))
+    assert due == Heard(Cue.REJECTED, "too soft")
+
+
+def test_the_final_form_of_a_verdict_is_not_heard_again_but_another_is():
+    first = touch(1)
+    again, but = touch(1), slip(1, Reason.TARE_CHANGED)
+    assert told(at(), at(pokes=(first,)), at(pokes=(again,)), at(pokes=(but,))) == [
+        None, Cue.ACCEPTED, None, Cue.REJECTED,
+    ]  # fmt: skip
+
+
+def test_pokes_that_were_there_before_or_are_taken_back_are_not_heard():
+    three = (touch(1), touch(2), slip(3))
+    ear = Ear.of(session(pokes=three))
+    assert told(at(pokes=three), at(pokes=three[:2]), at(pokes=three[:1]), at(), ear=ear) == [None] * 4
+    assert told(at(pokes=three), at(pokes=(*three, touch(4))), ear=ear) == [None, Cue.ACCEPTED]
+
+
+def test_a_taxel_that_is_done_rings_in_place_of_accepted():
+    before, after = guidance(target(5)), guidance(target(5), done=(3,))
+    one, final = (touch(1),), (touch(1),)
+    assert told(at(guided=before), at(pokes=one, guided=after)) == [None, Cue.DONE]
+    # With the tare after the poke, too.
+    assert told(at(guided=before), at(pokes=one, guided=before), at(pokes=final, guided=after)) == [
+        None, Cue.ACCEPTED, Cue.DONE,
+    ]  # fmt: skip
+
+
+def test_only_a_poke_rings():
+    one, two = (touch(1),), (touch(1), slip(2))
+    before, after = guidance(target(5)), guidance(target(5), done=(3,))
+    surface = guidance(target(5), done=(3, 4), method=Method.SURFACE)
+    assert told(at(pokes=one, guided=None), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
+    assert told(at(pokes=one, guided=before), at(pokes=one, guided=surface)) == [Cue.ACCEPTED, None]
+    assert told(at(pokes=one, guided=before), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
+    assert told(at(pokes=two, guided=before), at(pokes=one, guided=after)) == [Cue.REJECTED, None]
+
+
+def test_enough_for_the_session_is_a_chord_and_only_when_it_comes_about():
+    every = tuple(range(24))
+    nearly, enough = guidance(target(5), done=every[:-1]), guidance(done=every)
+    one = (touch(1),)
+    assert told(at(guided=nearly), at(pokes=one, guided=enough), at(pokes=one, guided=enough)) == [None, Cue.ENOUGH, None]
+    assert told(at(guided=None), at(guided=enough)) == [None, None]
+    assert told(at(guided=nearly), at(guided=guidance(done=every, method=Method.SURFACE))) == [None, None]
+
+
+def test_a_lost_device_is_heard_slowly_and_nothing_else_meanwhile():
+    times = np.arange(100.0, 100.0 + 2.5 * ALARM_S, 0.5)
+    sounds = told(*(at(now_s=t, lost=("skin",)) for t in times))
+    assert [t - 100.0 for t, sound in zip(times, sounds, strict=True) if sound is Cue.LOST] == [0.0, ALARM_S, 2 * ALARM_S]
+    assert told(at(now_s=1, lost=("skin",)), at(now_s=2, lost=("skin", "wrench"))) == [Cue.LOST, Cue.LOST]
+    assert told(at(lost=("skin",)), at(PRESSING, (touch(1),), lost=("skin",)), at(READY, (touch(1),))) == [
+        Cue.LOST,
+        None,
+        None,
+    ]
+
+
+@pytest.mark.parametrize("running", [Running.PAUSED, Running.OFFLINE, Running.OPENING])
+def test_nothing_is_heard_while_nothing_streams(running):
+    assert told(at(), at(PRESSING, (touch(1),), lost=("skin",), running=running), at(READY, (touch(1),))) == [None, None, None]
+
+
+def test_whatever_is_heard_is_said_in_the_same_frame():
+    nearly = guidance(target(5), done=tuple(range(2)))
+    rung, enough = guidance(target(5), done=tuple(range(3))), guidance(done=tuple(range(24)))
+    pokes = (touch(1), slip(2), touch(3), touch(4))
+    frames = {
+        Cue.CONTACT: at(PRESSING, guided=nearly),
+        Cue.HELD: at(HELD, guided=nearly),
+        Cue.ACCEPTED: at(READY, pokes[:1], nearly),
+        Cue.REJECTED: at(READY, pokes[:2], nearly),
+        Cue.DONE: at(READY, pokes[:3], rung),
+        Cue.ENOUGH: at(READY, pokes, enough),
+        Cue.LOST: at(READY, pokes, enough, lost=("skin",)),
+    }
+    said = {
+        Cue.CONTACT: "press harder",
+        Cue.HELD: "enough, release",
+        Cue.ACCEPTED: "counted for 10-03",
+        Cue.REJECTED: "rejected: slid",
+        Cue.DONE: f"{NAMES.short(2)} done",
+        Cue.ENOUGH: "enough: 24 of 24 taxels meet 3 mm",
+        Cue.LOST: "lost skin",
+    }
+    assert set(said) == set(Cue)
+    ear, memory = heard(Ear(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]
+    for sound, each in frames.items():
+        due, ear = heard(ear, each)
+        now, memory = now_line(memory, each)
+        assert due is not None
+        assert due.sound is sound
+        assert said[sound] in f"{now.headline} {now.detail}"
+
+
+def test_taxels_that_one_poke_finishes_are_named_until_there_are_too_many():
+    _, memory = now_line(NowMemory(), at(guided=guidance(target(5))))
+    for done, words in (((1, 2), f"{NAMES.short(1)}, {NAMES.short(2)} done"), (tuple(range(5)), "and 2 more done")):
+        now, _ = now_line(memory, at(pokes=(touch(1),), guided=guidance(target(5), done=done)))
+        assert words in now.detail
+        assert now.detail.index("done") < now.detail.index("Next: ")
+
+
+def wave(sound: Cue) -> np.ndarray:
+    return np.frombuffer(samples_of(sound), np.int16) / np.iinfo(np.int16).max
+
+
+def rhythm(sound: Cue) -> list[tuple[float, float]]:
+    """Begin and length of each beat of a sound, s, by how loud it is."""
+    loud = np.convolve(np.abs(wave(sound)), np.ones(96) / 96.0, "same") > 0.02
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
+    return [(a / RATE, (b - a) / RATE) for a, b in edges.reshape(-1, 2)]
+
+
+@pytest.mark.parametrize("sound", Cue)
+def test_a_sound_is_short_never_too_loud_and_begins_and_ends_softly(sound):
+    heard_ = wave(sound)
+    assert 0.01 < len(heard_) / RATE <= LONGEST_S
+    assert np.abs(heard_).max() == pytest.approx(LEVEL, abs=1e-3)
+    edge = round(0.1 * EDGE_S * RATE)
+    assert np.abs(heard_[:edge]).max() < 0.03
+    assert np.abs(heard_[-edge:]).max() < 0.03
+    assert abs(heard_.mean()) < 0.01
+    assert samples_of(sound) == samples_of(sound)
+
+
+@pytest.mark.parametrize(("one", "other"), list(itertools.combinations(Cue, 2)))
+def test_any_two_sounds_differ_in_rhythm(one, other):
+    """In the count of beats, or in the length of one by a third and at least 15 ms: what an ear tells apart."""
+    first, second = rhythm(one), rhythm(other)
+    if len(first) != len(second):
+        return
+    lengths = [abs(a[1] - b[1]) / max(a[1], b[1]) for a, b in zip(first, second, strict=True)]
+    apart = [abs(a[1] - b[1]) for a, b in zip(first, second, strict=True)]
+    assert any(share > 1 / 3 and gap > 0.015 for share, gap in zip(lengths, apart, strict=True)), (first, second)
+
+
+def test_a_rejection_sounds_low_and_an_acceptance_rises():
+    def pitch(part: np.ndarray) -> float:
+        return float(np.argmax(np.abs(np.fft.rfft(part, RATE))))
+
+    low, rising = wave(Cue.REJECTED), wave(Cue.ACCEPTED)
+    assert pitch(low) < 250
+    assert pitch(rising[: round(0.03 * RATE)]) + 200 < pitch(rising[round(0.045 * RATE) :])

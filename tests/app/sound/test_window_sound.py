@@ -1,0 +1,86 @@
+"""Sounds in the whole window: what a poke is heard as, the key that mutes, and a machine without a sound device."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from PySide6.QtCore import QSettings, Qt
+
+from app.commands import COMMANDS, key_words
+from app.session.opening import OpenRequest
+from app.sound.player import NoSoundError, Player
+from tests.app.whole_window import Bench
+
+
+def test_a_poke_is_heard_in_its_order_and_muting_ends_it(bench):
+    bench.open_served("flat-patch")
+    action = bench.window.commands.actions["sounds"]
+    assert action.isEnabled()
+    assert action.isChecked()
+    bench.until(lambda: len(bench.accepted()) >= 2)
+    heard = [name for name, _ in bench.player.played]
+    first = heard.index("CONTACT")
+    assert heard[first : first + 2] == ["CONTACT", "HELD"]
+    assert heard[first + 2] in ("ACCEPTED", "DONE")
+    assert heard.count("CONTACT") >= 2
+    bench.key(Qt.Key.Key_M)
+    assert not action.isChecked()
+    bench.player.played.clear()
+    pokes = len(bench.accepted())
+    bench.until(lambda: len(bench.accepted()) > pokes)
+    assert bench.player.played == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="ends a process as on Linux and macOS")
+def test_a_lost_device_is_heard_again_and_again(bench):
+    bench.open_served("flat-patch")
+    bench.until(lambda: len(bench.accepted()) >= 1)
+    os.kill(bench.controller._server._process.processId(), signal.SIGKILL)
+    bench.until(lambda: [name for name, _ in bench.player.played].count("LOST") >= 2)
+    assert bench.window.session_view.workspace.now.headline.text().startswith("lost ")
+
+
+def test_old_pokes_are_not_heard(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    assert bench.snapshot.pokes
+    assert bench.player.played == []
+
+
+def test_mute_and_speech_are_remembered(bench, qtbot, tmp_path):
+    assert bench.player.on
+    assert not bench.player.speaks
+    bench.key(Qt.Key.Key_M)
+    bench.key(Qt.Key.Key_M, Qt.KeyboardModifier.ShiftModifier)
+    assert (bench.player.on, bench.player.speaks) == (False, True)
+    bench.window.close()
+    QSettings("skincal", "test").sync()
+    other = Bench(qtbot, tmp_path / "again")
+    assert (other.player.on, other.player.speaks) == (False, True)
+    other.key(Qt.Key.Key_M)
+    assert other.player.on
+    other.window.close()
+
+
+def test_no_sound_device_disables_the_entry_with_the_reason_and_nothing_else(qtbot, tmp_path, recorded):
+    def nothing():
+        raise NoSoundError("no sound device")
+
+    bench = Bench(qtbot, tmp_path, Player(nothing, speech=("true",)))
+    sounds, speech = (bench.window.commands.actions[name] for name in ("sounds", "speech"))
+    assert sounds.isEnabled(), "nothing is known before a session is open"
+    bench.open(OpenRequest(session=recorded))
+    bench.until(lambda: not sounds.isEnabled(), 5000)
+    assert sounds.text() == "Sounds (no sound device)"
+    assert not speech.isEnabled()
+    assert not [m for m in bench.messages if m.error]
+    bench.window.close()
+
+
+def test_no_key_does_two_things_and_all_are_listed():
+    keys = [key for command in COMMANDS for key in command.keys]
+    assert len(keys) == len(set(keys))
+    assert "<b>M</b>" in key_words()
+    assert "<b>Shift+M</b>" in key_words()

@@ -1,0 +1,309 @@
+"""What is offered to put a rig right, and what is said of it: pure functions of a review and a snapshot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.panels.rig_panel import NO_POINTS, NOT_YET, WAITING, RigPanel
+from app.state.policies import allowed
+from app.state.rig_review import RigReview, offers_of
+from app.state.running import Running
+from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
+from app.units import DASH
+from skincal.contacts.outcome import Reason
+from skincal.geometry.arrays import FloatArray
+from skincal.model.actions import Uncorrect
+from skincal.model.scene import Landmark
+from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
+from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
+from skincal.session.corrections import correction_of
+from skincal.session.review import Review
+from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Method
+from tests.app.scene3d_support import estimate
+from tests.app.window_support import PLAN, arm_scene, frame, session, slip, touch
+
+CORNER, OTHER = (Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in (("corner", 0.03), ("other", -0.03)))
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+MATRIX = 1.02 * np.eye(6)
+NOBODY = np.empty(0)
+ARROW = "\N{RIGHTWARDS ARROW}"
+RIGHT = FrameDiagnosis(True, True, True, 0.0074, 0.0074, FrameCorrection())
+WRONG = FrameDiagnosis(False, True, True, 0.051, 0.006, FrameCorrection(TURN, 1.0, 1e-3))
+
+
+def rig(
+    *,
+    used: bool = True,
+    correction: Correction | None = None,
+    distances: Mapping[int, float] | None = None,
+    doubted: float = 1.0,
+):
+    """An answer from six pokes; how much the last of them counts."""
+    trust = dict.fromkeys(range(1, 7), 1.0) | {6: doubted}
+    return RigAnswer(
+        correction or Correction(MATRIX),
+        used,
+        0.0074,
+        0.0012,
+        6,
+        trust,
+        distances or dict.fromkeys(trust, 0.001),
+        NOBODY,
+        NOBODY,
+    )
+
+
+TOO_FEW = RigAnswer(None, False, float("nan"), float("nan"), 2, {1: 1.0, 2: 1.0}, {}, NOBODY, NOBODY)
+
+
+def poke_of(number: int, name: str = "corner") -> LandmarkPoke:
+    return LandmarkPoke(number, name, np.zeros(3), np.array([0, 0, -9.0]), np.zeros(3), np.eye(4), "low")
+
+
+def review(
+    answer: RigAnswer | None = None,
+    diagnosis: FrameDiagnosis | None = RIGHT,
+    pokes: int = 6,
+    told: Mapping[int, float] | None = None,
+    before: Mapping[Method, FloatArray] | None = None,
+    after: Mapping[Method, FloatArray] | None = None,
+) -> Review:
+    found = tuple(poke_of(number) for number in range(1, pokes + 1))
+    return Review(1, found, told or {}, diagnosis, answer or rig(), PLAN.channels, before or {}, after or {})
+
+
+def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmarks=None, excluded=()):
+    """A session with these corrections in use."""
+    made = session(1, known, pokes, excluded)
+    corrections = {one.of: one for one in used}
+    there = at_landmarks or {}
+    return replace(made, corrections=corrections, landmarks=(CORNER, OTHER), at_landmarks=there, pose="low")
+
+
+def offers(told: Review | None, moment: Snapshot):
+    """What a review offers that was made of this very session."""
+    return offers_of(None if told is None else replace(told, used=moment.corrections), moment)
+
+
+def in_use(of: str = RIG, pokes: int = 6) -> UsedCorrection:
+    return UsedCorrection(of, Correction(MATRIX), 0.0074, 0.0012, pokes)
+
+
+# What is offered
+
+
+def test_nothing_is_offered_before_a_review_or_from_too_few_pokes():
+    assert offers(None, at()) == ()
+    assert offers(review(TOO_FEW, None, 2), at()) == ()
+    assert offers(review(TOO_FEW, RIGHT, 3), at()) == ()
+
+
+def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
+    (offer,) = offers(review(), at())
+    assert offer_text(offer) == "Correct the rig"
+    assert "1.2 mm" in offer_words(offer)
+    assert "7.4 mm" in offer_words(offer)
+    action = offer.action
+    assert (action.of, action.before, action.after, action.pokes) == (RIG, 0.0074, 0.0012, 6)
+    np.testing.assert_array_equal(correction_of(action).matrix, MATRIX)
+    assert offers(review(rig(used=False)), at()) == ()
+
+
+def test_the_frame_goes_first_with_its_misses():
+    (offer,) = offers(review(diagnosis=WRONG), at())
+    assert offer_text(offer) == "Correct the sensor's frame"
+    assert offer_words(offer) == frame_sentence(WRONG)
+    action = offer.action
+    assert (action.of, action.before, action.after, action.pokes) == (FRAME, 0.051, 0.006, 6)
+    found = correction_of(action)
+    np.testing.assert_array_equal(found.matrix, np.kron(np.diag([1.0, 1e-3]), TURN))
+    (offer,) = offers(review(TOO_FEW, replace(WRONG, sure=False), 3), at())
+    assert "nearly as likely: poke another landmark" in offer_words(offer)
+
+
+def test_a_frame_found_under_another_builds_on_it():
+    """What is offered replaces what is in use; under a corrected frame the doctor tells only what is left."""
+    used = in_use(FRAME)
+    (offer,) = offers(review(diagnosis=WRONG), at(used))
+    found = np.kron(np.diag([1.0, 1e-3]), TURN)
+    np.testing.assert_allclose(correction_of(offer.action).matrix, found @ used.correction.matrix, atol=1e-15)
+    (offer,) = offers(review(), at(in_use(FRAME)))
+    assert offer.action.of == RIG
+
+
+def test_what_is_in_use_is_offered_again_only_from_more_pokes():
+    assert offers(review(), at(in_use(pokes=6))) == ()
+    for pokes in (5, 7):
+        (offer,) = offers(review(pokes=pokes), at(in_use(pokes=6)))
+        assert offer_text(offer) == "Correct the rig anew"
+        assert offer.action.pokes == pokes
+    (offer,) = offers(review(diagnosis=WRONG), at(in_use(pokes=6)))
+    assert offer.action.of == FRAME, "a wrong frame is told whatever else is in use"
+
+
+def test_the_key_does_what_is_offered_first():
+    def may(offers):
+        return allowed(at(), arm_scene(), (), Running.STREAMING, (), None, None, offers).correct
+
+    assert offer_text(may(offers(review(), at()))) == "Correct the rig"
+    assert offer_text(may(offers(review(diagnosis=WRONG), at()))) == "Correct the sensor's frame"
+    assert may(()) is None
+
+
+def test_an_offer_is_told_once_and_made_once():
+    rigging, none = RigReview(), at()
+    used = at(in_use())
+    now, then = (replace(review(), used=one.corrections) for one in (none, used))
+    assert (rigging.offers(none), rigging.news(none)) == ((), None)
+    rigging.review = now
+    made = rigging.offers(none)
+    assert rigging.offers(replace(none, generation=9)) is made
+    news = offer_news(rigging.news(none))
+    assert news.startswith(offer_words(made[0]))
+    assert "C uses that; the Rig tab says more, and takes it back" in news
+    assert rigging.shown(none) is now
+    assert rigging.shown(used) is None, "it says nothing of a session that uses another correction"
+    assert (rigging.offers(used), rigging.news(used)) == ((), None)
+    rigging.review = replace(now, generation=2)
+    assert rigging.offers(none) is not made
+    assert rigging.news(none) is None, "it was told, and was taken back"
+    rigging.review = then
+    assert rigging.offers(used) == ()
+    rigging.review = replace(then, pokes=review(pokes=9).pokes)
+    assert "C uses that" in offer_news(rigging.news(used)), "another one is offered"
+
+
+# What is said
+
+
+@pytest.mark.parametrize(("of", "what"), [(RIG, "The rig"), (FRAME, "The sensor's frame")])
+def test_what_is_in_use_is_said_with_its_misses(of, what):
+    words = correction_sentence(in_use(of, 21))
+    assert words.startswith(what)
+    for part in ("21", "1.2 mm", "7.4 mm"):
+        assert part in words
+    assert ("held-out" in words) == (of == RIG)
+
+
+PLACES = np.tile([0.0, 0.0, 0.01], (24, 1))
+
+
+def known(shift: Mapping[int, float]):
+    """Estimates beside `PLACES`, by the channel."""
+    return {channel: estimate(channel, PLACES[channel] + [aside, 0.0, 0.0]) for channel, aside in shift.items()}
+
+
+def test_how_far_the_taxels_move_is_told_for_the_method_that_is_shown():
+    moment = at(known=known({3: 0.002, 5: 0.004}))
+    shown = moment.estimates[Method.FREE]
+    words = "the taxels by 3.0 mm in the mean, 4.0 mm at most."
+    assert moved_words(review(after={Method.FREE: PLACES}), Method.FREE, shown) == f"It would move {words}"
+    assert moved_words(review(before={Method.FREE: PLACES}), Method.FREE, shown) == f"It has moved {words}"
+    assert moved_words(review(after={Method.FREE: PLACES}), Method.SURFACE, shown) == ""
+    assert moved_words(review(), Method.FREE, shown) == ""
+    nowhere = PLACES.copy()
+    nowhere[5] = np.nan
+    assert "2.0 mm in the mean, 2.0 mm at most" in moved_words(review(after={Method.FREE: nowhere}), Method.FREE, shown)
+    assert moved_words(review(after={Method.FREE: np.full((24, 3), np.nan)}), Method.FREE, shown) == ""
+
+
+def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_could_be():
+    told = review(rig(doubted=0.0, distances={6: 0.014}), after={Method.FREE: PLACES})
+    moment = at(known=known({3: 0.002}))
+    frame_, could, moved, doubt = review_words(told, moment, Method.FREE, moment.estimates[Method.FREE])
+    assert frame_ == frame_sentence(RIGHT)
+    assert could == rig_sentences(told.rig)[0]
+    assert "would move" in moved
+    assert doubt == "Landmark poke 6 lies 14 mm off its landmark and counts for nothing: was it another point?"
+    used = at(in_use(FRAME), in_use(RIG))
+    assert review_words(told, used, Method.FREE, ()) == (
+        frame_sentence(RIGHT),
+        *map(correction_sentence, (in_use(FRAME), in_use(RIG))),
+        doubt,
+    )
+    few = review_words(review(TOO_FEW, None, 2), at(), Method.FREE, ())
+    assert few == ("No correction of the rig: it needs 6 pokes at landmarks, 4 different ones; 2 pokes at 2 are there.",)
+
+
+# The list
+
+
+def here(number: int, pose: str = "low"):
+    return replace(touch(number), pose=pose)
+
+
+def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
+    pokes = (here(1), here(2, "high"), slip(3, Reason.NO_TAXEL), here(4), here(5))
+    named = {1: "corner", 2: "corner", 3: "other", 4: "corner", 9: "other"}
+    moment = at(pokes=pokes, at_landmarks=named, excluded=(4,))
+    told = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), told={1: 0.003, 2: 0.004, 4: 0.5})
+    first, second = landmark_rows(moment, told)
+    assert first == LandmarkRow("corner", 1, 2, f"3.5 {ARROW} 1.0 mm")
+    assert second == LandmarkRow("other", 0, 1, DASH)
+    assert [row.off for row in landmark_rows(moment, None)] == [DASH, DASH]
+    only = landmark_rows(moment, review(TOO_FEW, told={1: 0.003, 2: 0.004}))
+    assert only[0].off == "3.5 mm"
+    assert landmark_rows(replace(moment, landmarks=()), told) == []
+
+
+# The tab
+
+
+@pytest.fixture
+def panel(qtbot):
+    made = RigPanel(arm_scene().arm)
+    made.resize(430, 500)
+    qtbot.addWidget(made)
+    with qtbot.waitExposed(made):
+        made.show()
+    return made
+
+
+def shown(moment, told=None, **changes):
+    return replace(frame(moment, where=arm_scene(), **changes), review=told, offers=offers(told, moment))
+
+
+def cells(panel) -> list[list[str]]:
+    points = panel.points
+    return [[points.topLevelItem(row).text(column) for column in range(4)] for row in range(points.topLevelItemCount())]
+
+
+def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
+    panel.show_state(shown(replace(at(), landmarks=())))
+    assert panel.said.text() == NO_POINTS
+    assert not panel.points.isVisible()
+    panel.show_state(shown(replace(at(pokes=(here(1),), at_landmarks={1: "corner"}), generation=2)))
+    assert panel.said.text() == WAITING
+    assert cells(panel) == [["corner", "1", "1", DASH], ["other", "0", "0", DASH]]
+    panel.show_state(shown(replace(at(), landmarks=(OTHER,), generation=3)))
+    assert panel.said.text() == NOT_YET
+    assert cells(panel) == [["other", "0", "0", DASH]]
+    assert not panel.offer.isVisible()
+    assert not panel.drop.isVisible()
+
+
+def test_the_buttons_use_what_is_offered_and_drop_what_was_used_last(qtbot, panel):
+    told = review()
+    panel.show_state(shown(at(), told))
+    assert panel.offer.text().startswith("Correct the rig")
+    assert panel.offer.isVisible()
+    with qtbot.waitSignal(panel.correct_requested) as wanted:
+        panel.offer.click()
+    assert wanted.args == [offers(told, at())[0].action]
+    panel.show_state(shown(replace(at(in_use(FRAME), in_use(RIG)), generation=2), told))
+    assert not panel.offer.isVisible()
+    assert panel.drop.isVisible()
+    with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
+        panel.drop.click()
+    assert Uncorrect(*dropped.args) == Uncorrect(RIG)
+    panel.show_state(shown(replace(at(in_use(FRAME)), generation=3), told))
+    with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
+        panel.drop.click()
+    assert dropped.args == [FRAME]

@@ -1,0 +1,83 @@
+"""What is said when the modules method needs no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from app.state.running import Running
+from app.text.now_text import modules_enough_words
+from skincal.session.guiding import ModulesEnough, plan_of
+from skincal.taxels.result import Estimate, Method, State
+from tests.app.guide_support import guidance, part
+from tests.app.scene3d_support import estimate
+from tests.app.window_support import PLAN, frame, session, slip, touch
+
+FIRST, SECOND = 3, 15
+"""A taxel of each of the two modules."""
+ENOUGH = (
+    *(touch(poke, (FIRST, SECOND), (60.0, 20.0)) for poke in range(1, 5)),
+    *(touch(poke, (SECOND,)) for poke in range(5, 9)),
+)
+
+
+def at(pokes=ENOUGH, sd=1e-3, generation=1, excluded=(), blind=(), dead=(), done=(), method=Method.FREE, **changes):
+    """A moment in which the modules method knows every taxel to `sd`, m, but those that are blind or dead."""
+    told = {one.channel: one for one in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
+    told |= {channel: Estimate(channel, Method.MODULES, State.BLIND, 2) for channel in blind}
+    told |= {channel: Estimate(channel, Method.MODULES, State.DEAD, 0) for channel in dead}
+    snapshot = session(generation, pokes=pokes, excluded=excluded)
+    snapshot = replace(snapshot, estimates={**snapshot.estimates, Method.MODULES: tuple(told[c] for c in range(24))})
+    return replace(frame(snapshot, method=method), guidance=guidance(done=done), **changes)
+
+
+class ShortWay(ModulesEnough):
+    """What is said of it at a moment; empty where nothing is."""
+
+    def news(self, at) -> str:
+        is_news = self.is_news(at.snapshot, at.revision, at.guidance, at.method, streaming=at.connected)
+        return modules_enough_words() if is_news else ""
+
+
+def test_it_is_said_once():
+    short = ShortWay(plan_of(part()))
+    assert short.news(at(ENOUGH[:7], generation=1)) == ""
+    words = short.news(at(generation=2))
+    assert "4 pokes on every module" in words
+    assert "3 mm" in words
+    assert short.news(at(generation=3)) == ""
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"pokes": (*ENOUGH[:3], slip(4), *ENOUGH[4:])},
+        {"excluded": (2,)},
+        {"sd": 2e-3},
+        {"blind": (7,)},
+        {"dead": tuple(range(24))},
+        {"method": Method.MODULES},
+        {"done": tuple(PLAN.channels.tolist())},
+        {"running": Running.PAUSED},
+        {"guidance": None},
+    ],
+    ids=["rejected", "excluded", "unsure", "blind", "nothing in use", "shown already", "enough", "paused", "no guide"],
+)
+def test_it_is_not_said_where(changes):
+    short = ShortWay(plan_of(part()))
+    told = at(**changes) if "guidance" not in changes else replace(at(), guidance=None)
+    assert short.news(told) == ""
+    assert short.news(at(generation=2))
+
+
+def test_who_has_seen_that_method_be_enough_is_not_told():
+    short = ShortWay(plan_of(part()))
+    assert short.news(at(method=Method.MODULES, done=tuple(PLAN.channels.tolist()))) == ""
+    assert short.news(at(generation=2)) == ""
+
+
+def test_a_dead_taxel_and_a_dead_module_are_not_waited_for():
+    assert ShortWay(plan_of(part())).news(at(dead=(7,)))
+    assert ShortWay(plan_of(part())).news(at(pokes=ENOUGH[:4], dead=tuple(range(12, 24))))
+    assert not ShortWay(plan_of(part())).news(at(pokes=ENOUGH[:4], dead=tuple(range(13, 24))))

@@ -1,0 +1,353 @@
+"""What is said and what may be done: pure functions, without a window."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.panels.curves import envelope
+from app.session.opening import Addresses, OpenRequest, dated_folder, link_specs
+from app.session.recording import Storage
+from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
+from app.state.running import Running
+from app.state.view_state import LinkLook, same_results
+from app.text.now_text import SETTLE_S, VERDICT_S, NowMemory, Tone, now_line
+from app.text.outcomes import (
+    error_words,
+    link_words,
+    pitch_of,
+    reason_words,
+    summary_words,
+    tilt_of,
+    verdict_detail,
+    verdict_words,
+)
+from app.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
+from skincal.contacts.outcome import PressPhase, Reason
+from skincal.model.readings import LinkState, Stream
+from skincal.taxels.result import Estimate, Method, State
+from tests.app.guide_support import guidance, target
+from tests.app.scene3d_support import estimate
+from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, session, slip, touch
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (0.0021, "m", "2.1 mm"),
+        (-0.0021, "m", "\N{MINUS SIGN}2.1 mm"),
+        (-1e-9, "m", "0.0 mm"),
+        (math.pi / 6, "rad", "30\N{DEGREE SIGN}"),
+        (0.5, "N m", "500 N mm"),
+        (11.24, "N", "11.2 N"),
+        (3, "", "3"),
+        (float("nan"), "m", DASH),
+        (None, "m", DASH),
+    ],
+)
+def test_si_becomes_what_an_operator_reads(value, unit, text):
+    assert quantity(value, unit) == text
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True), st.integers(0, 3))
+def test_a_number_is_never_nan_infinite_or_minus_zero(value, decimals):
+    text = number(value, decimals)
+    assert "nan" not in text
+    assert "inf" not in text
+    assert not (text.startswith("\N{MINUS SIGN}") and not any(c in text for c in "123456789"))
+
+
+def test_small_words():
+    assert [rate(0.0), rate(1000.2), rate(9.95)] == [DASH, "1000 Hz", "9.9 Hz"]
+    assert [age(0.1), age(1.34), age(125)] == ["now", "1.3 s ago", "2 min ago"]
+    assert [count(1, "poke"), count(2, "poke")] == ["1 poke", "2 pokes"]
+    assert point_mm(np.array([0.001, -0.02, 0.0])) == "1.0  \N{MINUS SIGN}20.0  0.0"
+    assert [NAMES.short(3), NAMES.short(15), NAMES.long(15)] == ["10-03", "11-03", "taxel 3 of module 11, channel 15"]
+    assert [ChannelNames(None).short(7), ChannelNames(None).long(7)] == ["ch 7", "channel 7"]
+
+
+def test_a_rejection_names_its_number_and_its_limit():
+    assert reason_words(slip(1)) == "slid 2.1 mm, at most 1.5 mm"
+    assert reason_words(slip(1, Reason.TOO_SOFT, 3.1, 4.0, "N")) == "too soft: 3.1 N, at least 4.0 N"
+    assert reason_words(slip(1, Reason.NOT_STILL, 0.12, 0.3, "s")) == "held 0.12 s, at least 0.30 s"
+    assert reason_words(slip(1, Reason.NOT_STILL, 0.08, 0.05, "1")) == "not still: 8.0 %, at most 5.0 %"
+    assert reason_words(slip(1, Reason.NO_TAXEL, 0, 1, "")) == "no taxel answered"
+    assert reason_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "tare changed"
+
+
+def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
+    poke = touch(1, (2, 5, 4), (20.0, 90.0, 30.0))
+    assert verdict_words(poke, NAMES) == "accepted 10-05  11.2 N"
+    twice = slip(1, Reason.TWO_CONTACTS, 0.0123, 0.008, "m")
+    assert verdict_words(twice, NAMES) == "rejected: two contacts or a torque"
+    says = verdict_detail(twice, session(), Method.FREE, NAMES)
+    assert says == "12.3 mm, at most 8.0 mm. Touch with the tip only; keep the other hand off."
+    assert verdict_detail(slip(1), session(), Method.FREE, NAMES) == "Keep the tip in one place while you press."
+    assert pitch_of(poke) == pytest.approx(0.002)
+
+
+def test_tilt_is_the_angle_to_the_inward_normal():
+    upward = {3: estimate(3, (0, 0, 0))}
+    assert tilt_of(touch(1), upward) == pytest.approx(0.0)
+    slanted = touch(1, force=(0, 5.0, -5.0))
+    assert tilt_of(slanted, upward) == pytest.approx(math.pi / 4)
+    # The same poke, seen from a sensor that is turned by a quarter about x.
+    turned = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    force = np.linalg.inv(turned[:3, :3]) @ slanted.force
+    assert tilt_of(replace(slanted, force=force, link_from_sensor=turned), upward) == pytest.approx(math.pi / 4)
+    assert tilt_of(touch(1), {}) is None
+
+
+def test_the_state_of_a_session_in_words():
+    known = session(known={3: estimate(3, (0, 0, 0), sd=1e-3), 4: estimate(4, (0, 0, 0), sd=3e-3)})
+    assert summary_words(known.estimates[Method.FREE]) == "2 of 24 taxels estimated"
+    assert error_words(known.estimates[Method.FREE]) == "predicted: median 3.5 mm, worst 5.2 mm"
+    assert error_words(session().estimates[Method.FREE]) == ""
+
+
+def test_a_silent_link_says_when_not_how_long_so_that_nothing_moves():
+    early, late = (link_words(link(last_s=100.0), round(now * 1e9)) for now in (103.0, 130.0))
+    assert early.look is LinkLook.SILENT
+    assert early == late
+
+
+def test_looks_of_links():
+    def look(health, now_s=100.1):
+        return link_words(health, round(now_s * 1e9)).look
+
+    assert look(link()) is LinkLook.STREAMING
+    assert look(link(last_s=100.0), 101.9) is LinkLook.STREAMING
+    assert look(link(last_s=100.0), 102.1) is LinkLook.SILENT
+    assert look(link(last_host_ns=0)) is LinkLook.WAITING
+    assert look(link(state=LinkState.LOST)) is LinkLook.LOST
+    assert look(link(state=LinkState.FAILED, last_host_ns=0)) is LinkLook.LOST
+    assert look(link(state=LinkState.ENDED)) is LinkLook.ENDED
+    away = link_words(link(state=LinkState.LOST), round(100.1e9), connected=False)
+    assert (away.look, away.detail) == (LinkLook.AWAY, "")
+    assert link_words(link(), round(100.1e9)).short == "wrench 1000 Hz"
+    assert link_words(link(), 0).losses == (("checksum does not fit", 3),)
+
+
+def say(memory, at):
+    now, memory = now_line(memory, at)
+    return now.headline, memory
+
+
+def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke():
+    quiet = frame(session(1), reading(PressPhase.READY), 100.0)
+    memory = NowMemory.of(quiet.snapshot)
+    _, memory = say(memory, quiet)
+    text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + SETTLE_S))
+    assert text == "ready: poke"
+    done = session(2, pokes=[slip(1)])
+    text, memory = say(memory, frame(done, reading(PressPhase.TARING), 101.0))
+    assert text == "rejected: slid 2.1 mm, at most 1.5 mm"
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S - 0.01))
+    assert text.startswith("rejected")
+    text, _ = say(memory, frame(done, reading(PressPhase.PRESSING, 8.0), 101.5))
+    assert text == "hold still"
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S + 0.01))
+    assert text == "ready: poke"
+
+
+def test_a_poke_that_was_there_before_is_not_announced():
+    old = session(1, pokes=[touch(1)])
+    text, _ = say(NowMemory.of(old), frame(old, reading(PressPhase.NO_DATA)))
+    assert text == "waiting for data"
+
+
+def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_is():
+    first = session(1, pokes=[touch(1)])
+    _, memory = say(NowMemory(), frame(first, reading(PressPhase.READY), 10.0))
+    again = session(2, pokes=[touch(1)])
+    text, memory = say(memory, frame(again, reading(PressPhase.READY), 10.0 + VERDICT_S + 1))
+    assert text == "ready: poke"
+    turned = session(3, pokes=[slip(1, Reason.TARE_CHANGED, 1.4, 1.0, "N")])
+    text, memory = say(memory, frame(turned, reading(PressPhase.READY), 20.0))
+    assert text == "rejected: tare changed: 1.4 N, at most 1.0 N"
+
+
+def test_a_flicker_between_calm_phases_is_not_said():
+    memory = NowMemory()
+    said = []
+    for i in range(40):
+        phase = PressPhase.READY if i % 10 else PressPhase.TARING
+        text, memory = say(memory, frame(view=reading(phase), now_s=10.0 + 0.033 * i))
+        said.append(text)
+    assert "keep hands off" not in said
+    assert said[-1] == "ready: poke"
+
+
+def test_what_is_said_while_pressing():
+    def pressed(phase, force):
+        return now_line(NowMemory(), frame(view=reading(phase, force)))[0]
+
+    assert pressed(PressPhase.PRESSING, 2.0).headline == "press harder"
+    assert pressed(PressPhase.PRESSING, 16.0).headline == "press less"
+    assert pressed(PressPhase.STILL, 8.0).headline == "hold still"
+    assert pressed(PressPhase.HELD, 8.0).headline == "enough, release"
+
+
+def test_trouble_goes_before_phases():
+    lost = (link(state=LinkState.LOST, text="/dev/x vanished; plug it in."),)
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY, links=lost)))
+    assert (now.tone, now.headline, now.detail) == (Tone.BAD, "lost wrench", "/dev/x vanished; plug it in.")
+    paused, _ = now_line(NowMemory(), frame(view=reading(PressPhase.PRESSING, 5.0), running=Running.PAUSED))
+    assert paused.headline == "paused"
+    fresh = session(2, pokes=[touch(1)])
+    now, _ = now_line(NowMemory(), frame(fresh, reading(PressPhase.READY, links=lost)))
+    assert now.headline == "lost wrench"
+    waiting = (link(last_host_ns=0), link("skin"))
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=waiting), now_s=100.1))
+    assert now.headline == "waiting for wrench"
+
+
+def test_what_may_be_done_follows_the_selection():
+    pokes = [touch(1), slip(2), touch(3), touch(4)]
+    at = session(1, {3: estimate(3, (0, 0, 0))}, pokes, excluded=[3], dead={7: "stuck"})
+    may = allowed(at, SCENE, (), Running.STREAMING, [1, 2, 3], 7)
+    assert (may.exclude, may.restore, may.revive, may.mark_dead) == ((1,), (3,), True, False)
+    assert (may.export, may.switch_method, may.undo, may.space) == (True, True, "poke 4", "Pause")
+    assert not may.another
+    assert not may.verdict
+    guided = allowed(at, SCENE, (), Running.STREAMING, [], None, guidance(target(3)))
+    assert (guided.another, guided.verdict, guided.ends, guided.space) == (True, True, False, "Pause")
+    empty = allowed(session(), SCENE, (), Running.OFFLINE, [], None)
+    assert (empty.export, empty.exclude, empty.mark_dead, empty.undo, empty.space) == (False, (), False, "", "Connect")
+
+
+@pytest.mark.parametrize(
+    ("running", "space", "pause"),
+    [
+        (Running.STREAMING, "Verdict", "Pause"),
+        (Running.PAUSED, "Go on", "Go on"),
+        (Running.OFFLINE, "Connect", "Connect"),
+        (Running.OPENING, "", ""),
+    ],
+)
+def test_the_space_bar_shows_the_verdict_once_it_is_enough_and_p_still_pauses(running, space, pause):
+    enough = guidance(None, done=PLAN.channels.tolist())
+    may = allowed(session(), SCENE, (), running, [], None, enough)
+    assert (may.space, may.pause, may.ends) == (space, pause, space == "Verdict")
+    assert may.verdict
+
+
+def test_a_pose_is_chosen_only_where_the_arm_does_not_stream_it():
+    streamed = link("joints", carries=(Stream.JOINTS,))
+    assert allowed(session(), arm_scene(), (link(),), Running.STREAMING, [], None).choose_pose
+    assert not allowed(session(), arm_scene(), (streamed,), Running.STREAMING, [], None).choose_pose
+    assert not allowed(session(), SCENE, (), Running.STREAMING, [], None).choose_pose
+
+
+def test_marks_and_the_worst():
+    blind = Estimate(5, Method.FREE, State.BLIND, 1)
+    known = {3: estimate(3, (0, 0, 0), sd=1e-3), 4: estimate(4, (0, 0, 0), sd=5e-3), 5: blind}
+    known[6] = Estimate(6, Method.FREE, State.DEAD, 0)
+    estimates = session(known=known).estimates[Method.FREE]
+    found = marks(estimates, 24)
+    shown = [Mark(int(found[channel])) for channel in (0, 3, 4, 5, 6)]
+    assert shown == [Mark.UNSEEN, Mark.GOOD, Mark.ROUGH, Mark.BLIND, Mark.DEAD]
+    ordered = [e.channel for e in worst(estimates, 24)]
+    assert ordered[:-3] == sorted(set(range(24)) - {3, 4, 5, 6}), "never poked"
+    assert ordered[-3:] == [5, 4, 3]
+    assert 6 not in ordered
+
+
+def test_an_axis_grows_at_once_and_shrinks_only_when_little_of_it_is_used():
+    half = curve_range(0.0, 3.2, 1.0)
+    assert half == 5.0
+    assert curve_range(half, 4.9, 1.0) == 5.0
+    assert curve_range(half, 5.1, 1.0) == 10.0
+    assert curve_range(10.0, 4.0, 1.0) == 10.0
+    assert curve_range(10.0, 3.0, 1.0) == 5.0
+    assert curve_range(10.0, 0.0, 1.0) == 1.0
+
+
+@given(st.floats(0, 1e6), st.floats(0, 1e6))
+def test_an_axis_never_clips(shown, largest):
+    assert curve_range(shown, largest, 1.0) >= largest
+
+
+def test_answers_are_faint_at_the_threshold_full_at_ten_times_and_nan_is_none():
+    delta = SCENE.contacts.response_min
+    levels = answer_levels(np.array([0.0, 0.3 * delta, delta, 10 * delta, 100 * delta, np.nan, -50.0]), SCENE.contacts)
+    assert levels.tolist() == [0.0, 0.0, 0.15, 1.0, 1.0, 0.0, 0.0]
+
+
+def test_an_envelope_keeps_every_peak_and_stays_while_time_goes_on(rng):
+    times = np.sort(rng.uniform(0, 10, 10_000))
+    values = rng.normal(size=(10_000, 6))
+    values[1234, 2] = 50.0
+    values[7000, 4] = -50.0
+    when, reduced = envelope(times, values, 500, 10.0)
+    assert len(when) <= 1002
+    assert np.all(np.diff(when) >= 0)
+    assert reduced.max(axis=0).tolist() == values.max(axis=0).tolist()
+    assert reduced.min(axis=0).tolist() == values.min(axis=0).tolist()
+    # A second later the columns that are still there hold the same values.
+    kept = times > 1.0
+    later, shown = envelope(np.append(times[kept], 10.5), np.append(values[kept], values[:1], axis=0), 500, 10.0)
+    old, new = dict(zip(when, reduced[:, 0], strict=True)), dict(zip(later, shown[:, 0], strict=True))
+    both = [t for t in new if t in old and t > 1.1]
+    assert len(both) > 800
+    assert all(old[t] == new[t] for t in both)
+
+
+def test_an_envelope_of_few_points_is_the_points():
+    times, values = np.arange(10.0), np.arange(20.0).reshape(10, 2)
+    assert envelope(times, values, 500, 10.0)[1] is values
+
+
+def test_same_results_looks_past_the_pose_that_streams():
+    poke = touch(1)
+    first = session(1, pokes=[poke])
+    moved = replace(first, generation=2, pose="3 deg, 5 deg")
+    assert same_results(first, moved)
+    assert not same_results(first, replace(moved, dead={3: "stuck"}))
+    assert not same_results(first, session(2, pokes=[poke], excluded=[1]))
+
+
+def test_a_device_that_carries_both_streams_is_one_link():
+    both = link_specs(Addresses("socket://h:1", "socket://h:1", ""))
+    assert [(s.name, s.carries) for s in both] == [("board", (Stream.WRENCH, Stream.SKIN))]
+    three = link_specs(Addresses("a", "b", "c"))
+    assert [s.name for s in three] == ["wrench", "skin", "joints"]
+
+
+def test_sessions_get_folders_of_their_own(tmp_path):
+    now = datetime(2026, 5, 4, 3, 2, 1, tzinfo=UTC)
+    first = dated_folder(tmp_path, now)
+    first.mkdir()
+    assert first.name == "2026-05-04_03-02-01"
+    assert dated_folder(tmp_path, now).name == "2026-05-04_03-02-01_2"
+
+
+def test_a_temporary_recording_goes_unless_it_is_kept(tmp_path):
+    storage = Storage(OpenRequest(), tmp_path)
+    assert storage.can_keep
+    storage.folder.mkdir(parents=True)
+    (storage.folder / "a").write_text("first")
+    kept = storage.keep()
+    assert (kept / "a").read_text() == "first"
+    (storage.folder / "a").write_text("first, and what came after")
+    folder = storage.folder
+    storage.finish()
+    assert not folder.exists()
+    assert (kept / "a").read_text() == "first, and what came after"
+    gone = Storage(OpenRequest(), tmp_path)
+    gone.finish()
+    assert not gone.folder.exists()
+
+
+def test_a_recording_with_a_folder_is_never_removed(tmp_path):
+    storage = Storage(OpenRequest(folder=tmp_path / "mine"), tmp_path)
+    storage.folder.mkdir()
+    assert not storage.can_keep
+    storage.finish()
+    assert storage.folder.exists()

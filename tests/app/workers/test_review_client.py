@@ -1,0 +1,298 @@
+"""The process that reviews the rig beside the window: asked by what changes, never waited for, ended with the session."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from app.workers.processes import ProcessService
+from app.workers.review_client import SKIN, ReviewClient
+from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.mesh.load import load_surface
+from skincal.mesh.surface import Surface
+from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
+from skincal.model.scene import Scene, load_scene, resource
+from skincal.rig.correction import RIG, Correction
+from skincal.sentences import frame_sentence, rig_sentences
+from skincal.session.corrections import correct_action
+from skincal.session.review import Asked, Reviewer, Unreviewed
+from skincal.session.session import Session
+from skincal.simulate.contacts import poke_landmarks
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.simulated_rig import Rig
+from tests.app.whole_window import OPEN_MS
+
+
+@pytest.fixture(scope="module")
+def part() -> tuple[Scene, Surface]:
+    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
+    return scene, load_surface(scene.surface)[0]
+
+
+@pytest.fixture
+def session(part):
+    """A session with pokes near three landmarks, of which none was told yet."""
+    scene, surface = part
+    rig, rng = Rig(scene, surface, RigErrors.paper(), np.random.default_rng(1)), np.random.default_rng(2)
+    made = Session(scene, surface)
+    nobody = np.empty(0, dtype=np.int64)
+    for poke in poke_landmarks(rig, scene.landmarks, 3, rng)[:3]:
+        made.add(
+            Rejection(
+                poke.poke, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", nobody, True, poke.force, poke.moment,
+                poke.link_from_sensor, poke.pose,
+            )
+        )  # fmt: skip
+    return made
+
+
+@pytest.fixture
+def processes():
+    made = ProcessService()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(session, processes, qapp):
+    made = ReviewClient(session, processes, qapp)
+    yield made
+    made.stop()
+    made.deleteLater()
+
+
+@pytest.fixture
+def heard(client):
+    """Reviews and sentences that came."""
+    found = Heard()
+    client.reviewed.connect(found.reviews.append)
+    client.failed.connect(found.failures.append)
+    return found
+
+
+class Heard:
+    def __init__(self):
+        self.reviews, self.failures = [], []
+
+
+def tell(session, client, *numbers):
+    """Say that pokes were at the landmarks in turn, and show that to the client."""
+    for number in numbers:
+        session.act(AtLandmark(number, session.landmarks[number - 1].name))
+        client.follow(session.snapshot())
+
+
+def is_running(pid: int | None) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_no_process_is_started_before_the_first_poke_at_a_landmark(qtbot, session, client, processes):
+    client.follow(session.snapshot())
+    qtbot.wait(50)
+    assert processes.pid is None
+    client.stop()
+    client.follow(session.snapshot())
+    tell(session, client, 1)
+    qtbot.wait(50)
+    assert processes.pid is None, "what was stopped stays so"
+
+
+def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot, session, client, processes, heard):
+    tell(session, client, 1, 2, 3)
+    qtbot.waitUntil(lambda: bool(heard.reviews), timeout=OPEN_MS)
+    qtbot.wait(200)
+    (answer,) = heard.reviews
+    assert [one.poke for one in answer.pokes] == [1, 2, 3], "of the newest alone"
+    assert answer.used is session.snapshot().corrections
+    reviewer = Reviewer(session.scene, session.surface)
+    reviewer.take(Asked().change(session, session.snapshot()))
+    own = reviewer.review(lambda: None)
+    assert answer.told == own.told
+    assert frame_sentence(answer.frame) == frame_sentence(own.frame)
+    assert rig_sentences(answer.rig) == rig_sentences(own.rig)
+
+    pid = processes.pid
+    assert is_running(pid)
+    client.stop()
+    processes.close()
+    assert not is_running(pid)
+    tell(session, client, 1)
+    qtbot.wait(50)
+    assert heard.failures == []
+
+
+def test_a_process_that_dies_is_replaced_and_told_all(qtbot, session, client, processes, heard):
+    tell(session, client, 1)
+    qtbot.waitUntil(lambda: bool(heard.reviews), timeout=OPEN_MS)
+    os.kill(processes.pid, signal.SIGKILL)
+    tell(session, client, 2, 3)
+    qtbot.waitUntil(lambda: len(heard.reviews) > 1, timeout=OPEN_MS)
+    assert [one.poke for one in heard.reviews[-1].pokes] == [1, 2, 3]
+    assert heard.failures == []
+
+
+def test_processes_that_die_again_and_again_are_said_once(qtbot, session, client, processes, heard):
+    tell(session, client, 1)
+    killed = set()
+
+    def kill():
+        if processes.pid not in (None, *killed):
+            killed.add(processes.pid)
+            os.kill(processes.pid, signal.SIGKILL)
+        return bool(heard.failures)
+
+    qtbot.waitUntil(kill, timeout=OPEN_MS)
+    assert len(killed) == 2, "asked again once"
+    assert "The rig is not reviewed any more: its process ended (code -9), twice." in heard.failures[0]
+    tell(session, client, 2, 3)
+    qtbot.wait(100)
+    assert len(heard.failures) == 1
+    assert heard.reviews == []
+
+
+def test_a_session_that_is_let_go_asks_and_hears_no_more_and_the_next_takes_its_process(qtbot, session, part, processes):
+    client, heard = ReviewClient(session, processes), []
+    client.reviewed.connect(heard.append)
+    client.failed.connect(heard.append)
+    tell(session, client, 1)
+    qtbot.waitUntil(lambda: processes.pid is not None, timeout=OPEN_MS)
+    with qtbot.waitSignal(client.destroyed, timeout=OPEN_MS):
+        client.stop()
+        client.deleteLater()
+    other = Session(*part)
+    other.add(session.outcome(1))
+    following, reviews = ReviewClient(other, processes), []
+    following.reviewed.connect(reviews.append)
+    tell(other, following, 1)
+    qtbot.waitUntil(lambda: bool(reviews), timeout=OPEN_MS)
+    assert heard == []
+    following.stop()
+
+
+def test_a_fault_of_a_review_is_said_and_logged(qtbot, session, client, heard, caplog, monkeypatch):
+    def fault(*_arguments):
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr(client._processes, "ask", fault)
+    tell(session, client, 1)
+    qtbot.waitUntil(lambda: bool(heard.failures), timeout=5000)
+    assert heard.failures == ["The rig is not reviewed any more: ZeroDivisionError('ours'); details are in the log."]
+    assert "Traceback" in caplog.text
+
+
+def test_a_mesh_that_changed_is_said_and_the_rest_is_silence(qtbot, session, client, heard):
+    client._session = SimpleNamespace(
+        scene=session.scene, surface=SimpleNamespace(sha256="0" * 64), framed=session.framed, channels=session.channels
+    )
+    tell(session, client, 1)
+    qtbot.waitUntil(lambda: bool(heard.failures), timeout=OPEN_MS)
+    assert "the mesh changed since the session was opened" in heard.failures[0]
+    tell(session, client, 2)
+    qtbot.wait(50)
+    assert (len(heard.failures), heard.reviews) == (1, [])
+
+
+@pytest.fixture
+def asked(client, monkeypatch):
+    """What a client asks, in order; each is answered at once with nothing, and no process is started."""
+    changes = []
+    monkeypatch.setattr(client._threads, "submit", lambda work, done, _failed: (changes.append(work.args[-1]), done(None)))
+    return changes
+
+
+def test_only_what_is_reviewed_is_asked_about(session, client, asked):
+    tell(session, client, 1)
+    assert [one.generation for one in asked] == [1]
+    client.follow(session.snapshot())
+    session.set_current_pose("2", np.eye(4))
+    client.follow(session.snapshot())
+    session.act(SetPose("2"))
+    client.follow(session.snapshot())
+    assert len(asked) == 1, "where the arm stands tells nothing"
+    tell(session, client, 2)
+    session.act(AddLandmark("screw", 0.01, 0.02, 0.03))
+    client.follow(session.snapshot())
+    session.act(MarkDead(session.channels[0]))
+    client.follow(session.snapshot())
+    session.add(replace(session.outcome(1), end_s=9.0))
+    client.follow(session.snapshot())
+    assert [one.generation for one in asked] == [1, 2, 3, 4, 5]
+    assert list(asked[-1].pokes) == [1], "a landmark poke that is told again"
+    session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
+    client.follow(session.snapshot())
+    assert len(asked) == 6
+    assert asked[-1].corrected
+
+
+def on_skin(session, number: int) -> Contact:
+    """A poke that a taxel answered."""
+    told, channel = session.outcome(1), session.channels[0]
+    return Contact(
+        number, 0.0, 0.3, told.force, told.moment, np.array([channel]), np.array([50.0]), told.link_from_sensor, told.pose,
+        float("nan"), False,
+    )  # fmt: skip
+
+
+def test_pokes_on_the_skin_are_told_by_tens_and_one_that_is_taken_out_at_once(session, client, asked):
+    tell(session, client, 1)
+    for number in range(11, 11 + SKIN):
+        assert len(asked) == 1, number
+        session.add(on_skin(session, number))
+        client.follow(session.snapshot())
+    assert list(asked[-1].pokes) == list(range(11, 11 + SKIN))
+    session.add(replace(on_skin(session, 11), final=True))
+    client.follow(session.snapshot())
+    assert len(asked) == 2, "with the tare after it, it tells nearly the same"
+    session.act(Exclude(12))
+    client.follow(session.snapshot())
+    assert (len(asked), asked[-1].gone, list(asked[-1].pokes)) == (3, (12,), [11])
+    session.act(Undo())
+    client.follow(session.snapshot())
+    assert (len(asked), list(asked[-1].pokes)) == (4, [12])
+
+
+def test_one_review_at_a_time_and_the_newest_next(session, client, heard, monkeypatch):
+    waiting, tickets = [], []
+    monkeypatch.setattr(client._threads, "submit", lambda work, done, _failed: waiting.append((work.args, done)))
+    ticket = client._processes.ticket
+    monkeypatch.setattr(client._processes, "ticket", lambda: tickets.append(ticket()) or tickets[-1])
+    tell(session, client, 1, 2, 3)
+    ((arguments, done),) = waiting
+    assert arguments[1] < tickets[-1], "the work gives way"
+    done(Unreviewed.GIVEN_UP)
+    assert len(waiting) == 2
+    newest = waiting[1][0]
+    assert newest[1] == tickets[-1]
+    assert newest[-1].at_landmarks.keys() == {1, 2, 3}
+    assert (newest[-2], newest[-1].since) == (None, 1), "only what is new"
+    waiting[1][1](Unreviewed.UNKNOWN)
+    assert (waiting[2][0][-1].since, len(waiting[2][0][-1].pokes)) == (0, 3), "all, to a process that knows nothing"
+    assert waiting[2][0][-2].scene is session.scene
+    waiting[2][1](Unreviewed.GIVEN_UP)
+    assert len(waiting) == 3
+    assert heard.reviews == []
+
+
+def test_a_review_that_took_long_is_passed_on_although_newer_was_asked(session, client, heard, monkeypatch):
+    waiting = []
+    monkeypatch.setattr(client._threads, "submit", lambda work, done, _failed: waiting.append((work.args, done)))
+    tell(session, client, 1)
+    used = session.snapshot().corrections
+    reviewer = Reviewer(session.scene, session.surface)
+    reviewer.take(waiting[0][0][-1])
+    session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
+    tell(session, client, 2)
+    waiting[0][1](reviewer.review(lambda: None))
+    (review,) = heard.reviews
+    assert review.used is used, "as of when it was asked"
+    assert len(waiting) == 2
+    assert waiting[1][0][-1].corrected

@@ -1,0 +1,305 @@
+"""Work beside the window: answers in the window's thread, late ones dropped, faults said, and nothing left at the end."""
+
+from __future__ import annotations
+
+import multiprocessing.spawn
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from PySide6.QtCore import QEvent, QObject
+from PySide6.QtWidgets import QApplication, QWidget
+
+from app.panels.plot_panel import PlotPanel
+from app.workers.processes import ProcessLostError, ProcessService
+from app.workers.threads import ThreadService
+from skincal.model.errors import InputError
+from tests.app.whole_window import OPEN_MS
+from tests.app.workers.process_support import double, end, end_once, own_pid, refuse, until_unwanted
+
+
+@pytest.fixture
+def owner(qapp):
+    made = QObject(qapp)
+    yield made
+    made.deleteLater()
+
+
+@pytest.fixture
+def threads(owner):
+    made = ThreadService("test", owner)
+    yield made
+    made.close()
+
+
+def names() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name == "skincal-test"]
+
+
+# In a thread
+
+
+def test_an_answer_comes_in_the_window_s_thread_and_the_thread_goes(qtbot, threads):
+    heard = []
+    for number in range(3):
+        threads.submit(
+            lambda number=number: (number, threading.current_thread().name),
+            lambda answer: heard.append((*answer, threading.current_thread() is threading.main_thread())),
+        )
+    assert heard == [], "never before the window's loop runs"
+    qtbot.waitUntil(lambda: len(heard) == 3, timeout=5000)
+    assert heard == [(number, "skincal-test", True) for number in range(3)]
+    qtbot.waitUntil(lambda: not names(), timeout=5000)
+    threads.submit(lambda: "again", heard.append)
+    qtbot.waitUntil(lambda: heard[-1] == "again", timeout=5000)
+
+
+def test_work_is_done_in_turn_and_that_of_two_services_side_by_side(qtbot, owner, threads):
+    other, free, heard = ThreadService("test", owner), threading.Event(), []
+    threads.submit(free.wait, lambda _: heard.append("first"))
+    threads.submit(lambda: None, lambda _: heard.append("second"))
+    other.submit(lambda: None, lambda _: heard.append("other"))
+    qtbot.waitUntil(lambda: heard == ["other"], timeout=5000)
+    free.set()
+    qtbot.waitUntil(lambda: heard == ["other", "first", "second"], timeout=5000)
+
+
+def test_what_was_asked_in_an_earlier_generation_comes_too_late(qtbot, threads):
+    heard, back = [], []
+    threads.submit(lambda: "old", heard.append, heard.append, back.append)
+    threads.submit(lambda: broken(InputError("old")), heard.append, heard.append)
+    threads.renew()
+    threads.submit(lambda: "new", heard.append)
+    qtbot.waitUntil(lambda: bool(heard), timeout=5000)
+    assert (heard, back) == (["new"], ["old"])
+
+
+def broken(error: BaseException) -> None:
+    raise error
+
+
+def test_a_sentence_is_said_and_a_fault_is_raised_where_the_operator_hears_of_it(qtbot, threads):
+    said, heard = [], []
+    with qtbot.captureExceptions() as faults:
+        threads.submit(lambda: broken(InputError("no such file")), heard.append, said.append)
+        threads.submit(lambda: broken(InputError("nobody listens")), heard.append)
+        threads.submit(lambda: broken(ZeroDivisionError("ours")), heard.append, said.append)
+        threads.submit(lambda: "and on", lambda _: broken(KeyError("in the answer's receiver")))
+        threads.submit(lambda: "and on", heard.append)
+        qtbot.waitUntil(lambda: heard == ["and on"], timeout=5000)
+    assert said == ["no such file"]
+    assert [kind for kind, *_ in faults] == [InputError, ZeroDivisionError, KeyError]
+
+
+def test_closing_waits_with_a_limit_and_gives_back_what_came_too_late(qtbot, owner, caplog):
+    threads, free, heard, back = ThreadService("test", owner), threading.Event(), [], []
+    threads.submit(lambda: "done", heard.append, None, back.append)
+    threads.submit(lambda: broken(ZeroDivisionError("ours")), heard.append)
+    threads.submit(free.wait, heard.append, None, back.append)
+    begun = time.monotonic()
+    threads.close(0.2)
+    assert 0.1 < time.monotonic() - begun < 1.0
+    assert back == ["done"]
+    assert "failed while the window closed" in caplog.text
+    threads.submit(lambda: "no more", heard.append)
+    free.set()
+    qtbot.waitUntil(lambda: len(back) == 2, timeout=5000)
+    assert heard == []
+    assert not names()
+
+
+def test_closing_lets_what_was_asked_be_done(owner):
+    threads, done = ThreadService("test", owner), []
+    for number in range(5):
+        threads.submit(lambda number=number: [time.sleep(0.02), done.append(number)], lambda _: None)
+    threads.close()
+    assert done == list(range(5))
+
+
+def test_nothing_is_called_once_the_owner_is_gone(qtbot):
+    owner, free, heard = QObject(), threading.Event(), []
+    ThreadService("test", owner).submit(free.wait, heard.append)
+    owner.deleteLater()
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    free.set()
+    qtbot.waitUntil(lambda: not names(), timeout=5000)
+    qtbot.wait(20)
+    assert heard == []
+
+
+class Plots(PlotPanel):
+    """Counts what it makes."""
+
+    def __init__(self):
+        super().__init__()
+        self.made = 0
+
+    def make(self):
+        self.made += 1
+        return QWidget()
+
+    def draw_state(self, state):
+        pass
+
+
+def test_plots_are_made_when_their_panel_is_seen(qtbot):
+    panel = Plots()
+    qtbot.addWidget(panel)
+    panel.show_state(None)
+    assert panel._threads is None, "nothing is imported for a panel that nobody sees"
+    panel.show()
+    panel.show_state(None)
+    panel.hide()
+    qtbot.waitUntil(lambda: panel._imported, timeout=OPEN_MS)
+    assert (panel.made, panel.ready) == (0, False)
+    panel.show()
+    panel.show_state(None)
+    panel.show_state(None)
+    assert (panel.made, panel.ready) == (1, True)
+
+
+def test_that_there_are_no_plots_is_said(qtbot, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyqtgraph", None)
+    panel = Plots()
+    qtbot.addWidget(panel)
+    panel.show()
+    for _ in range(3):
+        panel.show_state(None)
+    qtbot.waitUntil(lambda: panel._label.text().startswith("There are no curves: "), timeout=5000)
+    panel.show_state(None)
+    assert (panel.made, panel.ready) == (0, False)
+
+
+# In a process
+
+
+@pytest.fixture
+def processes():
+    made = ProcessService()
+    yield made
+    made.close()
+
+
+def is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_process_is_there_from_the_first_question_to_the_end(processes):
+    assert processes.pid is None
+    assert processes.ask(processes.ticket(), double, 21) == 42
+    pid = processes.pid
+    assert processes.ask(processes.ticket(), own_pid) == pid != os.getpid()
+    with pytest.raises(InputError, match="too far"):
+        processes.ask(processes.ticket(), refuse, "too far")
+    assert processes.ask(processes.ticket(), own_pid) == pid, "it lives on"
+    processes.close()
+    assert not is_running(pid)
+    with pytest.raises(ProcessLostError):
+        processes.ask(processes.ticket(), double, 1)
+    processes.close()
+
+
+def test_a_process_that_was_killed_is_replaced_and_asked_again_once(processes, tmp_path):
+    first = processes.ask(processes.ticket(), own_pid)
+    os.kill(first, signal.SIGKILL)
+    second = processes.ask(processes.ticket(), own_pid)
+    assert second != first
+    assert processes.ask(processes.ticket(), end_once, tmp_path / "ended") == "the second time"
+    with pytest.raises(ProcessLostError, match=r"its process ended \(code 3\)"):
+        processes.ask(processes.ticket(), end)
+    assert processes.ask(processes.ticket(), double, 4) == 8
+
+
+def test_work_hears_that_something_newer_is_asked(processes, tmp_path):
+    heard = []
+    ticket = processes.ticket()
+    asking = threading.Thread(target=lambda: heard.append(processes.ask(ticket, until_unwanted, tmp_path / "begun")))
+    asking.start()
+    while not (tmp_path / "begun").exists():
+        time.sleep(0.01)
+    assert heard == []
+    processes.ticket()
+    asking.join(5)
+    assert heard == ["unwanted"]
+
+
+@pytest.mark.parametrize("size", [1, 20_000_000], ids=["little", "much"])
+def test_closing_ends_the_process_at_once_whatever_it_does(processes, tmp_path, size):
+    """Much is still on its way when the process is killed: a pool of `concurrent.futures` hangs then, with Python 3.11.2."""
+    heard = []
+
+    def ask():
+        with pytest.raises(ProcessLostError) as lost:
+            processes.ask(processes.ticket(), until_unwanted, b"x" * size if size > 1 else tmp_path / "begun")
+        heard.append(lost.value)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    while processes.pid is None or (size == 1 and not (tmp_path / "begun").exists()):
+        time.sleep(0.001)
+    begun, pid = time.monotonic(), processes.pid
+    processes.close()
+    asking.join(5)
+    assert len(heard) == 1
+    assert not is_running(pid)
+    assert time.monotonic() - begun < 1.0
+
+
+def test_a_process_that_cannot_be_started_is_said(processes, monkeypatch):
+    monkeypatch.setattr(multiprocessing.spawn, "_python_exe", os.fsencode("/there-is-no-such-program"))
+    with pytest.raises(ProcessLostError):
+        processes.ask(processes.ticket(), own_pid)
+
+
+ORPHAN = """
+import os, signal
+from app.workers.processes import ProcessService
+from tests.app.workers.process_support import own_pid
+if __name__ == "__main__":
+    processes = ProcessService()
+    print(processes.ask(processes.ticket(), own_pid), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="signals as on Linux and macOS")
+def test_a_process_does_not_outlive_a_window_that_was_killed(tmp_path):
+    (tmp_path / "orphan.py").write_text(ORPHAN, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "orphan.py")],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    pid = int(done.stdout)
+    end_s = time.monotonic() + 10
+    while is_running(pid) and time.monotonic() < end_s:
+        time.sleep(0.05)
+    assert not is_running(pid)
+
+
+def test_the_window_imports_nothing_of_processes_before_it_needs_them():
+    code = (
+        "import sys, app.run, app.session_view, app.workers.review_client;"
+        "sys.exit(any(name.startswith(('multiprocessing', 'concurrent.futures.process')) for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_process_runs_nothing_of_the_working_folder(processes, tmp_path, monkeypatch):
+    for name in ("numpy.py", "pickle.py", "skincal/__init__.py", "app/__init__.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("open('ran', 'w').close()\nraise SystemExit(99)\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    assert processes.ask(processes.ticket(), double, 3) == 6
+    assert not (tmp_path / "ran").exists()

@@ -1,0 +1,494 @@
+"""Links and reader threads for real: ptys that vanish and return, TCP servers that restart, files, and clear refusals."""
+
+import errno
+import os
+import queue
+import re
+import socket
+import sys
+import time
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.streams import links
+from skincal.streams.link_reader import NEW_REASON_S, Reader
+from skincal.streams.links import (
+    Address,
+    FailureKind,
+    LinkFailure,
+    LinkKind,
+    LinkSpec,
+    describe_links,
+    open_link,
+    parse_address,
+    split_baud,
+)
+
+LOST_WITHIN_S = 0.3
+PATIENCE_S = 5.0
+
+needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
+
+
+def spec(address, name="wrench", carries=(Stream.WRENCH,)):
+    return LinkSpec(name, str(address), carries)
+
+
+class Pty:
+    """The device's end of a pseudo-terminal."""
+
+    def __init__(self):
+        import tty
+
+        self.master, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        # Open while the device is: a pty whose last reader closes would look unplugged to the next.
+        self._slave = slave
+
+    def write(self, data):
+        os.write(self.master, data)
+
+    def unplug(self):
+        if self.master >= 0:
+            os.close(self._slave)
+            os.close(self.master)
+            self.master = -1
+
+
+@contextmanager
+def pty():
+    device = Pty()
+    try:
+        yield device
+    finally:
+        device.unplug()
+
+
+@contextmanager
+def reading(address, **kwargs):
+    """A running reader and its queue; stopped at the end, and quickly."""
+    items = queue.SimpleQueue()
+    reader = Reader(spec(address, **kwargs), items)
+    reader.start()
+    try:
+        yield items
+    finally:
+        begun = time.monotonic()
+        reader.stop()
+        assert time.monotonic() - begun < 1.0
+        assert not reader.running
+
+
+def next_event(items, state, patience_s=PATIENCE_S):
+    """The next event, which must be of this state; chunks before it are passed over."""
+    end = time.monotonic() + patience_s
+    while True:
+        item = items.get(timeout=max(end - time.monotonic(), 0.001))
+        if isinstance(item, LinkEvent):
+            assert item.state is state, item
+            return item
+
+
+def next_data(items, count, patience_s=PATIENCE_S):
+    """The next bytes, as many as asked for."""
+    data = b""
+    end = time.monotonic() + patience_s
+    while len(data) < count:
+        item = items.get(timeout=max(end - time.monotonic(), 0.001))
+        assert isinstance(item, Chunk), item
+        data += item.data
+    return data
+
+
+# ------------------------------------------------------------------ a real pty
+
+
+@needs_pty
+def test_stream_at_1_khz_over_a_pty_is_whole_and_prompt():
+    with pty() as device, reading(device.path) as items:
+        next_event(items, LinkState.OPEN)
+        sent_ns = []
+        begun = time.monotonic()
+        for i in range(800):
+            delay = begun + i * 0.001 - time.monotonic()
+            if delay > 0:
+                time.sleep(delay)
+            sent_ns.append(time.monotonic_ns())
+            device.write(i.to_bytes(4, "little") * 9)
+        chunks, count = [], 0
+        while count < 800 * 36:
+            chunk = items.get(timeout=PATIENCE_S)
+            chunks.append(chunk)
+            count += len(chunk.data)
+        data = b"".join(chunk.data for chunk in chunks)
+        assert data == b"".join(i.to_bytes(4, "little") * 9 for i in range(800))
+        stamps = [chunk.host_ns for chunk in chunks]
+        assert stamps == sorted(stamps)
+        ends = np.cumsum([len(chunk.data) for chunk in chunks])
+        late_ms = [
+            (chunk.host_ns - sent_ns[min(end // 36, 800) - 1]) * 1e-6
+            for chunk, end in zip(chunks, ends, strict=True)
+            if end >= 36
+        ]
+        assert np.median(late_ms) < 20
+
+
+@needs_pty
+def test_unplugged_is_said_in_time_and_the_port_is_taken_up_again_by_itself(tmp_path):
+    """The device returns under another number, as after a replug; a stable name leads to it."""
+    port = tmp_path / "by-id"
+    with pty() as first, pty() as second:
+        port.symlink_to(first.path)
+        with reading(port) as items:
+            next_event(items, LinkState.OPEN)
+            for round_number in range(3):
+                device, other = (first, second) if round_number == 0 else (second, None)
+                device.write(b"before")
+                assert next_data(items, 6) == b"before"
+                if other is None:
+                    break
+                unplugged_ns = time.monotonic_ns()
+                device.unplug()
+                event = next_event(items, LinkState.LOST)
+                assert (event.host_ns - unplugged_ns) * 1e-9 < LOST_WITHIN_S
+                assert "vanished" in event.text
+                assert str(port) in event.text
+                port.unlink()
+                time.sleep(0.3)
+                assert items.empty()  # trying again is silent
+                port.symlink_to(other.path)
+                next_event(items, LinkState.OPEN)
+
+
+@needs_pty
+def test_port_that_comes_later_is_opened_then(tmp_path):
+    port = tmp_path / "tty"
+    with reading(port) as items:
+        event = next_event(items, LinkState.FAILED)
+        assert event.text == f"There is no port {port}; plug the device in, or check the name."
+        with pty() as device:
+            port.symlink_to(device.path)
+            next_event(items, LinkState.OPEN)
+            device.write(b"alive")
+            assert next_data(items, 5) == b"alive"
+
+
+@needs_pty
+def test_port_in_use_is_said_and_taken_when_it_is_free():
+    with pty() as device:
+        other = serial.Serial(device.path, exclusive=True)
+        with pytest.raises(LinkFailure, match="port is used by another program") as failure:
+            open_link(spec(device.path))
+        assert failure.value.kind is FailureKind.IN_USE
+        with reading(device.path) as items:
+            assert "port is used by another program" in next_event(items, LinkState.FAILED).text
+            other.close()
+            next_event(items, LinkState.OPEN)
+
+
+@needs_pty
+def test_port_taken_by_another_program_while_away_is_told_after_a_while(tmp_path):
+    port = tmp_path / "tty"
+    with pty() as first, pty() as second:
+        port.symlink_to(first.path)
+        with reading(port) as items:
+            next_event(items, LinkState.OPEN)
+            with closing(serial.Serial(second.path, exclusive=True)):
+                port.unlink()
+                port.symlink_to(second.path)
+                first.unplug()
+                next_event(items, LinkState.LOST)
+                told = next_event(items, LinkState.LOST, NEW_REASON_S + PATIENCE_S)
+                assert "port is used by another program" in told.text
+            next_event(items, LinkState.OPEN)
+
+
+@needs_pty
+def test_commands_reach_the_device_and_any_baud_rate_is_taken():
+    with pty() as device:
+        for baud in (19200, 460800, 2_000_000):
+            with closing(open_link(spec(f"{device.path}@{baud}"))) as link:
+                link.write(b"?\n")
+                assert os.read(device.master, 10) == b"?\n"
+
+
+@needs_pty
+def test_silence_is_not_an_event_and_a_read_returns_in_time():
+    with pty() as device, closing(open_link(spec(device.path))) as link:
+        begun = time.monotonic()
+        assert link.read(0.1) == b""
+        assert 0.05 < time.monotonic() - begun < 1.0
+
+
+# ------------------------------------------------------------------ TCP
+
+
+class Server:
+    """A TCP server for one client."""
+
+    def __init__(self, port=0):
+        self._listener = socket.create_server(("127.0.0.1", port))
+        self.port = self._listener.getsockname()[1]
+        self.client = None
+
+    def accept(self):
+        self._listener.settimeout(PATIENCE_S)
+        self.client, _ = self._listener.accept()
+        return self.client
+
+    def close(self):
+        if self.client is not None:
+            self.client.close()
+        self._listener.close()
+
+
+def test_server_that_restarts_is_taken_up_again_by_itself():
+    server = Server()
+    address = f"socket://127.0.0.1:{server.port}"
+    with reading(address) as items:
+        server.accept().sendall(b"one")
+        next_event(items, LinkState.OPEN)
+        assert next_data(items, 3) == b"one"
+        closed_ns = time.monotonic_ns()
+        server.close()
+        event = next_event(items, LinkState.LOST)
+        assert (event.host_ns - closed_ns) * 1e-9 < LOST_WITHIN_S
+        assert "closed the connection" in event.text
+        time.sleep(0.25)
+        assert items.empty()
+        server = Server(server.port)
+        try:
+            server.accept().sendall(b"two")
+            next_event(items, LinkState.OPEN)
+            assert next_data(items, 3) == b"two"
+        finally:
+            server.close()
+
+
+def test_no_server_is_said_with_the_address():
+    with closing(socket.create_server(("127.0.0.1", 0))) as free:
+        port = free.getsockname()[1]
+    with pytest.raises(LinkFailure, match=f"socket://127.0.0.1:{port}: connection refused") as failure:
+        open_link(spec(f"socket://127.0.0.1:{port}"))
+    assert failure.value.kind is FailureKind.REFUSED
+
+
+def test_tcp_reads_and_writes():
+    server = Server()
+    with closing(server), closing(open_link(spec(f"socket://127.0.0.1:{server.port}"))) as link:
+        client = server.accept()
+        assert link.read(0.05) == b""
+        client.sendall(b"abc")
+        assert link.read(1.0) == b"abc"
+        link.write(b"?\n")
+        assert client.recv(10) == b"?\n"
+
+
+# ------------------------------------------------------------------ files
+
+
+def read_on(link, data):
+    while True:
+        data += link.read(0.1)
+
+
+def test_file_plays_at_the_pace_of_its_device_and_ends(tmp_path):
+    """Half a second of device time in few bytes: the device's clock sets the pace, not the baud rate."""
+    import binascii
+
+    lines = []
+    for i in range(60):
+        text = f"T,{i},{1000 + i * 10_000},1,2,3,4".encode()
+        lines.append(text + b"*%04X\n" % binascii.crc_hqx(text, 0xFFFF))
+    path = tmp_path / "skin.log"
+    path.write_bytes(b"".join(lines))
+    for address in (path, f"file:{path}"):
+        with reading(address, name="skin", carries=(Stream.SKIN,)) as items:
+            begun = next_event(items, LinkState.OPEN)
+            assert next_data(items, path.stat().st_size) == path.read_bytes()
+            event = next_event(items, LinkState.ENDED)
+            assert 0.35 < (event.host_ns - begun.host_ns) * 1e-9 < 2.0
+            assert "at its end" in event.text
+
+
+def test_file_without_a_device_clock_plays_at_its_baud_rate(tmp_path):
+    path = tmp_path / "skin.txt"
+    path.write_bytes(b"1,2,3,4\n" * 480)
+    with closing(open_link(LinkSpec("skin", f"{path}@115200", (Stream.SKIN,), "text"))) as link:
+        begun = time.monotonic()
+        data = bytearray()
+        with pytest.raises(LinkFailure, match="at its end") as failure:
+            read_on(link, data)
+        assert failure.value.kind is FailureKind.ENDED
+        assert data == path.read_bytes()
+        assert 0.25 < time.monotonic() - begun < 2.0
+
+
+def test_missing_file_is_said(tmp_path):
+    with pytest.raises(LinkFailure, match=r"There is no file .*nothing\.log") as failure:
+        open_link(spec(f"file:{tmp_path / 'nothing.log'}"))
+    assert failure.value.kind is FailureKind.ABSENT
+
+
+# ------------------------------------------------------------------ refusals and addresses
+
+
+@pytest.mark.parametrize(
+    "address", ["socket://", "socket://[::1", "socket://host", "socket://host:port", "socket://:7000", "socket://h:99999"]
+)
+def test_tcp_address_that_cannot_be_right(address):
+    with pytest.raises(LinkFailure, match="expected socket://HOST:PORT") as failure:
+        open_link(spec(address))
+    assert failure.value.kind is FailureKind.ADDRESS
+
+
+STRANGE = [
+    "spy://{port}?file={path}", "SPY:///dev/null?file={path}", "alt://{port}?class=PosixPollSerial", "hwgrep://.*", "loop://",
+    "rfc2217://127.0.0.1:1", "cp2110://0", "http://127.0.0.1:1", "Socket://h:1", "simulated:wrench", "nothing://x@9600",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("address", STRANGE)
+def test_only_links_that_are_known_are_opened(tmp_path, monkeypatch, address):
+    monkeypatch.setattr(serial, "Serial", lambda *_, **__: pytest.fail("pyserial was asked"))
+    kept = tmp_path / "kept.txt"
+    kept.write_text("a thesis")
+    address = address.format(port="/dev/ttyUSB0", path=kept)
+    with pytest.raises(InputError) as error:
+        parse_address(address)
+    begins = address.partition(":")[0]
+    assert f"{address}: skincal does not open what begins with {begins}:, expected a serial port" in str(error.value)
+    with pytest.raises(LinkFailure) as failure:
+        open_link(spec(address))
+    assert failure.value.kind is FailureKind.ADDRESS
+    assert str(failure.value) == str(error.value)
+    with pytest.raises(InputError, match="begins with"):
+        describe_links({Stream.WRENCH: "/dev/ttyUSB0", Stream.SKIN: address})
+    assert kept.read_text() == "a thesis"
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "place", "number"),
+    [
+        ("/dev/ttyUSB0@460800", LinkKind.SERIAL, "/dev/ttyUSB0", 460800),
+        ("COM3", LinkKind.SERIAL, "COM3", 115200),
+        (r"\\.\COM12@9600", LinkKind.SERIAL, r"\\.\COM12", 9600),
+        ("/dev/pts/7", LinkKind.SERIAL, "/dev/pts/7", 115200),
+        ("/dev/serial/by-id/usb-a:b-if00", LinkKind.SERIAL, "/dev/serial/by-id/usb-a:b-if00", 115200),
+        ("socket://127.0.0.1:7000", LinkKind.TCP, "127.0.0.1", 7000),
+        ("file:C:/logs/skin.bin@9600", LinkKind.FILE, "C:/logs/skin.bin", 9600),
+        (__file__, LinkKind.FILE, __file__, 115200),
+    ],
+)
+def test_what_an_address_names(address, kind, place, number):
+    assert parse_address(address) == Address(kind, place, number)
+
+
+def test_a_port_s_name_is_never_a_url(monkeypatch):
+    """Were the check above gone, pyserial still would not look for a handler of `spy://`."""
+    monkeypatch.setattr(links, "SCHEME", re.compile("(?!)(x)"))
+    with pytest.raises(LinkFailure, match="There is no port") as failure:
+        open_link(spec("spy:///dev/null"))
+    assert failure.value.kind is FailureKind.ABSENT
+
+
+@pytest.mark.parametrize("address", ["", "nothing://x"])
+def test_address_that_cannot_be_right_is_said_once_and_left(address):
+    items = queue.SimpleQueue()
+    reader = Reader(spec(address), items)
+    reader.start()
+    event = next_event(items, LinkState.FAILED)
+    assert "expected a serial port such as" in event.text
+    time.sleep(0.3)
+    assert not reader.running
+    assert items.empty()
+    reader.stop()
+
+
+def test_reader_that_was_never_started_stops():
+    items = queue.SimpleQueue()
+    Reader(spec("x"), items).stop()
+    assert items.empty()
+
+
+@pytest.mark.parametrize(
+    ("address", "port", "baud"),
+    [
+        ("/dev/ttyUSB0", "/dev/ttyUSB0", 115200),
+        ("/dev/ttyUSB0@460800", "/dev/ttyUSB0", 460800),
+        ("COM3@19200", "COM3", 19200),
+        ("/dev/by-id/x@y", "/dev/by-id/x@y", 115200),
+        ("/dev/x@y@9600", "/dev/x@y", 9600),
+    ],
+)
+def test_baud_rate_in_the_address(address, port, baud):
+    assert split_baud(address) == (port, baud)
+
+
+@pytest.mark.parametrize(
+    ("platform", "error", "kind", "words"),
+    [
+        ("linux", serial.SerialException(errno.EACCES, "denied"), FailureKind.DENIED, "dialout"),
+        ("darwin", serial.SerialException(errno.EACCES, "denied"), FailureKind.DENIED, "permission denied"),
+        ("linux", serial.SerialException(errno.EBUSY, "busy"), FailureKind.IN_USE, "port is used by another program"),
+        ("linux", serial.SerialException(errno.ENOENT, "none"), FailureKind.ABSENT, "There is no port"),
+        (
+            "win32",
+            serial.SerialException("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)"),
+            FailureKind.IN_USE,
+            "port is used by another program",
+        ),
+        (
+            "win32",
+            serial.SerialException(
+                "could not open port 'COM9': FileNotFoundError(2, 'The system cannot find the file', None, 2)"
+            ),
+            FailureKind.ABSENT,
+            "There is no port",
+        ),
+        ("linux", OSError(errno.EPROTO, "odd"), FailureKind.OTHER, "cannot be opened"),
+    ],
+)
+def test_what_the_system_says_becomes_a_sentence(monkeypatch, platform, error, kind, words):
+    def refuse(*_args, **_kwargs):
+        raise error
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    monkeypatch.setattr(links.sys, "platform", platform)
+    with pytest.raises(LinkFailure, match=words) as failure:
+        open_link(spec("/dev/ttyX"))
+    assert failure.value.kind is kind
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such file there")
+def test_file_that_is_no_port():
+    for path in (os.devnull, "/"):
+        with pytest.raises(LinkFailure, match="is not a serial port") as failure:
+            open_link(spec(path))
+        assert failure.value.kind is FailureKind.ADDRESS
+
+
+def test_fault_in_the_thread_arrives_as_a_message(monkeypatch):
+    def broken(_spec):
+        raise ZeroDivisionError("oops")
+
+    monkeypatch.setattr("skincal.streams.link_reader.open_link", broken)
+    items = queue.SimpleQueue()
+    reader = Reader(spec("x"), items)
+    reader.start()
+    assert "ZeroDivisionError" in next_event(items, LinkState.FAILED).text
+    reader.stop()
+
+
+def test_serial_is_imported_only_when_a_port_is_opened():
+    import subprocess
+
+    code = "import sys, skincal.streams.intake, skincal.streams.link_reader; sys.exit('serial' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
