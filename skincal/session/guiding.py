@@ -161,7 +161,7 @@ class SessionGuide:
 class LandmarkGuide:
     """Says which landmark to poke; the guide of the skin stands behind it.
 
-    `Road` finds which poke was there: `AskLandmark` says what is asked for.
+    `Pipeline` finds which poke was there: `AskLandmark` says what is asked for.
 
     Parameters
     ----------
