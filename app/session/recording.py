@@ -112,8 +112,11 @@ class Recording:
             reader.start()
 
     def let_go(self) -> list[Reader]:
-        """Return the readers, for somebody else to stop: that may take longer than a picture."""
+        """Have the readers halt, and return them for another thread to wait for: that may take longer than a picture."""
         readers, self._readers = self._readers, []
+        # Here, not in that thread: it may have other work to do first, and what is read meanwhile would be recorded.
+        for reader in readers:
+            reader.halt()
         return readers
 
     @property
