@@ -247,7 +247,7 @@ def test_nothing_is_asked_for_without_landmarks_or_before_the_arm_pose_is_known(
     landmarks = Landmarks(on_arm, plan_of(on_arm))
     assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0) is skin
     assert landmarks.before_skin(skin, of_pokes(pose="low"), 100.0).landmark is not None
-    assert asking(snapshot=of_pokes(pose=""))._wish is not None, "a part that no arm moves has one pose, without a name"
+    assert asking(snapshot=of_pokes(pose=""))._target is not None, "a part that no arm moves has one pose, without a name"
 
 
 def test_the_same_picture_asks_for_the_same_object():

@@ -56,10 +56,10 @@ def history_of(pipeline, truth) -> ErrorHistory:
 
 
 def finish(history: ErrorHistory):
-    wish = history.wish()
-    while wish is not None:
-        assert history.put(wish, wish.work(0.0))
-        wish = history.wish()
+    recount = history.recount()
+    while recount is not None:
+        assert history.put(recount, recount.work(0.0))
+        recount = history.recount()
     return history.series()
 
 
@@ -113,7 +113,7 @@ def test_followed_live_opened_late_and_in_pieces_it_is_the_same_to_the_last_bit(
         live.take(session.snapshot())
         session.add(contact)
         live.take(session.snapshot())
-        assert live.wish() is None
+        assert live.recount() is None
     late = history_of(pipeline, truth)
     late.take(session.snapshot())
     assert late.series().missing == POKES - 1
@@ -129,7 +129,7 @@ def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
     before = finish(history)
     session.act(Undo())
     history.take(session.snapshot())
-    assert history.wish() is None
+    assert history.recount() is None
     assert same(
         history.series(),
         error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts[:-1]).snapshot(), truth.places),
@@ -166,26 +166,26 @@ def test_work_that_no_longer_holds_is_dropped(sample):
     pipeline, truth, contacts = sample
     history, session = history_of(pipeline, truth), poked(pipeline, contacts)
     history.take(session.snapshot())
-    stale = history.wish()
+    stale = history.recount()
     points = stale.work(0.0)
     assert len(points) == 1
     session.act(Exclude(contacts[0].poke))
     history.take(session.snapshot())
     assert not history.put(stale, points)
     assert history.series().counts.tolist() == [POKES - 1]
-    assert history.wish() is not stale
+    assert history.recount() is not stale
 
 
 def test_a_poke_more_does_not_waste_the_work_that_is_under_way(sample):
     pipeline, truth, contacts = sample
     history, session = history_of(pipeline, truth), poked(pipeline, contacts[:-1])
     history.take(session.snapshot())
-    wish = history.wish()
-    points = wish.work(0.0)
+    recount = history.recount()
+    points = recount.work(0.0)
     session.add(contacts[-1])
     history.take(session.snapshot())
-    assert history.wish() is wish
-    assert history.put(wish, points)
+    assert history.recount() is recount
+    assert history.put(recount, points)
     assert same(
         finish(history),
         error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
@@ -197,12 +197,12 @@ def test_the_second_telling_of_the_last_poke_does_not_waste_the_work_that_is_und
     history, session = history_of(pipeline, truth), poked(pipeline, contacts[:-1])
     session.add(replace(contacts[-1], moment=contacts[-1].moment * 1.01, final=False))
     history.take(session.snapshot())
-    wish = history.wish()
-    points = wish.work(0.0)
+    recount = history.recount()
+    points = recount.work(0.0)
     session.add(contacts[-1])
     history.take(session.snapshot())
-    assert history.wish() is wish
-    assert history.put(wish, points)
+    assert history.recount() is recount
+    assert history.put(recount, points)
     assert same(
         finish(history),
         error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
@@ -214,7 +214,7 @@ def test_another_telling_of_the_last_poke_of_a_wish_drops_it(sample):
     history, session = history_of(pipeline, truth), poked(pipeline, contacts)
     session.add(replace(contacts[-2], moment=contacts[-2].moment * 1.01, final=False))
     history.take(session.snapshot())
-    stale = history.wish()
+    stale = history.recount()
     points = stale.work()
     session.add(contacts[-2])
     history.take(session.snapshot())

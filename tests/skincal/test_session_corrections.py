@@ -93,7 +93,13 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     correction = now.corrections[RIG].correction
     contacts = [correction.corrected(one) for one in told if isinstance(one, Contact)]
     solved = estimate_taxels(
-        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, model=session.boards
+        contacts,
+        session.channels,
+        session.methods,
+        session.scene.noise,
+        session.surface,
+        session.dead,
+        model=session.module_model,
     )
     for method, found in solved.items():
         for one, other in zip(now.estimates[method], found.values(), strict=True):
@@ -239,7 +245,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     file = read_json(tmp_path / "c.json")
     assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig told it"
     solved = estimate_taxels(
-        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.boards
+        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.module_model
     )
     for method, found in solved.items():
         for one, other in zip(file.estimates[method], found.values(), strict=True):

@@ -99,7 +99,13 @@ def test_the_json_of_the_log_computes_again(played, tmp_path):
     assert pipeline.session.surface is not None
     for method, estimates in calibration.estimates.items():
         again = solve(
-            file.used_contacts, file.channels, method, file.noise, pipeline.session.surface, file.dead, pipeline.session.boards
+            file.used_contacts,
+            file.channels,
+            method,
+            file.noise,
+            pipeline.session.surface,
+            file.dead,
+            pipeline.session.module_model,
         )
         for estimate in estimates:
             other = again[estimate.channel]
