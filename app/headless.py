@@ -32,8 +32,8 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
     """
     out = folder or _unused(Path(FOLDER))
     _say(f"{why}\nThe same session runs without it: {POKES} pokes on the simulated {scene_path.parent.name}, in {out}")
-    road = _simulate(scene_path, out)
-    calibration = road.session.calibration()
+    pipeline = _simulate(scene_path, out)
+    calibration = pipeline.session.calibration()
     method = Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE
     positions = out / "positions.txt"
     for finding in write_calibration(calibration, "icub", positions, method):
@@ -44,7 +44,7 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
         if error is not None:
             _say(f"{name.value}: {error.taxels} taxels, {error.mean * 1e3:.1f} mm mean error, {error.max * 1e3:.1f} mm largest")
     _say(f"calibration file: {positions}")
-    _say(f"picture: {_draw(road, method, out / 'picture.png')}")
+    _say(f"picture: {_draw(pipeline, method, out / 'picture.png')}")
     return 0
 
 
@@ -59,13 +59,13 @@ def _simulate(scene_path: Path, out: Path) -> Pipeline:
     return simulate_session(scene, surface, out, POKES, SEED, RigErrors.noise(), progress=_show_progress)
 
 
-def _draw(road: Pipeline, method: Method, path: Path) -> Path:
+def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
     from app.scene3d.offscreen import picture
     from skincal.mesh.lay import lay
 
-    skin = road.scene.skin
-    laid = None if skin.layout is None else lay(skin.layout, skin.anchor, road.session.surface)
-    picture(road.scene, road.session.surface, laid, road.snapshot(), method, path)
+    skin = pipeline.scene.skin
+    laid = None if skin.layout is None else lay(skin.layout, skin.anchor, pipeline.session.surface)
+    picture(pipeline.scene, pipeline.session.surface, laid, pipeline.snapshot(), method, path)
     return path
 
 

@@ -247,7 +247,7 @@ class SessionView(QObject):
         channel = looked_at(self.selected, self._guidance)
         made_of = self._revision, self.method, channel, self._guidance
         if made_of != self._sky[0]:
-            self._sky = made_of, None if channel is None else self.guide.sky(channel, tick.evidence)
+            self._sky = made_of, None if channel is None else self.guide.axis_diversity(channel, tick.evidence)
         return self._sky[1]
 
     def take_review(self, review: Review | None) -> None:

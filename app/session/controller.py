@@ -1,6 +1,6 @@
 """Owns what is open and the one timer; its slots are what the operator wants.
 
-Each tick takes what arrived, lets the road work on it for a bounded time, and hands it on once, and only if something
+Each tick takes what arrived, lets the pipeline work on it for a bounded time, and hands it on once, and only if something
 changed. Thirty ticks a second, fewer while there is work, none for nothing. Everything slow is done in the background and
 comes back in a tick.
 """
@@ -243,10 +243,10 @@ class Controller(QObject):
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
-        self._make_road()
+        self._make_pipeline()
 
     def follow_guide(self, guidance: Guidance | None) -> None:
-        """Tell the road which landmark is asked for, and a simulated operator what to poke, where that changed.
+        """Tell the pipeline which landmark is asked for, and a simulated operator what to poke, where that changed.
 
         Parameters
         ----------
@@ -258,11 +258,11 @@ class Controller(QObject):
 
     def _ask_landmark(self, name: str) -> None:
         recording = self._recording
-        if recording is None or self.running is not Running.STREAMING or name == recording.road.asked_landmark:
+        if recording is None or self.running is not Running.STREAMING or name == recording.pipeline.asked_landmark:
             return
         from skincal.model.actions import AskLandmark
 
-        recording.road.act(AskLandmark(name), time.monotonic_ns())
+        recording.pipeline.act(AskLandmark(name), time.monotonic_ns())
 
     def ask(self, target: Wish) -> None:
         """Send a simulated operator what the guide shows, where that changed; real devices are sent nothing."""
@@ -275,27 +275,27 @@ class Controller(QObject):
             self._sent = line
             self._server.tell(line)
 
-    def _take_part(self, part: Part, *, make_road: bool = True) -> None:
+    def _take_part(self, part: Part, *, make_pipeline: bool = True) -> None:
         self._part = part
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
-        if make_road:
-            self._make_road()
+        if make_pipeline:
+            self._make_pipeline()
 
-    def _make_road(self) -> None:
+    def _make_pipeline(self) -> None:
         part, links, storage, truth = self._part, self._links, self._storage, self._truth
         if part is not None and links and storage is not None:
             self._run(
                 lambda: begin_session(part, links, storage.folder, truth),
-                lambda road: self._take_recording(Recording(road, storage)),
-                lambda road: road.close(),
+                lambda pipeline: self._take_recording(Recording(pipeline, storage)),
+                lambda pipeline: pipeline.close(),
             )
 
     def _take_session(self, storage: Storage, found: tuple[Part, Pipeline]) -> None:
-        part, road = found
-        self._take_part(part, make_road=False)
-        self._take_recording(Recording(road, storage), connect=bool(self._links))
+        part, pipeline = found
+        self._take_part(part, make_pipeline=False)
+        self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
 
     def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
         self._recording = recording
@@ -303,9 +303,9 @@ class Controller(QObject):
         if connect:
             recording.start()
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)
-        self.session_opened.emit(recording.road.snapshot())
+        self.session_opened.emit(recording.pipeline.snapshot())
         self._tell_storage()
-        self._publish(recording, recording.road.snapshot(), time.monotonic_ns())
+        self._publish(recording, recording.pipeline.snapshot(), time.monotonic_ns())
         part = self._part
         if part is not None:
             self._run(lambda: find_truth_of(recording.storage.folder, part), self._tell_truth)
@@ -327,8 +327,8 @@ class Controller(QObject):
         if recording is None:
             return
         drained = self._take_in(recording)
-        snapshot = recording.road.snapshot(SOLVE_S)
-        behind = recording.behind or recording.road.session.unsolved > 0
+        snapshot = recording.pipeline.snapshot(SOLVE_S)
+        behind = recording.behind or recording.pipeline.session.unsolved > 0
         wanted = BEHIND_MS if behind else TICK_MS
         if self._timer.interval() != wanted:
             self._timer.setInterval(wanted)
@@ -338,7 +338,7 @@ class Controller(QObject):
 
     def _take_in(self, recording: Recording) -> bool:
         drained = recording.drain(DRAIN_S)
-        recording.road.tick(time.monotonic_ns())
+        recording.pipeline.tick(time.monotonic_ns())
         if recording.journal_failure and self.running is Running.STREAMING:
             self.said.emit(Message(refused_words(recording.journal_failure), error=True))
             self.pause()
@@ -348,11 +348,11 @@ class Controller(QObject):
         self._schedule.show(now_ns)
         self._shown, self._news = snapshot, False
         if snapshot.landmarks:
-            self._review(recording.road.session, snapshot)
+            self._review(recording.pipeline.session, snapshot)
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
-        live = recording.road.live(reached_ns)
-        evidence = recording.road.session.evidence
-        unsolved = self._schedule.worth_saying(recording.road.session.unsolved, now_ns)
+        live = recording.pipeline.live(reached_ns)
+        evidence = recording.pipeline.session.evidence
+        unsolved = self._schedule.worth_saying(recording.pipeline.session.unsolved, now_ns)
         self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence, unsolved))
 
     def _review(self, session: Session, snapshot: Snapshot) -> None:
@@ -401,22 +401,22 @@ class Controller(QObject):
         if self._recording is None or self._is_solving():
             return False
         try:
-            self._recording.road.act(action, time.monotonic_ns())
+            self._recording.pipeline.act(action, time.monotonic_ns())
         except InputError as error:
             self.said.emit(Message(str(error), error=True))
             return False
-        road = self._recording.road
+        pipeline = self._recording.pipeline
         # Where all taxels are to be solved, that begins in the next tick.
-        shown = self._shown if road.session.unsolved > AT_ONCE else None
-        self._publish(self._recording, shown or road.snapshot(SOLVE_S), time.monotonic_ns())
+        shown = self._shown if pipeline.session.unsolved > AT_ONCE else None
+        self._publish(self._recording, shown or pipeline.snapshot(SOLVE_S), time.monotonic_ns())
         return True
 
     def _is_solving(self) -> bool:
         """Tell whether what is shown is not what an action would change, and say so; a few taxels are solved first."""
         if self._recording is None:
             return False
-        if self._recording.road.session.unsolved <= AT_ONCE:
-            self._recording.road.snapshot()
+        if self._recording.pipeline.session.unsolved <= AT_ONCE:
+            self._recording.pipeline.snapshot()
             return False
         self.said.emit(Message(STILL_SOLVING, error=True))
         return True
@@ -461,10 +461,10 @@ class Controller(QObject):
         """
         if self._recording is None:
             return
-        if self._recording.road.session.unsolved > AT_ONCE:
+        if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
             return
-        calibration = replace(self._recording.road.session.calibration(), landmark_check=check)
+        calibration = replace(self._recording.pipeline.session.calibration(), landmark_check=check)
 
         def write() -> tuple[str, ...]:
             from skincal.files.export import write_calibration
@@ -509,9 +509,9 @@ class Controller(QObject):
 
     def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
         self.prepare()
-        from app.session.opening import open_road
+        from app.session.opening import open_pipeline
 
-        return open_road(folder, links)
+        return open_pipeline(folder, links)
 
     def _fail(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))
@@ -549,13 +549,13 @@ def operator_target(guidance: Guidance | None, running: Running) -> Wish:
 
 def begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path, truth: bytes) -> Pipeline:
     """Start a recording; what a simulated rig says of its taxels is laid beside it."""
-    from app.session.opening import new_road
+    from app.session.opening import new_pipeline
     from skincal.files.reference import TRUTH_NAME
 
-    road = new_road(part, links, folder)
+    pipeline = new_pipeline(part, links, folder)
     if truth:
         (folder / TRUTH_NAME).write_bytes(truth)
-    return road
+    return pipeline
 
 
 def find_truth_of(folder: Path, part: Part) -> Reference | None:

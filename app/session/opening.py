@@ -101,7 +101,7 @@ def dated_folder(parent: Path, now: datetime) -> Path:
     return folder
 
 
-def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Pipeline:
+def new_pipeline(part: Part, links: Sequence[LinkSpec], folder: Path) -> Pipeline:
     """Start a recording in a new folder.
 
     Raises
@@ -116,7 +116,7 @@ def new_road(part: Part, links: Sequence[LinkSpec], folder: Path) -> Pipeline:
     return _solved(Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid))
 
 
-def open_road(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:
+def open_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:
     """Open a recorded session where it stopped.
 
     Parameters
@@ -131,13 +131,13 @@ def open_road(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:
     from skincal.session.part import lay_part
     from skincal.session.replay import resume
 
-    road = _solved(resume(folder, links or None))
-    part = lay_part(road.scene, road.session.surface, road.findings)
-    road.laid = part.laid
-    return part, road
+    pipeline = _solved(resume(folder, links or None))
+    part = lay_part(pipeline.scene, pipeline.session.surface, pipeline.findings)
+    pipeline.laid = part.laid
+    return part, pipeline
 
 
-def _solved(road: Pipeline) -> Pipeline:
-    """Return the road after its first snapshot, which looks at every taxel and so takes long."""
-    road.snapshot()
-    return road
+def _solved(pipeline: Pipeline) -> Pipeline:
+    """Return the pipeline after its first snapshot, which looks at every taxel and so takes long."""
+    pipeline.snapshot()
+    return pipeline

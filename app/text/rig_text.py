@@ -107,7 +107,7 @@ def landmark_rows(snapshot: Snapshot, review: Review | None) -> list[LandmarkRow
 def _landmark_row(
     name: str, pokes: Sequence[int], outcomes: Mapping[int, Outcome], pose: str, review: Review | None
 ) -> LandmarkRow:
-    reported, found = ({}, {}) if review is None else (review.told, review.rig.distances)
+    reported, found = ({}, {}) if review is None else (review.reported, review.rig.distances)
     off = _off([reported[poke] for poke in pokes if poke in reported], [found[poke] for poke in pokes if poke in found])
     return LandmarkRow(name, sum(outcomes[poke].pose == pose for poke in pokes), len(pokes), off)
 

@@ -153,7 +153,7 @@ def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dic
     summaries: dict[str, Any] = {}
     for method in session.snapshot().estimates:
         averaged = average_over_poses(
-            session.contacts, session.channels, method, session.scene.noise, session.surface, model=session.boards
+            session.contacts, session.channels, method, session.scene.noise, session.surface, model=session.module_model
         )
         summaries[f"{method.value}-per-pose"] = report.method_summary(
             tuple(averaged.values()), known, session.scene.skin.layout
@@ -182,7 +182,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
 
     lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
     result: dict[str, Any] = {"misfits": [], "layout": {"used": _name(used), "changes": [], "left": [], "written": None}}
-    if session.boards is None:
+    if session.module_model is None:
         if out is not None:
             raise InputError(
                 "--layout-out corrects a layout, and the scene has none; expected modules in its [skin], or --layout."
@@ -190,14 +190,14 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
         return result, lines
     known = session.snapshot().estimates
     estimates = {estimate.channel: estimate for estimate in known.get(Method.SURFACE) or known.get(Method.FREE, ())}
-    mend = mend_modules(session.boards, estimates)
+    mend = mend_modules(session.module_model, estimates)
     written = out if mend.changes else None
     if written is not None:
-        write_layout(session.boards.layout, mend, written)
+        write_layout(session.module_model.layout, mend, written)
     misfits = [misfit_sentence(misfit) for misfit in mend.misfits]
     changes = [{"module": change.module, **change.keys} for change in mend.changes]
     layout = {"used": _name(used), "changes": changes, "left": left_sentences(mend), "written": _name(written)}
-    lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.boards, estimates))]
+    lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.module_model, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
 
 
@@ -286,7 +286,7 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
     if answer.used and answer.correction is not None and RIG not in session.corrections:
         contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
-        noise, surface, model = session.scene.noise, session.surface, session.boards
+        noise, surface, model = session.scene.noise, session.surface, session.module_model
         solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, model=model)
         rig["methods"] = {
             f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)

@@ -1,4 +1,4 @@
-"""The pokes as the rig told them, the corrections of the rig that the operator uses, and what these make of a poke.
+"""The pokes as the rig reported them, the corrections of the rig that the operator uses, and what these make of a poke.
 
 There are two kinds, one of each at most: of the sensor's frame, then of the rig's small errors, which was found under that
 frame and therefore goes where the frame is changed.
@@ -30,7 +30,7 @@ KINDS = {FRAME: "the sensor's frame", RIG: "the rig"}
 
 
 class Corrections:
-    """Those in use, and the pokes as told.
+    """Those in use, and the pokes as reported.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ class Corrections:
         self._changed = changed
         self.used: Mapping[str, UsedCorrection] = {}
         """Those in use, by what they are of."""
-        self.told: dict[int, Outcome] = {}
-        """Every poke as the rig told it, by its number."""
+        self.reported: dict[int, Outcome] = {}
+        """Every poke as the rig reported it, by its number."""
         self.framed: dict[int, Outcome] = {}
         """The same in the right frame, with the rig's small errors: what these are found from."""
 
@@ -55,9 +55,7 @@ class Corrections:
             It is none.
         """
         used = used_of(action)
-        if action.of in self.used and correct_action(
-            action.of, self.used[action.of].correction, used.before, used.after, used.pokes
-        ) == correct_action(action.of, used.correction, used.before, used.after, used.pokes):
+        if action.of in self.used and _numbers(self.used[action.of].correction) == _numbers(used.correction):
             raise InputError(f"That correction of {KINDS[action.of]} is in use already.")
         return self._set({**self._kept_beside(action.of), action.of: used}, f"correction of {KINDS[action.of]}")
 
@@ -74,7 +72,7 @@ class Corrections:
         return self._set(self._kept_beside(action.of), f"end of the correction of {KINDS[action.of]}")
 
     def _kept_beside(self, of: str) -> dict[str, UsedCorrection]:
-        return {kind: one for kind, one in self.used.items() if kind == FRAME and of == RIG}
+        return {FRAME: self.used[FRAME]} if of == RIG and FRAME in self.used else {}
 
     def _set(self, used: Mapping[str, UsedCorrection], words: str) -> Step:
         before = self.used
@@ -85,55 +83,49 @@ class Corrections:
         reframed = used.get(FRAME) is not self.used.get(FRAME)
         self.used = used
         if reframed:
-            for told in self.told.values():
-                self._frame(told)
+            for reported in self.reported.values():
+                self._frame(reported)
         self._changed()
 
     def take(self, poke: Outcome) -> Outcome:
-        """Keep a poke as told, in place of one with its number; return it as a right rig would have told it."""
-        self.told[poke.poke] = poke
+        """Keep a poke as reported, in place of one with its number; return it as a right rig would have reported it."""
+        self.reported[poke.poke] = poke
         self._frame(poke)
         return self.corrected(poke.poke)
 
-    def _frame(self, told: Outcome) -> None:
-        self.framed[told.poke] = self.used[FRAME].correction.corrected(told) if FRAME in self.used else told
+    def _frame(self, reported: Outcome) -> None:
+        self.framed[reported.poke] = self.used[FRAME].correction.corrected(reported) if FRAME in self.used else reported
 
     def corrected(self, number: int) -> Outcome:
-        """Return a poke as a right rig would have told it."""
+        """Return a poke as a right rig would have reported it."""
         poke = self.framed[number]
         return self.used[RIG].correction.corrected(poke) if RIG in self.used else poke
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
-        """Return the true (4, 4) link_from_sensor of the one that is told."""
-        for one in self.used.values():
-            link_from_sensor = one.correction.pose(link_from_sensor, name)
+        """Return the true (4, 4) link_from_sensor of a reported one."""
+        for used in self.used.values():
+            link_from_sensor = used.correction.pose(link_from_sensor, name)
         return link_from_sensor
 
-    def of_progress(self, progress: Progress, told: FloatArray | None, name: str) -> tuple[FloatArray, FloatArray]:
+    def of_progress(self, progress: Progress, reported: FloatArray | None, name: str) -> tuple[FloatArray, FloatArray]:
         """Return force (3,), N, and a point of the axis (3,), metres, link frame, of a poke in progress.
 
         Parameters
         ----------
-        told : (4, 4) float, link_from_sensor of the arm pose of that name; None while unknown
+        reported : (4, 4) float, link_from_sensor of the arm pose of that name; None while unknown
         """
         force, point = progress.force, progress.axis_point
-        if not self.used or told is None or not np.isfinite(point).all() or not force.any():
+        if not self.used or reported is None or not np.isfinite(point).all() or not force.any():
             return force, point
-        force, moment = move_wrench(np.asarray(np.linalg.inv(told), dtype=np.float64), force, np.cross(point, force))
-        for one in self.used.values():
-            force, moment = one.correction.wrench(force, moment)
-        force, moment = move_wrench(self.pose(told, name), force, moment)
+        force, moment = move_wrench(np.asarray(np.linalg.inv(reported), dtype=np.float64), force, np.cross(point, force))
+        for used in self.used.values():
+            force, moment = used.correction.wrench(force, moment)
+        force, moment = move_wrench(self.pose(reported, name), force, moment)
         return force, axis_point(force, moment)
 
 
 def used_of(action: Correct) -> UsedCorrection:
-    """Return the correction that an action uses, with what speaks for it.
-
-    Raises
-    ------
-    InputError
-        It is none; see `correction_of`.
-    """
+    """Return the correction that an action uses, with what speaks for it; InputError as for `correction_of`."""
     return UsedCorrection(action.of, correction_of(action), action.before, action.after, action.pokes)
 
 
@@ -152,9 +144,9 @@ def correction_of(action: Correct) -> Correction:
     matrix, everywhere = np.reshape(action.matrix, (6, 6)), np.reshape(action.everywhere, (4, 4))
     motions = np.reshape(action.motions, (-1, 4, 4))
     numbers = (matrix, everywhere, motions, np.array([action.before, action.after]))
-    if not all(np.isfinite(one).all() for one in numbers) or not abs(np.linalg.det(matrix)) > 0 or action.pokes < 0:
+    if not all(np.isfinite(values).all() for values in numbers) or not abs(np.linalg.det(matrix)) > 0 or action.pokes < 0:
         raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
-    if not all(_is_motion(one) for one in (everywhere, *motions)):
+    if not all(_is_motion(motion) for motion in (everywhere, *motions)):
         raise InputError("A correction of the rig moves a pose by what is no rigid motion; expected a rotation and a shift.")
     return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)))
 
@@ -190,14 +182,11 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
 
 def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int) -> Correct:
     """Return the action that uses a correction; see `Correct` for the rest."""
+    return Correct(of, *_numbers(correction), before, after, pokes)
+
+
+def _numbers(correction: Correction) -> tuple[tuple[float, ...], tuple[float, ...], tuple[str, ...], tuple[float, ...]]:
+    """Return matrix, motion everywhere, names of the poses that are moved, and their motions, as `Correct` has them."""
     names = tuple(sorted(correction.motions))
-    return Correct(
-        of=of,
-        matrix=tuple(correction.matrix.ravel().tolist()),
-        everywhere=tuple(correction.everywhere.ravel().tolist()),
-        poses=names,
-        motions=tuple(value for name in names for value in correction.motions[name].ravel().tolist()),
-        before=before,
-        after=after,
-        pokes=pokes,
-    )
+    motions = (value for name in names for value in correction.motions[name].ravel().tolist())
+    return tuple(correction.matrix.ravel().tolist()), tuple(correction.everywhere.ravel().tolist()), names, tuple(motions)

@@ -146,7 +146,7 @@ class ErrorRule:
 
 
 class Recount:
-    """Works out points of a course, some at a time; a frozen wish, so that any thread may do it while a session goes on.
+    """Works out points of a course, some at a time; it shares nothing with the session, so that any thread may do it.
 
     Parameters
     ----------
@@ -211,8 +211,8 @@ class ErrorHistory:
     """The course of errors of a session that goes on.
 
     `take` follows the session and costs what the errors of one snapshot cost; what is missing then (the past of a session
-    that is opened again, everything after a poke that was taken out) is worked out by the `Recount` of `wish`, in any
-    thread, and given back by `put`.
+    that is opened again, everything after a poke that was taken out) is worked out by a `Recount`, in any thread, and
+    given back by `put`.
 
     Parameters
     ----------
@@ -228,14 +228,14 @@ class ErrorHistory:
         self._dead: Mapping[int, str] = {}
         self._points: dict[int, ErrorPoint] = {}
         self._stride = 1
-        self._wish: Recount | None = None
+        self._recount: Recount | None = None
 
     def take(self, snapshot: Snapshot) -> None:
         """Take the session as it stands: what no longer holds of the past is dropped, the newest point is added."""
-        contacts = counting(snapshot)
+        contacts = snapshot.contacts
         same = _common(self._contacts, contacts) if dict(self._dead) == dict(snapshot.dead) else 0
-        if self._wish is not None and same < self._wish.reach:
-            self._wish = None
+        if self._recount is not None and same < self._recount.reach:
+            self._recount = None
         count = len(contacts)
         self._contacts, self._dead, self._stride = contacts, snapshot.dead, stride_of(count)
         self._points = {
@@ -244,18 +244,18 @@ class ErrorHistory:
         if count and count not in self._points:
             self._points[count] = point_of(count, snapshot.estimates, self._rule)
 
-    def wish(self) -> Recount | None:
+    def recount(self) -> Recount | None:
         """Return what is to be worked out, and the same until it is done or no longer holds; None where nothing is missing."""
-        if self._wish is None or self._wish.done:
+        if self._recount is None or self._recount.done:
             wanted = [at for at in range(self._stride, len(self._contacts), self._stride) if at not in self._points]
-            self._wish = None
+            self._recount = None
             if wanted:
-                self._wish = Recount(self._scene, self._surface, self._rule, self._contacts, self._dead, wanted)
-        return self._wish
+                self._recount = Recount(self._scene, self._surface, self._rule, self._contacts, self._dead, wanted)
+        return self._recount
 
     def put(self, recount: Recount, points: Sequence[ErrorPoint]) -> bool:
         """Take points that were worked out; return whether they still hold."""
-        if recount is not self._wish:
+        if recount is not self._recount:
             return False
         self._points |= {point.count: point for point in points if point.count % self._stride == 0}
         return True
@@ -308,7 +308,7 @@ class ErrorFollower:
 
     def offer(self, reference: Reference) -> None:
         """Take what was found or chosen, in place of another of its origin, and compare with it."""
-        self.sources = [reference, *(one for one in self.sources if one is None or one.origin is not reference.origin)]
+        self.sources = [reference, *(other for other in self.sources if other is None or other.origin is not reference.origin)]
         self.choose(0)
 
     def choose(self, index: int) -> None:
@@ -337,23 +337,23 @@ class ErrorFollower:
         return self._history.series()
 
     def _work(self) -> None:
-        history, wish = self._history, self._history.wish()
-        if wish is None:
+        history, recount = self._history, self._history.recount()
+        if recount is None:
             return
         begun = history, self._revision
 
         def work() -> tuple[ErrorPoint, ...]:
             try:
-                return wish.work(STEP_S)
+                return recount.work(STEP_S)
             except BaseException:
-                # Who runs the work says why; `take` is not called then.
+                # `run` reports why, and does not call `take` then.
                 self._failed_at = begun
                 self._busy = False
                 raise
 
         def take(points: tuple[ErrorPoint, ...]) -> None:
             self._busy = False
-            if history is self._history and history.put(wish, points):
+            if history is self._history and history.put(recount, points):
                 self.version += 1
 
         self._busy = True
@@ -366,15 +366,10 @@ def error_series(
     """Return the whole course of errors of a session at once; parameters as for `ErrorHistory`."""
     history = ErrorHistory(scene, surface, known)
     history.take(snapshot)
-    wish = history.wish()
-    if wish is not None:
-        history.put(wish, wish.work())
+    recount = history.recount()
+    if recount is not None:
+        history.put(recount, recount.work())
     return history.series()
-
-
-def counting(snapshot: Snapshot) -> tuple[Contact, ...]:
-    """Return the contacts that count, in the order of their numbers."""
-    return tuple(p.outcome for p in snapshot.pokes if not p.excluded and isinstance(p.outcome, Contact))
 
 
 def stride_of(count: int) -> int:

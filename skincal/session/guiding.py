@@ -1,6 +1,6 @@
 """Follows an open session for the operator: what to poke next, landmarks first, and whether the modules method needs no more.
 
-Who shows it tells a recording which landmark is asked for by `AskLandmark`.
+Nothing here changes the session. A view that shows a landmark as the target sends `AskLandmark` to the pipeline.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class SessionGuide:
         """Where the layout puts the taxels."""
         self.landmarks = LandmarkGuide(part, self.plan)
         layout = part.scene.skin.layout
-        self._boards = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
+        self._module_model = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
@@ -109,20 +109,18 @@ class SessionGuide:
         """
         estimates, noise = snapshot.estimates[guidance.method], self._scene.noise
         contacts, settings = _contacts(snapshot), GuideSettings()
-        return verdict_of(guidance, estimates, contacts, evidence, noise, self._surface, settings, self._boards)
+        return verdict_of(guidance, estimates, contacts, evidence, noise, self._surface, settings, self._module_model)
 
-    def sky(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
+    def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
 
         Parameters
         ----------
         evidence : as in `follow`, which was called before
         """
-        return (
-            self._guides[self._followed[1]].axis_diversity(channel, evidence)
-            if self.wanted and self._followed is not None
-            else None
-        )
+        if not self.wanted or self._followed is None:
+            return None
+        return self._guides[self._followed[1]].axis_diversity(channel, evidence)
 
     def skip(self) -> None:
         """Ask for another poke than the one that was asked for last."""
@@ -161,7 +159,7 @@ class SessionGuide:
 class LandmarkGuide:
     """Says which landmark to poke; the guide of the skin stands behind it.
 
-    `Road` finds which poke was there: `AskLandmark` says what is asked for.
+    Which poke was there is found by `LandmarkFinder`, in the pipeline.
 
     Parameters
     ----------
@@ -179,14 +177,14 @@ class LandmarkGuide:
         self._stance, self._stance_s = "", -np.inf
         """The arm's pose, and since when it holds: host's monotonic clock, seconds."""
         self._normals: dict[bytes, FloatArray] = {}
-        self._wishes: list[LandmarkTarget] = []
+        self._targets: list[LandmarkTarget] = []
         """All that is asked for in this arm pose."""
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
     def forget(self) -> None:
         """Ask for nothing: nobody guides."""
-        self._wishes, self._known = [], ()
+        self._targets, self._known = [], ()
 
     def before_skin(self, guidance: Guidance, snapshot: Snapshot, now_s: float) -> Guidance:
         """Return the guidance with a landmark before the skin, where one is asked for.
@@ -203,8 +201,8 @@ class LandmarkGuide:
         known = ([landmark.name for landmark in snapshot.landmarks], snapshot.at_landmarks, here, still, guidance)
         if known != self._known:
             self._known = known
-            self._wishes = self._plan(snapshot) if still else []
-            now = self._wish
+            self._targets = self._plan(snapshot) if still else []
+            now = self._target
             if now is None:
                 self._shown = guidance
             else:
@@ -220,8 +218,8 @@ class LandmarkGuide:
         return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
 
     @property
-    def _wish(self) -> LandmarkTarget | None:
-        return self._wishes[0] if self._wishes else None
+    def _target(self) -> LandmarkTarget | None:
+        return self._targets[0] if self._targets else None
 
     def _plan(self, snapshot: Snapshot) -> list[LandmarkTarget]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
@@ -235,7 +233,7 @@ class LandmarkGuide:
         return landmark_pokes(counting, snapshot.landmarks, snapshot.at_landmarks)
 
     def rig_moves(self, snapshot: Snapshot) -> float:
-        """Return by how much the rig moves estimates, as landmark pokes tell: sd in each direction, metres."""
+        """Return by how much the rig moves estimates, by its landmark pokes: sd in each direction, metres."""
         return rig_moves(self._made(snapshot), self._scene.noise)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
@@ -243,21 +241,23 @@ class LandmarkGuide:
         here = snapshot.link_from_sensor
         if here is None or not len(self._taxels):
             return None
-        contacts = _contacts(snapshot).values()
+        contacts = snapshot.contacts
         often = [name for name, _ in Counter(contact.pose for contact in contacts).most_common(POSES)]
         poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
         poses[snapshot.pose] = here
-        planned = [PlannedPoke(wish.landmark.place, self._normal(wish.landmark), here, snapshot.pose) for wish in self._wishes]
+        planned = [
+            PlannedPoke(target.landmark.place, self._normal(target.landmark), here, snapshot.pose) for target in self._targets
+        ]
         made, noise = [poke for poke in self._made(snapshot) if poke.pose in poses], self._scene.noise
         return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
 
     def skip(self, *, all_of_pose: bool = False) -> None:
         """Ask for that landmark no more in this arm pose, or for none."""
-        if self._wish is not None:
+        if self._target is not None:
             if all_of_pose:
                 self._round.leave_out(self._stance)
             else:
-                self._round.skip(self._wish.landmark.name, self._stance)
+                self._round.skip(self._target.landmark.name, self._stance)
         self._known = ()
 
     def _normal(self, landmark: Landmark) -> FloatArray:
@@ -297,7 +297,7 @@ class ModulesEnough:
         streaming : the devices are read
         """
         asked = guidance is not None and guidance.phase is not GuidePhase.ENOUGH
-        # Who has seen that method need no more knows it.
+        # An operator who saw it by that method need not be told again.
         self._noticed |= method is Method.MODULES and not asked and guidance is not None
         if self._noticed or not asked or method is Method.MODULES or not streaming or revision == self._seen:
             return False
@@ -312,8 +312,7 @@ class ModulesEnough:
         known = [estimate for estimate in snapshot.estimates.get(Method.MODULES, ()) if estimate.channel in module_of]
         if all(estimate.state is State.DEAD for estimate in known) or any(self._needs(estimate, enough) for estimate in known):
             return False  # whatever was poked where
-        counting = _contacts(snapshot).values()
-        own = Counter(module_of.get(int(contact.channels[contact.responses.argmax()])) for contact in counting)
+        own = Counter(module_of.get(int(contact.channels[contact.responses.argmax()])) for contact in snapshot.contacts)
         return not any(self._needs(estimate, own[module_of[estimate.channel]]) for estimate in known)
 
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
@@ -331,8 +330,7 @@ def plan_of(part: Part) -> PlannedPlaces:
 
 def _contacts(snapshot: Snapshot) -> dict[int, Contact]:
     """Return the contacts that count, by the number of their poke."""
-    counting = (record.outcome for record in snapshot.pokes if not record.excluded)
-    return {outcome.poke: outcome for outcome in counting if isinstance(outcome, Contact)}
+    return {contact.poke: contact for contact in snapshot.contacts}
 
 
 def _rejections(snapshot: Snapshot) -> dict[int, Rejection]:

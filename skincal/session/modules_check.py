@@ -36,7 +36,7 @@ class ModulesCheck:
     def __init__(self, part: Part, run: Run) -> None:
         self._part = part
         self._run = run
-        self._boards: ModuleModel | None = None
+        self._module_model: ModuleModel | None = None
         self._busy = False
         self._asked: int | None = None
         self.found: ModulesFound | None = None
@@ -54,15 +54,15 @@ class ModulesCheck:
             return
         method = Method.SURFACE if self._part.surface is not None else Method.FREE
         estimates = {estimate.channel: estimate for estimate in snapshot.estimates.get(method, ())}
-        if self._boards is None:
-            self._boards = ModuleModel(layout, self._part.scene.skin.anchor, self._part.surface)
-        boards = self._boards
+        if self._module_model is None:
+            self._module_model = ModuleModel(layout, self._part.scene.skin.anchor, self._part.surface)
+        model = self._module_model
 
         def work() -> ModulesFound:
             try:
-                return ModulesFound(method, mend_modules(boards, estimates), judged_modules(boards, estimates))
+                return ModulesFound(method, mend_modules(model, estimates), judged_modules(model, estimates))
             except BaseException:
-                # Who runs the work says why; `take` is not called then.
+                # `run` reports why, and does not call `_take` then.
                 self._busy = False
                 raise
 

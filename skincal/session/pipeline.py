@@ -1,7 +1,7 @@
-"""The whole road of a reading: journal, decoding, pairing, pokes, landmarks, session.
+"""The pipeline of the readings, from bytes to session: journal, decoding, pairing, pokes, landmarks.
 
-Real, replayed and simulated devices differ in where the items come from, and in nothing else. What a road holds depends on the
-sequence of items and actions alone, never on a clock: played again it is the same, bit for bit.
+Real, replayed and simulated devices differ in where the items come from, and in nothing else. What a pipeline holds depends
+on the sequence of items and actions alone, never on a clock: played again it is the same, bit for bit.
 
 A poke that the operator was asked to make at a landmark (`AskLandmark`) is found here, with or without a window, and becomes
 an action of its own (`FoundAtLandmark`).
@@ -68,7 +68,7 @@ class Pipeline:
         self.journal_failure = ""
         """Why nothing is recorded any more, for the operator; empty while all is well."""
         self.findings: tuple[str, ...] = ()
-        """Sentences about damage of the session that this road was played from."""
+        """Sentences about damage of the session that this pipeline was played from."""
         self._detector = ContactDetector(scene)
         self._dead = self._detector.dead
         self._doubts: dict[int, Doubt] = {}
@@ -106,7 +106,7 @@ class Pipeline:
         self._decoded_wrenches(item.host_ns)
 
     def take(self, note: Note) -> None:
-        """Take what this or another road's detector made of an item: its outcomes, the dead channels, and counts."""
+        """Take what this or another pipeline's detector made of an item: its outcomes, the dead channels, and counts."""
         if isinstance(note, Totals):
             self._earlier = note
             return
@@ -177,7 +177,7 @@ class Pipeline:
         Raises
         ------
         InputError
-            The disk refused before: this road holds what no segment does.
+            The disk refused before: this pipeline holds what no segment does.
         """
         if self.journal_failure:
             raise InputError(
@@ -188,8 +188,8 @@ class Pipeline:
     def begin_segment(self, links: Sequence[LinkSpec] | None = None, journal: JournalWriter | None = None) -> None:
         """Go on after a break: the devices and the detector start anew, and a poke in progress is forgotten.
 
-        What follows depends on the session as it stands and on nothing else that this road went through, so that it does not
-        matter whether the session was lived, played or loaded.
+        What follows depends on the session as it stands and on nothing else, so that it does not matter whether the session
+        was recorded here, played or loaded.
 
         Parameters
         ----------

@@ -33,7 +33,7 @@ MAX_PAUSE_S = 1.0
 def replay(
     folder: Path, speed: float | None = None, stop: Callable[[], bool] = lambda: False, layout: Path | None = None
 ) -> Pipeline:
-    """Play a session again into a road of its own; nothing in the folder changes.
+    """Play a session again into a pipeline of its own; nothing in the folder changes.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def replay(
 
     Returns
     -------
-    The road, with the estimates of the live session to the last bit, and `findings` on damage.
+    The pipeline, with the estimates of the live session to the last bit, and `findings` on damage.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def load(folder: Path, layout: Path | None = None) -> Pipeline:
 
     Returns
     -------
-    The road, with the estimates of the live session to the last bit; `findings` on damage. A streamed arm pose is unknown
+    The pipeline, with the estimates of the live session to the last bit; `findings` on damage. A streamed arm pose is unknown
     until joints are streamed again.
 
     Raises
@@ -79,34 +79,34 @@ def load(folder: Path, layout: Path | None = None) -> Pipeline:
 def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
     if log.scene_changed or not log.has_notes:
         return _played(log, layout)
-    road = _new_road(log, layout)
+    pipeline = _new_pipeline(log, layout)
     misfits: list[str] = []
     for item in log.state():
         if log.scene_changed or not log.has_notes:
             return _played(SessionLog(log.folder, own=log.own), layout)
         try:
-            _load_step(road, item)
+            _load_step(pipeline, item)
         except InputError as error:
             misfits.append(f"{_MISFIT}: {error}")
-    road.renew_detector()
-    road.findings = (*log.findings, *misfits)
-    return road
+    pipeline.renew_detector()
+    pipeline.findings = (*log.findings, *misfits)
+    return pipeline
 
 
-def _new_road(log: SessionLog, layout: Path | None) -> Pipeline:
-    """Return an empty road for a session, with the layout of a file where one is given."""
+def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
+    """Return an empty pipeline for a session, with the layout of a file where one is given."""
     scene = log.scene if layout is None else with_layout(log.scene, layout)
     return Pipeline(scene, log.links, _surface(scene))
 
 
-def _load_step(road: Pipeline, item: LogState) -> None:
+def _load_step(pipeline: Pipeline, item: LogState) -> None:
     if isinstance(item, SegmentMark):
         if item.number > 1:
-            road.begin_segment(item.links)
+            pipeline.begin_segment(item.links)
     elif isinstance(item, Stamped):
-        road.session.act(item.action)
+        pipeline.session.act(item.action)
     elif isinstance(item, Taken | Totals):
-        road.take(item)
+        pipeline.take(item)
 
 
 def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
@@ -132,39 +132,39 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
 
 def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -> Pipeline:
     said = recover_session(folder)
-    road = _load(SessionLog(folder, own=True))
-    links = road.links if links is None else tuple(links)
-    road.begin_segment(links, open_segment(folder, road.scene, links, lock))
-    road.findings = (*said, *road.findings)
-    return road
+    pipeline = _load(SessionLog(folder, own=True))
+    links = pipeline.links if links is None else tuple(links)
+    pipeline.begin_segment(links, open_segment(folder, pipeline.scene, links, lock))
+    pipeline.findings = (*said, *pipeline.findings)
+    return pipeline
 
 
-def step(road: Pipeline, item: LogItem) -> None:
-    """Do one item of a log on a road."""
+def step(pipeline: Pipeline, item: LogItem) -> None:
+    """Do one item of a log on a pipeline."""
     if isinstance(item, SegmentMark):
         if item.number > 1:
-            road.begin_segment(item.links)
+            pipeline.begin_segment(item.links)
     elif isinstance(item, Stamped):
         # The bytes and what was asked for lead to these again.
         if not isinstance(item.action, FoundAtLandmark):
-            road.act(item.action, item.host_ns)
+            pipeline.act(item.action, item.host_ns)
     elif isinstance(item, Ending):
-        road.put_down(item.host_ns)
+        pipeline.put_down(item.host_ns)
     else:
-        road.feed(item)
+        pipeline.feed(item)
 
 
 def _played(
     log: SessionLog, layout: Path | None, speed: float | None = None, stop: Callable[[], bool] = lambda: False
 ) -> Pipeline:
-    road = _new_road(log, layout)
+    pipeline = _new_pipeline(log, layout)
     pace = None if speed is None else _Pace(speed)
     misfits: list[str] = []
     for item in log.items():
         if pace is not None:
             pace.wait(item.host_ns)
         try:
-            step(road, item)
+            step(pipeline, item)
         except InputError as error:
             if not isinstance(item, Stamped):
                 raise
@@ -172,8 +172,8 @@ def _played(
             misfits.append(f"{_MISFIT}: {error}")
         if stop():
             break
-    road.findings = (*log.findings, *misfits)
-    return road
+    pipeline.findings = (*log.findings, *misfits)
+    return pipeline
 
 
 class _Pace:

@@ -1,4 +1,4 @@
-"""What pokes at landmarks tell of the rig, and where the taxels lie with and without its correction.
+"""What pokes at landmarks say of the rig, and where the taxels lie with and without its correction.
 
 It takes some tenths of a second, so it is worked out in another process (`review_change`), from what has changed since the last
 time.
@@ -44,15 +44,15 @@ class Review:
     """Of what was asked."""
     pokes: tuple[LandmarkPoke, ...]
     """Those at landmarks that count, in the right frame."""
-    told: Mapping[int, float]
-    """m: of each, by its number, how far its axis passes the landmark as the rig tells."""
+    reported: Mapping[int, float]
+    """m: of each, by its number, how far its axis passes the landmark as the rig reports it."""
     frame: FrameDiagnosis | None
     """What the sensor's frame looks like; None from too few pokes."""
     rig: RigAnswer
     channels: IntArray
     """(n,) of the taxels, ascending."""
     before: Mapping[Method, FloatArray]
-    """For each method (n, 3) float, metres, link frame: the taxels as the rig tells, NaN where not known; only while a
+    """For each method (n, 3) float, metres, link frame: the taxels as the rig reports, NaN where not known; only while a
     correction of the rig is in use: else the session's estimates are these."""
     after: Mapping[Method, FloatArray]
     """The same under the correction that was found; only where it is worth using and none is in use."""
@@ -67,7 +67,7 @@ class Change:
     generation: int
     """Counts up."""
     since: int
-    """Generation of the change before; 0 where this one tells all."""
+    """Generation of the change before; 0 where this one holds everything."""
     pokes: Mapping[int, Outcome]
     """Pokes that count and are new or others than they were, in the right frame, by their number."""
     gone: tuple[int, ...]
@@ -110,7 +110,7 @@ class Asked:
         )
 
     def forget(self) -> None:
-        """Tell all with the next change."""
+        """Let the next change hold everything."""
         self.known, self.pokes = 0, {}
 
 
@@ -126,7 +126,7 @@ class Reviewer:
         self._scene, self._surface = scene, surface
         self._methods = methods_of(scene, surface)
         layout = scene.skin.layout
-        self._boards = None if layout is None else ModuleModel(layout, scene.skin.anchor, surface)
+        self._module_model = None if layout is None else ModuleModel(layout, scene.skin.anchor, surface)
         self._pokes: dict[int, Outcome] = {}
         self._newest: Change | None = None
 
@@ -143,7 +143,7 @@ class Reviewer:
         self._newest = change
 
     def review(self, between: Callable[[], None]) -> Review:
-        """Return what the pokes tell.
+        """Return what the pokes say.
 
         Parameters
         ----------
@@ -153,19 +153,19 @@ class Reviewer:
         if newest is None:
             raise ValueError("nothing was asked yet")
         ordered = [self._pokes[number] for number in sorted(self._pokes)]
-        contacts = [one for one in ordered if isinstance(one, Contact)]
-        known = {one.name: one for one in newest.landmarks}
+        contacts = [outcome for outcome in ordered if isinstance(outcome, Contact)]
+        known = {landmark.name: landmark for landmark in newest.landmarks}
         pokes = landmark_pokes(ordered, newest.landmarks, newest.at_landmarks)
-        frame = diagnose(pokes, landmark_normals([known[one.name] for one in pokes], self._surface))
+        frame = diagnose(pokes, landmark_normals([known[poke.name] for poke in pokes], self._surface))
         between()
         rig = correct_rig(RigRequest(self._scene, self._surface, contacts, pokes, newest.dead), between)
         between()
         found = None if rig.correction is None or not rig.used else rig.correction
-        after = [found.corrected(one) for one in contacts] if found is not None and not newest.corrected else None
+        after = [found.corrected(contact) for contact in contacts] if found is not None and not newest.corrected else None
         return Review(
             generation=newest.generation,
             pokes=tuple(pokes),
-            told={one.poke: one.miss for one in pokes},
+            reported={poke.poke: poke.miss for poke in pokes},
             frame=frame,
             rig=rig,
             channels=np.array(newest.channels, dtype=np.int64),
@@ -176,9 +176,9 @@ class Reviewer:
     def _places(self, contacts: Sequence[Contact], of: Change) -> dict[Method, FloatArray]:
         """Return for each method (n, 3) where the taxels lie, metres; NaN where not known."""
         noise, unknown = self._scene.noise, np.full(3, np.nan)
-        solved = estimate_taxels(contacts, of.channels, self._methods, noise, self._surface, of.dead, model=self._boards)
+        solved = estimate_taxels(contacts, of.channels, self._methods, noise, self._surface, of.dead, model=self._module_model)
         return {
-            method: np.array([unknown if one.position is None else one.position for one in found.values()]).reshape(-1, 3)
+            method: np.array([unknown if e.position is None else e.position for e in found.values()]).reshape(-1, 3)
             for method, found in solved.items()
         }
 
@@ -212,7 +212,7 @@ class Unreviewed(Enum):
     """Why there is no review."""
 
     GIVEN_UP = "a newer change waits"
-    UNKNOWN = "what was told before this change is not known here"
+    UNKNOWN = "what came before this change is not known here"
 
 
 class _GivenUpError(Exception):
@@ -224,12 +224,12 @@ _reviewers: dict[str, Reviewer] = {}
 
 
 def review_change(session: str, part: ReviewedPart | None, change: Change, wanted: Callable[[], bool]) -> Review | Unreviewed:
-    """Take a change of a session and review it; what was told before is kept in this process.
+    """Take a change of a session and review it; what came before is kept in this process.
 
     Parameters
     ----------
     session : a name of it, unlike any other's
-    part : where the change tells all; else None
+    part : where the change holds everything; else None
     wanted : returns whether this change is the newest; the work on another is given up, unless it has taken long
 
     Raises

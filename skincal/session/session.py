@@ -67,7 +67,7 @@ class Session:
         self.surface = surface
         self._solving = Solving(scene, surface, methods)
         self.methods = self._solving.methods
-        self.boards = self._solving.boards
+        self.module_model = self._solving.module_model
         """The modules; None where their method is not solved."""
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
@@ -141,7 +141,7 @@ class Session:
 
     def rig_request(self) -> RigRequest:
         """Return what a correction of the rig is worked out from."""
-        contacts = [one for one in self.framed().values() if isinstance(one, Contact)]
+        contacts = [outcome for outcome in self.framed().values() if isinstance(outcome, Contact)]
         return RigRequest(self.scene, self.surface, contacts, self.landmark_pokes, self.dead)
 
     def framed(self) -> dict[int, Outcome]:
@@ -149,20 +149,20 @@ class Session:
 
         What did not change is the same object as in the last answer.
         """
-        return {poke: self._corrections.framed[poke] for poke, one in self._records.items() if not one.excluded}
+        return {poke: self._corrections.framed[poke] for poke, record in self._records.items() if not record.excluded}
 
     def corrected_progress(self, progress: Progress, link_from_sensor: FloatArray | None, pose: str) -> Progress:
         """Return a poke in progress as the corrections in use have it.
 
         Parameters
         ----------
-        link_from_sensor : (4, 4) float of the arm pose of that name, as told; None while unknown
+        link_from_sensor : (4, 4) float of the arm pose of that name, as reported; None while unknown
         """
         force, point = self._corrections.of_progress(progress, link_from_sensor, pose)
         return progress if force is progress.force else replace(progress, force=force, axis_point=point)
 
     def add(self, outcome: Outcome) -> None:
-        """Take a poke's outcome; one with the same number replaces the earlier."""
+        """Take a poke's outcome, in place of an earlier one with its number."""
         before = self._records.get(outcome.poke)
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded))
@@ -173,12 +173,12 @@ class Session:
 
     def settle(self) -> None:
         """Make every outcome final as it stands: what could have changed it will not come."""
-        for outcome in [one for one in self._corrections.told.values() if not one.final]:
+        for outcome in [outcome for outcome in self._corrections.reported.values() if not outcome.final]:
             self.add(replace(outcome, final=True))
 
     def outcome(self, poke: int) -> Outcome | None:
-        """Return how a poke ended, as the rig told it; None where there is no such poke."""
-        return self._corrections.told.get(poke)
+        """Return how a poke ended, as the rig reported it; None where there is no such poke."""
+        return self._corrections.reported.get(poke)
 
     def find_dead(self, found: Mapping[int, str]) -> None:
         """Take the channels that the detector found to be dead, in place of those before."""
@@ -245,7 +245,7 @@ class Session:
         if self.unsolved and self._last is not None:
             return self._last
         fresh, last = self._solving.take_fresh(), self._history.last(self._is_excluded)
-        # The first snapshot solves every taxel, which is no poke's doing: a session that was opened again rings none.
+        # The first snapshot solves every taxel, which is no poke's doing: a session that is opened again shows none as new.
         if len(fresh) and self._generation:
             self._touched = fresh
         self._last = self._snapshot = Snapshot(
@@ -272,30 +272,31 @@ class Session:
         from skincal.files.calibration import Calibration
 
         estimates = self.snapshot().estimates
+        outcomes = [self._corrections.reported[poke] for poke in self._records]
         return Calibration(
             scene=self.scene,
             channels=self.channels,
             estimates=estimates,
-            contacts=tuple(one for one in map(self._corrections.told.__getitem__, self._records) if isinstance(one, Contact)),
+            contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
             mesh_sha256=None if self.surface is None else self.surface.sha256,
             version=__version__,
             excluded=self.excluded,
             dead=self.dead,
             corrections=tuple(self.corrections.values()),
-            landmark_pokes=self._known.pokes(map(self._corrections.told.__getitem__, self._records)),
+            landmark_pokes=self._known.pokes(outcomes),
         )
 
     def _kept(self, pokes: Iterable[int]) -> list[Contact]:
         """Return those of `pokes` that count, in the order of their numbers."""
         records = (self._records[poke] for poke in sorted(pokes))
-        return [one.outcome for one in records if isinstance(one.outcome, Contact) and not one.excluded]
+        return [record.outcome for record in records if isinstance(record.outcome, Contact) and not record.excluded]
 
     def _correct_all(self) -> None:
-        """Correct every poke anew, from what the rig told."""
+        """Correct every poke anew, from what the rig reported."""
         for poke, record in self._records.items():
-            self._records[poke] = replace(record, outcome=self._corrections.corrected(poke))
-        for poke, one in self._records.items():
-            if isinstance(one.outcome, Contact):
+            outcome = self._corrections.corrected(poke)
+            self._records[poke] = replace(record, outcome=outcome)
+            if isinstance(outcome, Contact):
                 self._solving.poke_changed(poke, ())
         self._solving.taxels_changed(self.channels)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from skincal.contacts.outcome import Outcome, Progress
+from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import Landmark
@@ -47,6 +47,11 @@ class Snapshot:
     """Pokes that were at a landmark: number to its name."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The contacts that count, in the order of their numbers."""
+        return tuple(record.outcome for record in self.pokes if isinstance(record.outcome, Contact) and not record.excluded)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -43,18 +43,18 @@ class Solving:
     """
 
     def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None) -> None:
-        self.methods = tuple(one for one in methods_of(scene, surface) if methods is None or one in methods)
+        self.methods = tuple(method for method in methods_of(scene, surface) if methods is None or method in methods)
         layout = scene.skin.layout
-        solved = layout is not None and Method.MODULES in self.methods
-        self.boards = ModuleModel(layout, scene.skin.anchor, surface) if layout is not None and solved else None
+        solved = Method.MODULES in self.methods
+        self.module_model = ModuleModel(layout, scene.skin.anchor, surface) if layout is not None and solved else None
         """The modules; None where their method is not solved."""
         self._noise, self._surface = scene.noise, surface
         self._alone = [method for method in self.methods if method in PER_TAXEL]
-        self._ledger = self._shown = ContactTable()
+        self._table = self._shown = ContactTable()
         """What is solved from, and what the last answers were: the same but while some taxels wait."""
         self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
         self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
-        """Pokes that the ledger does not know as they are now; taxels to solve; taxels for the next answer of `take_fresh`."""
+        """Pokes that the table lacks as they are now; taxels to solve; taxels for the next answer of `take_fresh`."""
 
     @property
     def waiting(self) -> int:
@@ -62,7 +62,7 @@ class Solving:
         return len(self._channels)
 
     def poke_changed(self, poke: int, channels: Iterable[int]) -> None:
-        """Note that a contact came, went or is another one, with the channels that answered."""
+        """Note that a contact came, went or changed, with the channels that answered."""
         self._pokes.add(poke)
         self._channels.update(channels)
 
@@ -92,13 +92,13 @@ class Solving:
         self._fresh.update(self._channels)
         self._channels.intersection_update(channels)
         parts = self._parts(sorted(self._channels), within_s)
-        if len(parts) > 1 and self._ledger is self._shown:
+        if len(parts) > 1 and self._table is self._shown:
             # What was known before is asked for until all is solved.
-            self._ledger = ContactTable(kept(known))
+            self._table = ContactTable(kept(known))
         else:
             for poke in self._pokes:
-                self._ledger.drop(poke)
-            self._ledger.add(kept(self._pokes))
+                self._table.drop(poke)
+            self._table.add(kept(self._pokes))
         self._pokes.clear()
         for part in parts:
             self._solve(part, dead)
@@ -106,7 +106,7 @@ class Solving:
             if time.perf_counter() > end:
                 break
         if not self._channels:
-            self._shown = self._ledger
+            self._shown = self._table
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
         """Return for each method one estimate a channel; all of them were solved once."""
@@ -126,18 +126,21 @@ class Solving:
         """Return channels in the parts that they are solved in; a module's stay together."""
         if math.isinf(within_s):
             return [channels]
-        if self.boards is None:
+        if self.module_model is None:
             return [channels[at : at + TAXELS_AT_ONCE] for at in range(0, len(channels), TAXELS_AT_ONCE)]
-        modules = self.boards.modules_of(channels)
+        modules = self.module_model.modules_of(channels)
         some = [modules[at : at + MODULES_AT_ONCE] for at in range(0, len(modules), MODULES_AT_ONCE)]
-        return [[channel for channel in self.boards.channels_of(part) if channel in self._channels] for part in some]
+        return [[channel for channel in self.module_model.channels_of(part) if channel in self._channels] for part in some]
 
     def _solve(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
         last = self._estimates.get(Method.SURFACE, {})
-        solved = estimate_from(self._ledger, channels, self._alone, self._noise, self._surface, dead, last)
+        solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last)
         for method, estimates in solved.items():
             self._estimates[method].update(estimates)
-        if self.boards is not None:
-            modules, others = self.boards.modules_of(channels), [self._estimates[one] for one in reversed(self._alone)]
-            found = estimate_modules(self._ledger, self.boards, modules, self._noise, others, dead)
+        if self.module_model is not None:
+            modules, others = (
+                self.module_model.modules_of(channels),
+                [self._estimates[method] for method in reversed(self._alone)],
+            )
+            found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead)
             self._estimates[Method.MODULES].update(found)

@@ -1,4 +1,4 @@
-"""A whole session at once: the simulated devices' bytes in virtual time, through the road into a journal."""
+"""A whole session at once: the simulated devices' bytes in virtual time, through the pipeline into a journal."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def simulate_session(
 
     Returns
     -------
-    The road at its end, its journal closed.
+    The pipeline at its end, its journal closed.
 
     Raises
     ------
@@ -68,27 +68,27 @@ def simulate_session(
     operator = Auto(rig, habits or Habits(), operator_rng, pokes, poses, channels)
     line = DeviceTimeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
-    road = Pipeline(scene, links, surface, create_session(folder, scene, links))
+    pipeline = Pipeline(scene, links, surface, create_session(folder, scene, links))
     write_truth(folder / TRUTH_NAME, rig)
-    _play(line, operator, road, progress)
-    road.close()
-    return road
+    _play(line, operator, pipeline, progress)
+    pipeline.close()
+    return pipeline
 
 
-def _play(line: DeviceTimeline, operator: Auto, road: Pipeline, progress: Callable[[int], None] | None) -> None:
+def _play(line: DeviceTimeline, operator: Auto, pipeline: Pipeline, progress: Callable[[int], None] | None) -> None:
     for link in line.links:
-        road.feed(LinkEvent(link, START_NS, LinkState.OPEN))
+        pipeline.feed(LinkEvent(link, START_NS, LinkState.OPEN))
     begun = 0
     while not line.finished:
         for at_ns, link, data in line.step():
-            road.feed(Chunk(link, START_NS + at_ns, data))
-        road.tick(START_NS + round(line.now * 1e9))
+            pipeline.feed(Chunk(link, START_NS + at_ns, data))
+        pipeline.tick(START_NS + round(line.now * 1e9))
         if progress is not None and operator.begun != begun:
             begun = operator.begun
             progress(begun)
     end_ns = START_NS + round(line.now * 1e9)
     for link in line.links:
-        road.feed(LinkEvent(link, end_ns, LinkState.ENDED))
+        pipeline.feed(LinkEvent(link, end_ns, LinkState.ENDED))
 
 
 def truth(rig: Rig) -> dict[str, Any]:

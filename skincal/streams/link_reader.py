@@ -46,9 +46,13 @@ class Reader:
         """Begin to read."""
         self._thread.start()
 
+    def halt(self) -> None:
+        """Read no more after the read in progress; returns at once, and the thread closes the link."""
+        self._stop.set()
+
     def stop(self) -> None:
         """Stop reading and close the link; waits for the thread, at most two seconds."""
-        self._stop.set()
+        self.halt()
         if self._thread.ident is not None:
             self._thread.join(JOIN_S)
 

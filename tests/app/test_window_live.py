@@ -7,6 +7,7 @@ import gc
 import os
 import signal
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -63,6 +64,7 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.key(Qt.Key.Key_Space)
     assert bench.controller.running is Running.PAUSED
     assert workspace.now.headline.text() == "paused"
+    bench.until_all_is_taken_in()
     pokes, estimates = len(bench.snapshot.pokes), known(bench.snapshot)
     assert len(estimates) >= 2
 
@@ -134,10 +136,23 @@ def test_pause_and_go_on_make_a_new_segment_and_lose_nothing(bench, tmp_path):
     estimates = known(bench.snapshot)
     bench.window.close()
     assert len(list((tmp_path / "mine").glob("segment-*.mcap"))) == 2
-    road = replay(tmp_path / "mine")
-    assert len(road.snapshot().pokes) >= before + 1
-    assert set(estimates) <= set(known(road.snapshot()))
+    pipeline = replay(tmp_path / "mine")
+    assert len(pipeline.snapshot().pokes) >= before + 1
+    assert set(estimates) <= set(known(pipeline.snapshot()))
     assert bench.window.session_view.workspace.rig.arm is None
+
+
+def test_a_pause_ends_the_reading_whatever_else_the_background_does(bench):
+    """What is read after it would be recorded: pokes would come for as long as another work takes."""
+    bench.open_served("flat-patch")
+    done = threading.Event()
+    bench.controller.compute(lambda: done.wait(60), lambda _: None)
+    bench.key(Qt.Key.Key_Space)
+    try:
+        bench.until_all_is_taken_in()
+    finally:
+        done.set()
+    bench.window.close()
 
 
 def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, QSettings, Qt
@@ -81,6 +82,12 @@ class Bench:
         while self.window.messages.isVisible():
             self.window.messages.dismiss()
         self.qtbot.wait(50)
+
+    def until_all_is_taken_in(self) -> None:
+        """Wait after a pause until the readers ended, and what they had read is worked on and shown."""
+        recording = self.controller._recording
+        self.until(lambda: not any(thread.name.startswith("reader ") for thread in threading.enumerate()), 5000)
+        self.until(lambda: not recording.behind and not recording.pipeline.session.unsolved)
 
     def key(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
         self.window.activateWindow()

@@ -109,8 +109,8 @@ def test_a_search_tree_is_built(benchmark, triangles):
 
 
 def test_the_sample_session_is_loaded(benchmark):
-    road = benchmark.pedantic(load, (resource("sessions/sample"),), rounds=3, warmup_rounds=1)
-    assert road.session.contacts
+    pipeline = benchmark.pedantic(load, (resource("sessions/sample"),), rounds=3, warmup_rounds=1)
+    assert pipeline.session.contacts
 
 
 def test_a_session_of_ten_thousand_pokes_is_opened(benchmark, forearm, tmp_path):
@@ -118,6 +118,6 @@ def test_a_session_of_ten_thousand_pokes_is_opened(benchmark, forearm, tmp_path)
     contacts = forearm.contacts(-(-10_000 // len(forearm.channels)), seed=1)[:10_000]
     spaced = [replace(one, poke=i, start_s=2.5 * i, end_s=2.5 * i + 0.3) for i, one in enumerate(contacts, start=1)]
     write_pokes(tmp_path / "session", forearm.scene, spaced)
-    road = benchmark.pedantic(load, (tmp_path / "session",), rounds=3)
-    assert len(road.session.contacts) == len(spaced)
-    assert road.snapshot().estimates[Method.SURFACE]
+    pipeline = benchmark.pedantic(load, (tmp_path / "session",), rounds=3)
+    assert len(pipeline.session.contacts) == len(spaced)
+    assert pipeline.snapshot().estimates[Method.SURFACE]

@@ -221,12 +221,12 @@ def outcome_key(outcome: Outcome) -> tuple[object, ...]:
     return tuple(np.asarray(value).tobytes() if isinstance(value, np.ndarray | float) else value for value in values)
 
 
-def killed(road):
+def killed(pipeline):
     """What was buffered is on the disk, and nothing more comes: what the system does to a process that dies."""
-    road.journal.sync()
-    road.journal._abandon()
-    road.journal._lock._file.close()
-    return road
+    pipeline.journal.sync()
+    pipeline.journal._abandon()
+    pipeline.journal._lock._file.close()
+    return pipeline
 
 
 def torn(folder, size, number=1):

@@ -29,7 +29,7 @@ PATCH = resource("scenes/flat-patch/scene.toml")
 FOREARM = resource("scenes/icub-forearm/scene.toml")
 SERVE = ("simulate", "--serve", "--tcp", "--operator", "told", "--careful", "--seed", "4", "--scene")
 SLOW = DeviceSettings(wrench_hz=200.0, joints_hz=20.0, block_s=0.02)
-"""A fifth of the readings: the same road in less time."""
+"""A fifth of the readings: the same pipeline in less time."""
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +39,10 @@ def forearm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pipeline]:
     assert scene.surface is not None
     folder = tmp_path_factory.mktemp("forearm") / "trial"
     surface, _ = load_surface(scene.surface)
-    road = simulate_session(
+    pipeline = simulate_session(
         scene, surface, folder, 84, 5, RigErrors.noise(), poses=("1", "6"), habits=Habits.careful(), settings=SLOW
     )
-    return folder, road
+    return folder, pipeline
 
 
 @pytest.fixture(scope="module")
@@ -72,11 +72,11 @@ def test_bytes_become_a_calibration_file_that_is_right(forearm, tmp_path):
 
 
 def test_the_file_of_the_session_is_the_session(forearm, tmp_path, capsys):
-    """`solve` on the journal says what the live road said, to the last bit."""
-    folder, road = forearm
+    """`solve` on the journal says what the live pipeline said, to the last bit."""
+    folder, pipeline = forearm
     assert main(["solve", str(folder), "--out", str(tmp_path / "r"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    live = road.snapshot()
+    live = pipeline.snapshot()
     document = json.loads((tmp_path / "r" / "calibration.json").read_text(encoding="utf-8"))
     assert said["accepted"] == sum(not r.excluded for r in live.pokes if hasattr(r.outcome, "responses"))
     summary = error_summary(live.estimates[Method.SURFACE], read_reference(folder / "truth.json"))
@@ -90,8 +90,8 @@ def test_the_file_of_the_session_is_the_session(forearm, tmp_path, capsys):
 
 
 def test_every_reading_of_a_clean_line_arrives(forearm):
-    _, road = forearm
-    live = road.live(0)
+    _, pipeline = forearm
+    live = pipeline.live(0)
     for link in live.links:
         assert link.readings > 1000
         assert link.losses.get(Loss.BAD_CHECKSUM, 0) == 0

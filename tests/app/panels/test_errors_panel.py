@@ -503,8 +503,8 @@ def test_a_simulated_rig_tells_where_its_taxels_are_and_the_session_keeps_it(qtb
         server.start((sys.executable, "-c", f"print({json.dumps(told)!r}, flush=True); input()"))
     server.stop()
     folder = tmp_path / "new"
-    road = controller.begin_session(made, served.args[0], folder, order[0])
-    road.close()
+    pipeline = controller.begin_session(made, served.args[0], folder, order[0])
+    pipeline.close()
     found = controller.find_truth_of(folder, made)
     assert found.origin is Origin.TRUTH
     assert found.places[channel].tolist() == [0.0, 0.1, 0.2]

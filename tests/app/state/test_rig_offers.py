@@ -71,12 +71,12 @@ def review(
     answer: RigAnswer | None = None,
     diagnosis: FrameDiagnosis | None = RIGHT,
     pokes: int = 6,
-    told: Mapping[int, float] | None = None,
+    reported: Mapping[int, float] | None = None,
     before: Mapping[Method, FloatArray] | None = None,
     after: Mapping[Method, FloatArray] | None = None,
 ) -> Review:
     found = tuple(poke_of(number) for number in range(1, pokes + 1))
-    return Review(1, found, told or {}, diagnosis, answer or rig(), PLAN.channels, before or {}, after or {})
+    return Review(1, found, reported or {}, diagnosis, answer or rig(), PLAN.channels, before or {}, after or {})
 
 
 def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmarks=None, excluded=()):
@@ -243,12 +243,12 @@ def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
     pokes = (here(1), here(2, "high"), slip(3, Reason.NO_TAXEL), here(4), here(5))
     named = {1: "corner", 2: "corner", 3: "other", 4: "corner", 9: "other"}
     moment = at(pokes=pokes, at_landmarks=named, excluded=(4,))
-    told = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), told={1: 0.003, 2: 0.004, 4: 0.5})
+    told = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), reported={1: 0.003, 2: 0.004, 4: 0.5})
     first, second = landmark_rows(moment, told)
     assert first == LandmarkRow("corner", 1, 2, f"3.5 {ARROW} 1.0 mm")
     assert second == LandmarkRow("other", 0, 1, DASH)
     assert [row.off for row in landmark_rows(moment, None)] == [DASH, DASH]
-    only = landmark_rows(moment, review(TOO_FEW, told={1: 0.003, 2: 0.004}))
+    only = landmark_rows(moment, review(TOO_FEW, reported={1: 0.003, 2: 0.004}))
     assert only[0].off == "3.5 mm"
     assert landmark_rows(replace(moment, landmarks=()), told) == []
 

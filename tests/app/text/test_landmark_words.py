@@ -74,7 +74,7 @@ def press(poke: int, start_s: float, place=CORNER.place, pose: str = "low") -> R
 
 
 class Landmarks(LandmarkGuide):
-    """The guide of the landmarks, and what the road makes of what it asks for."""
+    """The guide of the landmarks, and what the pipeline makes of what it asks for."""
 
     def __init__(self, of: Part, plan: PlannedPlaces) -> None:
         super().__init__(of, plan)
@@ -247,7 +247,7 @@ def test_nothing_is_asked_for_without_landmarks_or_before_the_arm_pose_is_known(
     landmarks = Landmarks(on_arm, plan_of(on_arm))
     assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0) is skin
     assert landmarks.before_skin(skin, of_pokes(pose="low"), 100.0).landmark is not None
-    assert asking(snapshot=of_pokes(pose=""))._wish is not None, "a part that no arm moves has one pose, without a name"
+    assert asking(snapshot=of_pokes(pose=""))._target is not None, "a part that no arm moves has one pose, without a name"
 
 
 def test_the_same_picture_asks_for_the_same_object():

@@ -116,9 +116,10 @@ def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot,
     reviewer = Reviewer(session.scene, session.surface)
     reviewer.take(Asked().change(session, session.snapshot()))
     own = reviewer.review(lambda: None)
-    assert answer.told == own.told
+    assert answer.reported == own.reported
     assert frame_sentence(answer.frame) == frame_sentence(own.frame)
     assert rig_sentences(answer.rig) == rig_sentences(own.rig)
+    assert answer.rig.unknowns.tolist() == own.rig.unknowns.tolist()
 
     pid = processes.pid
     assert is_running(pid)

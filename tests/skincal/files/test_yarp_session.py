@@ -62,25 +62,25 @@ def played(tmp_path_factory) -> tuple[Part, Pipeline]:
     links, chunks, findings = read_yarp(*write_logs(part, tmp_path_factory.mktemp("logs")))
     assert len(findings) == 2
     assert part.scene.surface is not None
-    road = Pipeline(part.scene, links, load_surface(part.scene.surface)[0])
+    pipeline = Pipeline(part.scene, links, load_surface(part.scene.surface)[0])
     for chunk in chunks:
-        road.feed(chunk)
-    road.close()
-    return part, road
+        pipeline.feed(chunk)
+    pipeline.close()
+    return part, pipeline
 
 
 def test_every_poke_of_the_log_is_a_contact(played):
-    _, road = played
-    outcomes = [record.outcome for record in road.snapshot().pokes]
+    _, pipeline = played
+    outcomes = [record.outcome for record in pipeline.snapshot().pokes]
     assert len(outcomes) == len(PUSHES) * len(TAXELS)
     assert all(isinstance(outcome, Contact) for outcome in outcomes)
 
 
 @pytest.mark.parametrize("method", PER_TAXEL)
 def test_the_written_positions_are_the_true_ones(played, tmp_path, method):
-    part, road = played
+    part, pipeline = played
     path = tmp_path / "positions.txt"
-    said = write_calibration(road.session.calibration(), "icub", path, method)
+    said = write_calibration(pipeline.session.calibration(), "icub", path, method)
     file = read_icub(path)
     assert np.flatnonzero(file.positions.any(axis=1)).tolist() == list(TAXELS)
     for channel in TAXELS:
@@ -92,14 +92,20 @@ def test_the_written_positions_are_the_true_ones(played, tmp_path, method):
 
 def test_the_json_of_the_log_computes_again(played, tmp_path):
 
-    _, road = played
-    calibration = road.session.calibration()
+    _, pipeline = played
+    calibration = pipeline.session.calibration()
     write_calibration(calibration, "json", tmp_path / "c.json", Method.FREE)
     file = read_json(tmp_path / "c.json")
-    assert road.session.surface is not None
+    assert pipeline.session.surface is not None
     for method, estimates in calibration.estimates.items():
         again = solve(
-            file.used_contacts, file.channels, method, file.noise, road.session.surface, file.dead, road.session.boards
+            file.used_contacts,
+            file.channels,
+            method,
+            file.noise,
+            pipeline.session.surface,
+            file.dead,
+            pipeline.session.module_model,
         )
         for estimate in estimates:
             other = again[estimate.channel]

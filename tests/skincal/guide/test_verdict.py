@@ -151,7 +151,7 @@ def test_an_arm_that_reports_a_wrong_pose_is_not_believed(method):
         moved.add(replace(contact, link_from_sensor=shift @ contact.link_from_sensor) if contact.poke % 2 else contact)
     moved.snapshot()
     estimates, noise = moved.snapshot().estimates[method], part().scene.noise
-    found = check(moved.contacts, moved.channels, moved.evidence, method, noise, None, moved.boards, estimates)
+    found = check(moved.contacts, moved.channels, moved.evidence, method, noise, None, moved.module_model, estimates)
     assert not found.believed
 
 
@@ -164,7 +164,7 @@ def test_without_a_module_model_modules_are_not_checked():
     session, _ = poked_session()
     args = session.contacts, session.channels, session.evidence, Method.MODULES, part().scene.noise
     assert check(*args, part().surface) == Check(0, 0)
-    assert check([], *args[1:2], Session(part().scene, None).evidence, *args[3:], None, session.boards) == Check(0, 0)
+    assert check([], *args[1:2], Session(part().scene, None).evidence, *args[3:], None, session.module_model) == Check(0, 0)
 
 
 def test_a_few_pokes_that_agree_say_nothing():
@@ -223,7 +223,7 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
     verdict = verdict_of(guidance, estimates, contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
     by_modules = replace(guidance, method=Method.MODULES)
     answers = (snapshot.estimates[Method.MODULES], contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
-    assert verdict_of(by_modules, *answers, mine.boards).check.tells
+    assert verdict_of(by_modules, *answers, mine.module_model).check.tells
     assert verdict.used == 83
     assert verdict.pokes == len(contacts)
     assert {taxel.channel: taxel.why for taxel in verdict.left}[dead] is Why.DEAD

@@ -28,10 +28,10 @@ def recorded(tmp_path_factory):
     """A session that was closed: its folder and its items."""
     folder = tmp_path_factory.mktemp("damage")
     scene = write_scene(folder / "source")
-    road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
     for item in as_chunks(some_pokes(scene, 4).samples):
-        road.feed(item)
-    road.close()
+        pipeline.feed(item)
+    pipeline.close()
     return folder / "s", list(SessionLog(folder / "s").items())
 
 
@@ -119,20 +119,20 @@ def test_a_torn_session_is_recovered_and_goes_on(recorded, tmp_path):
     torn(folder, (folder / "segment-0001.mcap").stat().st_size * 2 // 3)
     before, _ = read_all(folder)
     assert len(items) / 4 < len(before) < len(items)
-    road = resume(folder)
+    pipeline = resume(folder)
     assert (folder / "segment-0001.mcap.damaged").exists()
-    assert "recovered" in road.findings[0]
-    assert "bytes were lost" in road.findings[0]
-    scene = road.scene
+    assert "recovered" in pipeline.findings[0]
+    assert "bytes were lost" in pipeline.findings[0]
+    scene = pipeline.scene
     for item in as_chunks(some_pokes(scene, 1, seed=3).samples):
-        road.feed(item)
-    road.close()
+        pipeline.feed(item)
+    pipeline.close()
     assert {path.name for path in folder.glob("*.mcap")} == {"segment-0001.mcap", "segment-0002.mcap"}
     again, findings = read_all(folder)
     assert again[: len(before)] == before
     assert findings == ()
     assert [outcome_key(one.outcome) for one in replay(folder).snapshot().pokes] == [
-        outcome_key(one.outcome) for one in road.snapshot().pokes
+        outcome_key(one.outcome) for one in pipeline.snapshot().pokes
     ]
 
 
@@ -144,13 +144,13 @@ def test_segments_after_a_hole_are_put_aside(recorded, tmp_path):
     assert back == items[: len(back)]
     assert "segment-0002.mcap: not read" in findings[1]
     assert "segment-0002.mcap: not read" in load(folder).findings[1]
-    road = resume(folder)
-    road.close()
+    pipeline = resume(folder)
+    pipeline.close()
     assert {path.name for path in folder.glob("segment-0002*after-damage")} == {
         "segment-0002.mcap.after-damage",
         "segment-0002.jsonl.after-damage",
     }
-    assert any("put aside" in sentence for sentence in road.findings)
+    assert any("put aside" in sentence for sentence in pipeline.findings)
     assert load(folder).findings == replay(folder).findings == ()
 
 
@@ -166,9 +166,9 @@ def test_lost_bytes_of_an_earlier_segment_cost_no_poke(recorded, tmp_path):
         assert 0 < len(played.session.contacts) < len(loaded.session.contacts) == 4
         assert "lost" in played.findings[0]
         assert "not read, since what comes before it has a hole" in played.findings[1]
-        road = resume(folder)
-        assert len(road.session.contacts) == 4
-        road.close()
+        pipeline = resume(folder)
+        assert len(pipeline.session.contacts) == 4
+        pipeline.close()
     assert [path.name for path in folder.glob("*.damaged")] == ["segment-0001.mcap.damaged"]
     assert list(folder.glob("*after-damage")) == []
 
@@ -186,19 +186,19 @@ def test_torn_lines_are_read_up_to_there_and_the_bytes_with_them(recorded, tmp_p
         assert loaded.findings
         assert same_session(loaded, played)
         counts.append(len(loaded.session.contacts))
-        road = resume(folder)
-        for item in as_chunks(some_pokes(road.scene, 1, seed=3).samples):
-            road.feed(item)
-        road.close()
-        assert same_session(road, load(folder))
-        assert same_session(road, replay(folder))
+        pipeline = resume(folder)
+        for item in as_chunks(some_pokes(pipeline.scene, 1, seed=3).samples):
+            pipeline.feed(item)
+        pipeline.close()
+        assert same_session(pipeline, load(folder))
+        assert same_session(pipeline, replay(folder))
     assert counts[0] == counts[1] == 4, "without a line there is the MCAP file"
     assert counts[2:] == sorted(counts[2:])
     assert counts[2] < 4
 
 
 def same_session(first, second):
-    one, other = ([outcome_key(record.outcome) for record in road.snapshot().pokes] for road in (first, second))
+    one, other = ([outcome_key(record.outcome) for record in pipeline.snapshot().pokes] for pipeline in (first, second))
     return one == other
 
 
@@ -230,13 +230,13 @@ from skincal.session.pipeline import Pipeline
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
-road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+pipeline = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 items = as_chunks(some_pokes(scene, 60).samples)
 print("begin", flush=True)
 for count, item in enumerate(items):
-    road.feed(item)
+    pipeline.feed(item)
     if count % 20 == 0:
-        print(count, sum(one.outcome.final for one in road.snapshot().pokes), flush=True)
+        print(count, sum(one.outcome.final for one in pipeline.snapshot().pokes), flush=True)
 """
 
 
@@ -288,13 +288,13 @@ from skincal.session.pipeline import Pipeline
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
-road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+pipeline = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 for item in as_chunks(some_pokes(scene, 8).samples):
-    road.feed(item)
-road.close()
-print(len(road.session.contacts))
-print(road.journal_failure)
+    pipeline.feed(item)
+pipeline.close()
+print(len(pipeline.session.contacts))
+print(pipeline.journal_failure)
 print(len(replay(folder / "s").session.contacts))
 """
 
@@ -322,16 +322,16 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
 
 def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     monkeypatch.setattr(os, "fsync", _refuse)
     for item in as_chunks(some_pokes(scene, 2).samples):
-        road.feed(item)
-    assert "No space left" in road.journal_failure
-    assert road.journal is None
-    assert sum(isinstance(one.outcome, Contact) for one in road.snapshot().pokes) == 2
+        pipeline.feed(item)
+    assert "No space left" in pipeline.journal_failure
+    assert pipeline.journal is None
+    assert sum(isinstance(one.outcome, Contact) for one in pipeline.snapshot().pokes) == 2
     monkeypatch.undo()
     with pytest.raises(InputError, match="open the session again"):
-        road.begin_segment(LINKS, next_segment(tmp_path / "s", scene, LINKS))
+        pipeline.begin_segment(LINKS, next_segment(tmp_path / "s", scene, LINKS))
     (tmp_path / "s" / "segment-0002.mcap").unlink()
     kept = replay(tmp_path / "s").session.contacts
     assert len(kept) == 1

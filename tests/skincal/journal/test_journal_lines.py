@@ -38,14 +38,14 @@ def scene(tmp_path):
 
 
 def record(scene, folder, script, actions=()):
-    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(script.samples)
     due = {round(share * len(items)): action for share, action in actions}
     for k, item in enumerate(items):
-        road.feed(item)
+        pipeline.feed(item)
         if k in due:
-            road.act(due[k], item.host_ns)
-    return road
+            pipeline.act(due[k], item.host_ns)
+    return pipeline
 
 
 def from_notes(folder):
@@ -115,15 +115,15 @@ def test_what_the_next_line_replaces_is_left_out(scene, tmp_path):
 def test_a_first_outcome_stays_where_something_was_done_before_the_second(scene, tmp_path):
     """The steps of undo follow the order in which a poke was accepted and an action done."""
     script = some_pokes(scene, 2)
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(script.samples):
-        road.feed(item)
-        if len(road.session.contacts) == 2 and not road.session.outcome(2).final and not road.session.excluded:
-            road.act(Exclude(1), item.host_ns)
-    road.close()
+        pipeline.feed(item)
+        if len(pipeline.session.contacts) == 2 and not pipeline.session.outcome(2).final and not pipeline.session.excluded:
+            pipeline.act(Exclude(1), item.host_ns)
+    pipeline.close()
     assert [line.count(b'"poke"') for line in read_lines(path_of(tmp_path / "s")).documents if b"taken" in line] == [1, 1, 1]
-    assert_same(load(tmp_path / "s"), road)
-    assert road.snapshot().can_undo == "exclusion of poke 1"
+    assert_same(load(tmp_path / "s"), pipeline)
+    assert pipeline.snapshot().can_undo == "exclusion of poke 1"
 
 
 def test_opening_reads_the_lines_alone(scene, tmp_path, monkeypatch):

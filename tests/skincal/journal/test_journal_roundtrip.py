@@ -29,14 +29,14 @@ def scene(tmp_path):
 
 def record(scene, folder, pokes=4, actions=(), seed=5):
     """A recorded session; `actions` are done at the shares of it that they name."""
-    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(some_pokes(scene, pokes, seed).samples)
     due = {round(share * len(items)): action for share, action in actions}
     for k, item in enumerate(items):
-        road.feed(item)
+        pipeline.feed(item)
         if k in due:
-            road.act(due[k], item.host_ns)
-    return road
+            pipeline.act(due[k], item.host_ns)
+    return pipeline
 
 
 def assert_same(first, second):
@@ -107,9 +107,9 @@ def test_an_action_that_no_longer_fits_a_changed_scene_is_said_and_left_out(scen
     record(scene, tmp_path / "s", pokes=2, actions=[(0.9, Exclude(1))]).close()
     with (tmp_path / "s" / "scene" / "scene.toml").open("a") as file:
         file.write("[contacts]\nforce_min = 12.0\n")
-    road = replay(tmp_path / "s")
-    assert road.session.contacts == ()
-    assert any("no longer fits" in sentence and "Poke 1" in sentence for sentence in road.findings)
+    pipeline = replay(tmp_path / "s")
+    assert pipeline.session.contacts == ()
+    assert any("no longer fits" in sentence and "Poke 1" in sentence for sentence in pipeline.findings)
 
 
 def test_replay_is_the_live_session_bit_for_bit(scene, tmp_path):
@@ -154,12 +154,12 @@ def test_resume_goes_on_in_a_new_segment(scene, tmp_path):
 
 def test_resume_in_the_middle_of_a_poke_loses_that_poke_alone(scene, tmp_path):
     folder = tmp_path / "s"
-    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(some_pokes(scene, 2).samples)
     for item in items[: round(len(items) * 0.72)]:  # the second poke is held
-        road.feed(item)
-    road.close()
-    assert len(road.session.contacts) == 1
+        pipeline.feed(item)
+    pipeline.close()
+    assert len(pipeline.session.contacts) == 1
     again = resume(folder)
     assert [contact.poke for contact in again.session.contacts] == [1]
     assert again.snapshot().pokes[0].outcome.final
@@ -298,6 +298,6 @@ def test_speed_paces_the_replay(scene, tmp_path):
 def test_a_replay_can_be_stopped(scene, tmp_path):
     record(scene, tmp_path / "s", pokes=3).close()
     seen = []
-    road = replay(tmp_path / "s", stop=lambda: len(seen.append(1) or seen) >= 200)
+    pipeline = replay(tmp_path / "s", stop=lambda: len(seen.append(1) or seen) >= 200)
     assert len(seen) == 200
-    assert len(road.session.contacts) < 3
+    assert len(pipeline.session.contacts) < 3

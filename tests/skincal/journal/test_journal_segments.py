@@ -39,18 +39,18 @@ def scene(tmp_path, monkeypatch):
 
 
 def recorded(scene, folder, actions=(), pokes=4):
-    road = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
     items = as_chunks(some_pokes(scene, pokes).samples)
     due = {round(share * len(items)): action for share, action in actions}
     for k, item in enumerate(items):
-        road.feed(item)
+        pipeline.feed(item)
         if k in due:
-            road.act(due[k], item.host_ns)
-    return road
+            pipeline.act(due[k], item.host_ns)
+    return pipeline
 
 
-def assert_same(*roads):
-    first, *others = (road.snapshot() for road in roads)
+def assert_same(*pipelines):
+    first, *others = (pipeline.snapshot() for pipeline in pipelines)
     for other in others:
         assert [outcome_key(one.outcome) for one in first.pokes] == [outcome_key(one.outcome) for one in other.pokes]
         assert [one.excluded for one in first.pokes] == [one.excluded for one in other.pokes]
@@ -96,16 +96,16 @@ def test_times_go_on_from_one_segment_to_the_next(scene, tmp_path):
 def test_a_kill_at_any_moment_leaves_a_session_that_goes_on(scene, tmp_path, seed):
     """The folder copied in the middle of the recording is what a kill leaves."""
     rng = random.Random(seed)
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = as_chunks(some_pokes(scene, 4).samples)
     moments = sorted(rng.sample(range(20, len(items)), 4))
     final = {}
     for k, item in enumerate(items):
-        road.feed(item)
+        pipeline.feed(item)
         if k in moments:
             shutil.copytree(tmp_path / "s", tmp_path / f"killed-{k}")
-            final[k] = [outcome_key(one.outcome) for one in road.snapshot().pokes if one.outcome.final]
-    road.close()
+            final[k] = [outcome_key(one.outcome) for one in pipeline.snapshot().pokes if one.outcome.final]
+    pipeline.close()
     for k in moments:
         folder = tmp_path / f"killed-{k}"
         loaded, played = load(folder), replay(folder)
@@ -152,22 +152,22 @@ def test_lines_without_a_byte_of_the_other_file_still_tell_the_session(scene, tm
 
 def test_a_pause_of_a_long_session(scene, tmp_path):
     """What ends a segment belongs to it, also where its successor is open already."""
-    road = recorded(scene, tmp_path / "s")
-    following = road.journal.open_next(scene, LINKS)
-    road.close()
-    road.begin_segment(LINKS, following)
+    pipeline = recorded(scene, tmp_path / "s")
+    following = pipeline.journal.open_next(scene, LINKS)
+    pipeline.close()
+    pipeline.begin_segment(LINKS, following)
     for item in as_chunks(some_pokes(scene, 1, seed=8).samples):
-        road.feed(item)
-    road.close()
-    assert_same(road, load(tmp_path / "s"), replay(tmp_path / "s"))
+        pipeline.feed(item)
+    pipeline.close()
+    assert_same(pipeline, load(tmp_path / "s"), replay(tmp_path / "s"))
     assert load(tmp_path / "s").findings == ()
 
 
 def test_a_disk_that_takes_no_further_segment_ends_the_journal(scene, tmp_path, monkeypatch):
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = as_chunks(some_pokes(scene, 3).samples)
     for item in items[: len(items) // 2]:
-        road.feed(item)
+        pipeline.feed(item)
     begun = len(list((tmp_path / "s").glob("*.mcap")))
 
     def refuse(_):
@@ -175,9 +175,9 @@ def test_a_disk_that_takes_no_further_segment_ends_the_journal(scene, tmp_path, 
 
     monkeypatch.setattr(writer, "LineWriter", refuse)
     for item in items[len(items) // 2 :]:
-        road.feed(item)
-    assert "No space left" in road.journal_failure
-    assert len(road.session.contacts) == 3
+        pipeline.feed(item)
+    assert "No space left" in pipeline.journal_failure
+    assert len(pipeline.session.contacts) == 3
     assert len(list((tmp_path / "s").glob("*.mcap"))) == begun
     assert len(load(tmp_path / "s").session.contacts) >= 1
     assert_same(load(tmp_path / "s"), replay(tmp_path / "s"))
@@ -225,14 +225,14 @@ def test_an_ending_belongs_to_the_segment_that_it_ends(scene, tmp_path):
 
 def test_at_a_contact_both_files_are_forced_onto_the_medium_the_bytes_first(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     names = {path.stat().st_ino: path.suffix for path in (tmp_path / "s").glob("segment-*")}
     synced = []
     monkeypatch.setattr(os, "fsync", lambda file: synced.append((names[os.fstat(file).st_ino], os.fstat(file).st_size)))
     for item in as_chunks(some_pokes(scene, 1).samples):
-        before, known = len(synced), [one.outcome for one in road.snapshot().pokes]
-        road.feed(item)
-        if [one.outcome for one in road.snapshot().pokes] != known:
+        before, known = len(synced), [one.outcome for one in pipeline.snapshot().pokes]
+        pipeline.feed(item)
+        if [one.outcome for one in pipeline.snapshot().pokes] != known:
             new = synced[before:]
             assert [suffix for suffix, _ in new] == [".mcap", ".jsonl"]
             assert new[1][1] == len(lines_path(tmp_path / "s" / "segment-0001.mcap").read_bytes())
@@ -240,4 +240,4 @@ def test_at_a_contact_both_files_are_forced_onto_the_medium_the_bytes_first(tmp_
             assert synced[before:] == []
     assert len(synced) == 4  # at its release and when it is final
     monkeypatch.undo()
-    road.close()
+    pipeline.close()

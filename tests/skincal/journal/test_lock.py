@@ -27,16 +27,16 @@ from skincal.session.pipeline import Pipeline
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 folder = Path(sys.argv[1])
 scene = write_scene(folder / "source")
-road = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
+pipeline = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 items = as_chunks(some_pokes(scene, 4).samples)
 for item in items[: len(items) * 2 // 3]:
-    road.feed(item)
-print(len(road.session.contacts), flush=True)
+    pipeline.feed(item)
+print(len(pipeline.session.contacts), flush=True)
 sys.stdin.readline()
 for item in items[len(items) * 2 // 3 :]:
-    road.feed(item)
-road.close()
-print(len(road.session.contacts), flush=True)
+    pipeline.feed(item)
+pipeline.close()
+print(len(pipeline.session.contacts), flush=True)
 """
 OPENER = """
 import sys
@@ -113,8 +113,8 @@ def test_a_reader_sees_what_is_written_changes_nothing_and_says_so(recording, tm
     before = state_of(tmp_path / "s")
     loaded, played = load(tmp_path / "s"), replay(tmp_path / "s")
     assert len(loaded.session.contacts) >= 2
-    for road in (loaded, played):
-        (said,) = road.findings
+    for pipeline in (loaded, played):
+        (said,) = pipeline.findings
         assert f"is being recorded by process {recording.pid}" in said
     assert main(["solve", str(tmp_path / "s")]) == 0
     assert "is being recorded by process" in capsys.readouterr().out
@@ -130,9 +130,9 @@ def test_a_killed_writer_holds_no_lock(recording, tmp_path):
     recording.wait()
     assert (tmp_path / "s" / LOCK_NAME).exists()
     assert writer_of(tmp_path / "s") == ""
-    road = resume(tmp_path / "s")
-    assert len(road.session.contacts) >= 2
-    road.close()
+    pipeline = resume(tmp_path / "s")
+    assert len(pipeline.session.contacts) >= 2
+    pipeline.close()
 
 
 def test_within_one_process_too(tmp_path):
@@ -212,10 +212,10 @@ def test_many_openers_at_once_and_one_gets_it(tmp_path):
 def test_a_session_that_cannot_be_written_is_read(tmp_path):
     """A read-only disk: any attempt to open a file for writing, to rename or to make one fails."""
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(some_pokes(scene, 3).samples):
-        road.feed(item)
-    killed(road)
+        pipeline.feed(item)
+    killed(pipeline)
     folder = shutil.copytree(tmp_path / "s", tmp_path / "r")
     before = state_of(folder)
     for path in (folder, folder / "scene"):
@@ -230,7 +230,7 @@ def test_a_session_that_cannot_be_written_is_read(tmp_path):
     try:
         for way in (load, replay):
             contacts = way(folder).session.contacts
-            assert [outcome_key(one) for one in contacts] == [outcome_key(one) for one in road.session.contacts]
+            assert [outcome_key(one) for one in contacts] == [outcome_key(one) for one in pipeline.session.contacts]
     finally:
         for path in (folder, folder / "scene"):
             path.chmod(0o755)

@@ -93,7 +93,13 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     correction = now.corrections[RIG].correction
     contacts = [correction.corrected(one) for one in told if isinstance(one, Contact)]
     solved = estimate_taxels(
-        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, model=session.boards
+        contacts,
+        session.channels,
+        session.methods,
+        session.scene.noise,
+        session.surface,
+        session.dead,
+        model=session.module_model,
     )
     for method, found in solved.items():
         for one, other in zip(now.estimates[method], found.values(), strict=True):
@@ -164,26 +170,26 @@ def test_a_frame_that_is_named_wrong_is_put_right():
 @pytest.mark.parametrize("again", [replay, load])
 def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     script = Script(scene).quiet()
     for _ in range(3):
         script.press(FORCE, POINT, {3: 80.0}).quiet()
     items = as_chunks(script.samples)
     for item in items:
-        road.feed(item)
+        pipeline.feed(item)
     last = max(item.host_ns for item in items if isinstance(item, Chunk))
     rng = np.random.default_rng(1)
     matrix, motion = np.eye(6) + 0.02 * rng.standard_normal((6, 6)), np.eye(4)
     motion[:3, 3] = 1e-3, -2e-3, 1 / 3
-    pose = road.snapshot().pokes[0].outcome.pose
-    told = road.snapshot()
-    road.act(AddLandmark("head", *POINT.tolist()), last + 1)
-    road.act(correct_action(RIG, Correction(matrix, motions={pose: motion}), 0.007, 0.001, 21), last + 2)
-    assert not same_estimates(road.snapshot(), told)
-    road.close()
+    pose = pipeline.snapshot().pokes[0].outcome.pose
+    told = pipeline.snapshot()
+    pipeline.act(AddLandmark("head", *POINT.tolist()), last + 1)
+    pipeline.act(correct_action(RIG, Correction(matrix, motions={pose: motion}), 0.007, 0.001, 21), last + 2)
+    assert not same_estimates(pipeline.snapshot(), told)
+    pipeline.close()
     other = again(tmp_path / "s")
-    assert same_estimates(other.snapshot(), road.snapshot())
-    here, there = (one.session.snapshot().corrections[RIG] for one in (road, other))
+    assert same_estimates(other.snapshot(), pipeline.snapshot())
+    here, there = (one.session.snapshot().corrections[RIG] for one in (pipeline, other))
     assert here.correction.matrix.tobytes() == there.correction.matrix.tobytes()
     assert (there.before, there.after, there.pokes) == (0.007, 0.001, 21)
 
@@ -239,7 +245,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     file = read_json(tmp_path / "c.json")
     assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig told it"
     solved = estimate_taxels(
-        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.boards
+        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.module_model
     )
     for method, found in solved.items():
         for one, other in zip(file.estimates[method], found.values(), strict=True):
@@ -294,14 +300,14 @@ def recorded(poked, tmp_path_factory):
     """A recorded session on the bad rig: its pokes are written as a detector's, without bytes."""
     rig, contacts, landmarks = poked
     folder = tmp_path_factory.mktemp("bad") / "s"
-    road = Pipeline(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
+    pipeline = Pipeline(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
     outcomes = [*contacts, *(rejected(one) for one in landmarks)]
     taken = Taken([(one, None) for one in outcomes], None)
-    road.take(taken)
-    road.journal.write(Chunk("wrench", 1, b""), [taken])
+    pipeline.take(taken)
+    pipeline.journal.write(Chunk("wrench", 1, b""), [taken])
     for poke in landmarks:
-        road.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)
-    road.close()
+        pipeline.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)
+    pipeline.close()
     return folder
 
 
@@ -328,9 +334,9 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
 
 def test_where_nothing_is_offered_a_command_says_so(tmp_path, capsys):
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(Script(scene).quiet().press(FORCE, POINT, {3: 80.0}).quiet().samples):
-        road.feed(item)
-    road.close()
+        pipeline.feed(item)
+    pipeline.close()
     assert main(["solve", str(tmp_path / "s"), "--correct"]) == 2
     assert "needs pokes at landmarks" in capsys.readouterr().err

@@ -37,29 +37,29 @@ POKES = 14
 
 @pytest.fixture(scope="module")
 def sample():
-    """A recorded session: its road, the truth, and its first contacts."""
+    """A recorded session: its pipeline, the truth, and its first contacts."""
     folder = resource("sessions/sample")
-    road = load(folder)
-    truth = find_truth(folder, road.scene.link, road.session.channels)
-    return road, truth, road.session.contacts[:POKES]
+    pipeline = load(folder)
+    truth = find_truth(folder, pipeline.scene.link, pipeline.session.channels)
+    return pipeline, truth, pipeline.session.contacts[:POKES]
 
 
-def poked(road, contacts) -> Session:
-    session = Session(road.scene, road.session.surface)
+def poked(pipeline, contacts) -> Session:
+    session = Session(pipeline.scene, pipeline.session.surface)
     for contact in contacts:
         session.add(contact)
     return session
 
 
-def history_of(road, truth) -> ErrorHistory:
-    return ErrorHistory(road.scene, road.session.surface, None if truth is None else truth.places)
+def history_of(pipeline, truth) -> ErrorHistory:
+    return ErrorHistory(pipeline.scene, pipeline.session.surface, None if truth is None else truth.places)
 
 
 def finish(history: ErrorHistory):
-    wish = history.wish()
-    while wish is not None:
-        assert history.put(wish, wish.work(0.0))
-        wish = history.wish()
+    recount = history.recount()
+    while recount is not None:
+        assert history.put(recount, recount.work(0.0))
+        recount = history.recount()
     return history.series()
 
 
@@ -74,9 +74,9 @@ def same(one, other) -> bool:
 
 
 def test_the_newest_point_is_what_the_report_says(sample):
-    road, truth, contacts = sample
-    session = poked(road, contacts)
-    series = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    pipeline, truth, contacts = sample
+    session = poked(pipeline, contacts)
+    series = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
     assert series.counts.tolist() == list(range(1, POKES + 1))
     assert (series.stride, series.missing) == (1, 0)
     for method in (Method.FREE, Method.SURFACE):
@@ -87,51 +87,52 @@ def test_the_newest_point_is_what_the_report_says(sample):
 
 
 def test_each_point_of_the_past_is_a_session_that_ended_there(sample):
-    road, truth, contacts = sample
-    series = error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places)
+    pipeline, truth, contacts = sample
+    series = error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places)
     for count in (1, 5, 9):
-        told = error_summary(poked(road, contacts[:count]).snapshot().estimates[Method.SURFACE], truth.places)
+        told = error_summary(poked(pipeline, contacts[:count]).snapshot().estimates[Method.SURFACE], truth.places)
         assert series.spreads[Method.SURFACE][count - 1, 0, [TAXELS, MEAN]] == pytest.approx([told.taxels, told.mean])
         assert series.pokes[count - 1] == contacts[count - 1].poke
 
 
 def test_without_a_reference_it_is_the_predicted_error(sample):
-    road, _, contacts = sample
-    session = poked(road, contacts)
-    series = error_series(road.scene, road.session.surface, session.snapshot(), None)
+    pipeline, _, contacts = sample
+    session = poked(pipeline, contacts)
+    series = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), None)
     predicted = [e.rms for e in session.snapshot().estimates[Method.SURFACE] if e.rms is not None]
     assert series.spreads[Method.SURFACE][-1, 0, MEAN] == pytest.approx(np.mean(predicted))
     assert series.spreads[Method.SURFACE][-1, 0, MAX] == max(predicted)
 
 
 def test_followed_live_opened_late_and_in_pieces_it_is_the_same_to_the_last_bit(sample):
-    road, truth, contacts = sample
-    live, session = history_of(road, truth), Session(road.scene, road.session.surface)
+    pipeline, truth, contacts = sample
+    live, session = history_of(pipeline, truth), Session(pipeline.scene, pipeline.session.surface)
     for contact in contacts:
         # As the detector gives them: once at the release, and again when the tare after it is known.
         session.add(replace(contact, moment=contact.moment * 1.01, final=False))
         live.take(session.snapshot())
         session.add(contact)
         live.take(session.snapshot())
-        assert live.wish() is None
-    late = history_of(road, truth)
+        assert live.recount() is None
+    late = history_of(pipeline, truth)
     late.take(session.snapshot())
     assert late.series().missing == POKES - 1
-    whole = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    whole = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
     assert same(live.series(), whole)
     assert same(finish(late), whole)
 
 
 def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
-    road, truth, contacts = sample
-    history, session = history_of(road, truth), poked(road, contacts)
+    pipeline, truth, contacts = sample
+    history, session = history_of(pipeline, truth), poked(pipeline, contacts)
     history.take(session.snapshot())
     before = finish(history)
     session.act(Undo())
     history.take(session.snapshot())
-    assert history.wish() is None
+    assert history.recount() is None
     assert same(
-        history.series(), error_series(road.scene, road.session.surface, poked(road, contacts[:-1]).snapshot(), truth.places)
+        history.series(),
+        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts[:-1]).snapshot(), truth.places),
     )
     session.act(Restore(contacts[-1].poke))
     session.act(Exclude(contacts[3].poke))
@@ -139,15 +140,17 @@ def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
     after = finish(history)
     assert contacts[3].poke not in after.pokes
     left_out = (*contacts[:3], *contacts[4:])
-    assert same(after, error_series(road.scene, road.session.surface, poked(road, left_out).snapshot(), truth.places))
+    assert same(
+        after, error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, left_out).snapshot(), truth.places)
+    )
     session.act(Restore(contacts[3].poke))
     history.take(session.snapshot())
     assert same(finish(history), before)
 
 
 def test_a_taxel_that_is_not_used_leaves_the_whole_course(sample):
-    road, truth, contacts = sample
-    history, session = history_of(road, truth), poked(road, contacts)
+    pipeline, truth, contacts = sample
+    history, session = history_of(pipeline, truth), poked(pipeline, contacts)
     history.take(session.snapshot())
     before = finish(history)
     dead = int(contacts[0].channels[0])
@@ -160,64 +163,73 @@ def test_a_taxel_that_is_not_used_leaves_the_whole_course(sample):
 
 
 def test_work_that_no_longer_holds_is_dropped(sample):
-    road, truth, contacts = sample
-    history, session = history_of(road, truth), poked(road, contacts)
+    pipeline, truth, contacts = sample
+    history, session = history_of(pipeline, truth), poked(pipeline, contacts)
     history.take(session.snapshot())
-    stale = history.wish()
+    stale = history.recount()
     points = stale.work(0.0)
     assert len(points) == 1
     session.act(Exclude(contacts[0].poke))
     history.take(session.snapshot())
     assert not history.put(stale, points)
     assert history.series().counts.tolist() == [POKES - 1]
-    assert history.wish() is not stale
+    assert history.recount() is not stale
 
 
 def test_a_poke_more_does_not_waste_the_work_that_is_under_way(sample):
-    road, truth, contacts = sample
-    history, session = history_of(road, truth), poked(road, contacts[:-1])
+    pipeline, truth, contacts = sample
+    history, session = history_of(pipeline, truth), poked(pipeline, contacts[:-1])
     history.take(session.snapshot())
-    wish = history.wish()
-    points = wish.work(0.0)
+    recount = history.recount()
+    points = recount.work(0.0)
     session.add(contacts[-1])
     history.take(session.snapshot())
-    assert history.wish() is wish
-    assert history.put(wish, points)
-    assert same(finish(history), error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places))
+    assert history.recount() is recount
+    assert history.put(recount, points)
+    assert same(
+        finish(history),
+        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
+    )
 
 
 def test_the_second_telling_of_the_last_poke_does_not_waste_the_work_that_is_under_way(sample):
-    road, truth, contacts = sample
-    history, session = history_of(road, truth), poked(road, contacts[:-1])
+    pipeline, truth, contacts = sample
+    history, session = history_of(pipeline, truth), poked(pipeline, contacts[:-1])
     session.add(replace(contacts[-1], moment=contacts[-1].moment * 1.01, final=False))
     history.take(session.snapshot())
-    wish = history.wish()
-    points = wish.work(0.0)
+    recount = history.recount()
+    points = recount.work(0.0)
     session.add(contacts[-1])
     history.take(session.snapshot())
-    assert history.wish() is wish
-    assert history.put(wish, points)
-    assert same(finish(history), error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places))
+    assert history.recount() is recount
+    assert history.put(recount, points)
+    assert same(
+        finish(history),
+        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
+    )
 
 
 def test_another_telling_of_the_last_poke_of_a_wish_drops_it(sample):
-    road, truth, contacts = sample
-    history, session = history_of(road, truth), poked(road, contacts)
+    pipeline, truth, contacts = sample
+    history, session = history_of(pipeline, truth), poked(pipeline, contacts)
     session.add(replace(contacts[-2], moment=contacts[-2].moment * 1.01, final=False))
     history.take(session.snapshot())
-    stale = history.wish()
+    stale = history.recount()
     points = stale.work()
     session.add(contacts[-2])
     history.take(session.snapshot())
     assert not history.put(stale, points)
-    assert same(finish(history), error_series(road.scene, road.session.surface, poked(road, contacts).snapshot(), truth.places))
+    assert same(
+        finish(history),
+        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
+    )
 
 
 def test_modules_are_told_apart(sample):
-    road, truth, contacts = sample
-    session = poked(road, contacts)
-    series = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
-    layout = road.scene.skin.layout
+    pipeline, truth, contacts = sample
+    session = poked(pipeline, contacts)
+    series = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
+    layout = pipeline.scene.skin.layout
     for row, module in enumerate(layout.modules, start=1):
         inside = [e for e in session.snapshot().estimates[Method.SURFACE] if e.channel in module.channels]
         told = error_summary(inside, truth.places)
@@ -227,21 +239,21 @@ def test_modules_are_told_apart(sample):
 
 
 def test_a_session_without_pokes_has_an_empty_course(sample):
-    road, truth, _ = sample
-    series = error_series(road.scene, road.session.surface, poked(road, ()).snapshot(), truth.places)
+    pipeline, truth, _ = sample
+    series = error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, ()).snapshot(), truth.places)
     assert (len(series.counts), len(series.times), series.missing) == (0, 0, 0)
 
 
 def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monkeypatch):
-    road, truth, contacts = sample
+    pipeline, truth, contacts = sample
     monkeypatch.setattr("skincal.session.error_history.POINTS_MAX", 4)
-    live, session = history_of(road, truth), Session(road.scene, road.session.surface)
+    live, session = history_of(pipeline, truth), Session(pipeline.scene, pipeline.session.surface)
     for contact in contacts:
         session.add(contact)
         live.take(session.snapshot())
-    late = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    late = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
     monkeypatch.undo()
-    full = error_series(road.scene, road.session.surface, session.snapshot(), truth.places)
+    full = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
     assert late.stride == 4
     assert late.counts.tolist() == [4, 8, 12, 14]
     assert np.array_equal(live.series().counts, late.counts)
@@ -278,20 +290,20 @@ def test_time_never_runs_backwards_and_a_night_counts_a_minute():
 
 
 def test_a_reference_says_what_it_is_and_is_of_this_part(sample, tmp_path):
-    road, truth, _ = sample
+    pipeline, truth, _ = sample
     assert (truth.origin, truth.name) == (Origin.TRUTH, "truth.json")
-    channels = road.session.channels
+    channels = pipeline.session.channels
     path = tmp_path / "places.json"
     taxel = {"channel": int(channels[0]), "position_m": [0.0, 0.1, 0.2]}
-    path.write_text(json.dumps({"link": road.scene.link, "taxels": [taxel]}))
-    chosen = load_reference(path, road.scene.link, channels)
+    path.write_text(json.dumps({"link": pipeline.scene.link, "taxels": [taxel]}))
+    chosen = load_reference(path, pipeline.scene.link, channels)
     assert (chosen.origin, chosen.name, list(chosen.places)) == (Origin.FILE, "places.json", [channels[0]])
     with pytest.raises(InputError, match="in the frame of"):
         load_reference(path, "another_link", channels)
     path.write_text(json.dumps({"taxels": [{**taxel, "channel": 100_000}]}))
     with pytest.raises(InputError, match="knows none"):
-        load_reference(path, road.scene.link, channels)
-    assert find_truth(tmp_path, road.scene.link, channels) is None
+        load_reference(path, pipeline.scene.link, channels)
+    assert find_truth(tmp_path, pipeline.scene.link, channels) is None
 
 
 def test_a_plan_is_called_a_plan_and_leaves_out_what_it_does_not_place():
@@ -304,9 +316,9 @@ def test_a_plan_is_called_a_plan_and_leaves_out_what_it_does_not_place():
 
 
 def test_places_of_channels_that_the_skin_does_not_have_are_passed_over(sample):
-    road, truth, contacts = sample
+    pipeline, truth, contacts = sample
     more = {**truth.places, 100_000: np.zeros(3)}
-    session = poked(road, contacts[:3])
+    session = poked(pipeline, contacts[:3])
     assert isinstance(contacts[0], Contact)
-    one = error_series(road.scene, road.session.surface, session.snapshot(), more)
-    assert same(one, error_series(road.scene, road.session.surface, session.snapshot(), truth.places))
+    one = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), more)
+    assert same(one, error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places))

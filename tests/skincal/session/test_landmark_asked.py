@@ -1,4 +1,4 @@
-"""A landmark is asked for, and the poke that follows is found to be there: by the road, by `record`, and by a replay."""
+"""A landmark is asked for, and the poke that follows is found to be there: by the pipeline, by `record`, and by a replay."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ def bytes_of(scene, answers=({}, {3: 80.0}, {})):
 
 def starts_of(scene, items):
     """When each poke begins, host's monotonic clock, nanoseconds."""
-    road = Pipeline(scene, LINKS, None)
+    pipeline = Pipeline(scene, LINKS, None)
     for item in items:
-        road.feed(item)
-    return [round(record.outcome.start_s * 1e9) for record in road.snapshot().pokes]
+        pipeline.feed(item)
+    return [round(record.outcome.start_s * 1e9) for record in pipeline.snapshot().pokes]
 
 
-def fed(road, items, orders):
+def fed(pipeline, items, orders):
     """Feed bytes, and do each order at its time."""
     waiting = sorted(orders, key=lambda order: order.host_ns)
     for item in items:
         while waiting and waiting[0].host_ns <= item.host_ns:
             order = waiting.pop(0)
-            road.act(order.action, order.host_ns)
-        road.feed(item)
-    return road
+            pipeline.act(order.action, order.host_ns)
+        pipeline.feed(item)
+    return pipeline
 
 
 @pytest.fixture
@@ -61,11 +61,11 @@ def scene():
 def test_a_poke_that_begins_after_the_landmark_is_asked_for_is_at_it_whether_a_taxel_answers_or_not(scene):
     items = bytes_of(scene)
     _, second, _ = starts_of(scene, items)
-    road = fed(Pipeline(scene, LINKS, None), items, [Stamped(second - 500_000_000, AskLandmark("head"))])
-    kinds = [type(record.outcome) for record in road.snapshot().pokes]
+    pipeline = fed(Pipeline(scene, LINKS, None), items, [Stamped(second - 500_000_000, AskLandmark("head"))])
+    kinds = [type(record.outcome) for record in pipeline.snapshot().pokes]
     assert kinds == [Rejection, Contact, Rejection]
-    assert road.snapshot().at_landmarks == {2: "head", 3: "head"}
-    assert road.snapshot().can_undo == "poke 3 at head"
+    assert pipeline.snapshot().at_landmarks == {2: "head", 3: "head"}
+    assert pipeline.snapshot().can_undo == "poke 3 at head"
 
 
 def test_a_poke_that_was_on_its_way_is_not_at_it_and_none_is_once_nothing_is_asked_for(scene):
@@ -78,17 +78,17 @@ def test_a_poke_that_was_on_its_way_is_not_at_it_and_none_is_once_nothing_is_ask
 
 
 def test_a_landmark_that_is_not_there_cannot_be_asked_for_and_asking_changes_nothing_that_is_known(scene):
-    road = Pipeline(scene, LINKS, None)
-    before = road.snapshot()
+    pipeline = Pipeline(scene, LINKS, None)
+    before = pipeline.snapshot()
     with pytest.raises(InputError, match="head, tail"):
-        road.act(AskLandmark("nose"), 1)
-    road.act(AskLandmark("head"), 2)
-    assert road.asked_landmark == "head"
-    assert road.snapshot() is before
+        pipeline.act(AskLandmark("nose"), 1)
+    pipeline.act(AskLandmark("head"), 2)
+    assert pipeline.asked_landmark == "head"
+    assert pipeline.snapshot() is before
     with pytest.raises(InputError, match="nothing to undo"):
-        road.act(Undo(), 3)
-    road.begin_segment()
-    assert road.asked_landmark == "", "what follows a break was not asked for"
+        pipeline.act(Undo(), 3)
+    pipeline.begin_segment()
+    assert pipeline.asked_landmark == "", "what follows a break was not asked for"
 
 
 @pytest.mark.parametrize("action", [AskLandmark("a b"), AskLandmark(""), FoundAtLandmark(3, "a b")])
@@ -111,24 +111,24 @@ def recorded(tmp_path):
         Stamped(third - 700_000_000, Undo()),
         Stamped(third - 600_000_000, AskLandmark("tail")),
     ]
-    road = fed(Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS)), items, orders)
-    road.close()
-    return tmp_path / "s", road
+    pipeline = fed(Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS)), items, orders)
+    pipeline.close()
+    return tmp_path / "s", pipeline
 
 
 @pytest.mark.parametrize("again", [replay, load])
 def test_a_session_played_or_loaded_has_the_same_landmark_pokes_and_the_same_to_undo(recorded, again):
-    folder, road = recorded
+    folder, pipeline = recorded
     other = again(folder)
     assert other.findings == ()
-    assert road.snapshot().at_landmarks == {1: "head", 3: "tail"}
-    assert other.snapshot().at_landmarks == road.snapshot().at_landmarks
-    assert other.snapshot().can_undo == road.snapshot().can_undo == "poke 3 at tail"
-    assert same_estimates(other.snapshot(), road.snapshot())
+    assert pipeline.snapshot().at_landmarks == {1: "head", 3: "tail"}
+    assert other.snapshot().at_landmarks == pipeline.snapshot().at_landmarks
+    assert other.snapshot().can_undo == pipeline.snapshot().can_undo == "poke 3 at tail"
+    assert same_estimates(other.snapshot(), pipeline.snapshot())
 
 
 def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
-    folder, road = recorded
+    folder, pipeline = recorded
     items = queue.SimpleQueue()
     for item in SessionLog(folder).items():
         if isinstance(item, Stamped):
@@ -141,9 +141,9 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
     headless = Pipeline(SessionLog(folder).scene, LINKS, None)
     _loop(headless, items, {}, None, None)
     assert headless.snapshot().at_landmarks == {1: "head", 3: "tail"}
-    mine, theirs = ([outcome_key(one.outcome) for one in each.snapshot().pokes] for each in (headless, road))
+    mine, theirs = ([outcome_key(one.outcome) for one in each.snapshot().pokes] for each in (headless, pipeline))
     assert mine == theirs
-    assert same_estimates(headless.snapshot(), road.snapshot())
+    assert same_estimates(headless.snapshot(), pipeline.snapshot())
     said = capsys.readouterr().err
     assert 'order {"do": "ask_landmark", "name": "nose"}: not done. There is no landmark' in said
     assert "order poke 3: not done." in said

@@ -33,16 +33,16 @@ def bytes_of(scene, answers):
     return as_chunks(script.samples)
 
 
-def road_of(scene, answers=({}, {3: 80.0}), journal=None):
-    road = Pipeline(scene, LINKS, None, journal)
+def pipeline_of(scene, answers=({}, {3: 80.0}), journal=None):
+    pipeline = Pipeline(scene, LINKS, None, journal)
     for item in bytes_of(scene, answers):
-        road.feed(item)
-    return road
+        pipeline.feed(item)
+    return pipeline
 
 
 def test_a_poke_that_no_taxel_answered_may_be_at_a_landmark():
     scene = replace(small_scene(), landmarks=(HEAD,))
-    session = road_of(scene).session
+    session = pipeline_of(scene).session
     first, second = (record.outcome for record in session.snapshot().pokes)
     assert isinstance(first, Rejection)
     assert first.reason is Reason.NO_TAXEL
@@ -90,17 +90,17 @@ def test_actions_travel_as_json(action):
 @pytest.mark.parametrize("again", [replay, load])
 def test_a_session_played_again_has_the_same_landmark_pokes(tmp_path, again):
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = bytes_of(scene, ({}, {3: 80.0}))
     for item in items:
-        road.feed(item)
+        pipeline.feed(item)
     last = max(item.host_ns for item in items if isinstance(item, Chunk))
-    road.act(AddLandmark("head", *POINT.tolist()), last + 1)
-    road.act(AtLandmark(1, "head"), last + 2)
-    road.close()
+    pipeline.act(AddLandmark("head", *POINT.tolist()), last + 1)
+    pipeline.act(AtLandmark(1, "head"), last + 2)
+    pipeline.close()
     other = again(tmp_path / "s")
-    assert same_estimates(other.snapshot(), road.snapshot())
-    (here,), (there,) = road.session.landmark_pokes, other.session.landmark_pokes
+    assert same_estimates(other.snapshot(), pipeline.snapshot())
+    (here,), (there,) = pipeline.session.landmark_pokes, other.session.landmark_pokes
     assert (here.poke, here.name, here.pose) == (there.poke, there.name, there.pose)
     assert here.force.tobytes() == there.force.tobytes()
     assert here.place.tobytes() == there.place.tobytes()
@@ -145,15 +145,15 @@ def test_a_session_asks_for_what_corrects_its_rig(rng):
 
 def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = bytes_of(scene, ({}, {3: 80.0}, {}, {}))
     for item in items:
-        road.feed(item)
+        pipeline.feed(item)
     last = max(item.host_ns for item in items if isinstance(item, Chunk))
-    road.act(AddLandmark("head", *POINT.tolist()), last + 1)
+    pipeline.act(AddLandmark("head", *POINT.tolist()), last + 1)
     for poke in (1, 3, 4):
-        road.act(AtLandmark(poke, "head"), last + 1 + poke)
-    road.close()
+        pipeline.act(AtLandmark(poke, "head"), last + 1 + poke)
+    pipeline.close()
     assert main(["solve", str(tmp_path / "s"), "--json"]) == 0
     rig = json.loads(capsys.readouterr().out)["rig"]
     assert rig["landmark_pokes"] == 3

@@ -1,4 +1,4 @@
-"""The whole road from bytes of two devices to estimates."""
+"""The pipeline from bytes of two devices to estimates."""
 
 import dataclasses
 
@@ -21,19 +21,19 @@ ANSWERS = {3: 80.0, 7: 40.0}
 
 
 def played(items, scene=None, links=LINKS):
-    road = Pipeline(scene or small_scene(), links, None)
+    pipeline = Pipeline(scene or small_scene(), links, None)
     for item in items:
-        road.feed(item)
-    return road
+        pipeline.feed(item)
+    return pipeline
 
 
-def outcomes_of(road):
-    return [one.outcome for one in road.snapshot().pokes]
+def outcomes_of(pipeline):
+    return [one.outcome for one in pipeline.snapshot().pokes]
 
 
 def test_bytes_become_contacts_with_the_numbers_of_the_truth():
-    road = played(as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).quiet().samples))
-    (contact,) = outcomes_of(road)
+    pipeline = played(as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).quiet().samples))
+    (contact,) = outcomes_of(pipeline)
     assert isinstance(contact, Contact)
     assert contact.final
     np.testing.assert_allclose(contact.force, FORCE, atol=2e-6)  # the text has six digits
@@ -43,8 +43,8 @@ def test_bytes_become_contacts_with_the_numbers_of_the_truth():
 
 def test_the_reaction_is_turned_where_the_scene_says_so():
     script = Script(small_scene()).quiet().press(-FORCE, POINT, ANSWERS).quiet()
-    road = played(as_chunks(script.samples), dataclasses.replace(small_scene(), wrench_sign=-1))
-    np.testing.assert_allclose(outcomes_of(road)[0].force, FORCE, atol=2e-6)
+    pipeline = played(as_chunks(script.samples), dataclasses.replace(small_scene(), wrench_sign=-1))
+    np.testing.assert_allclose(outcomes_of(pipeline)[0].force, FORCE, atol=2e-6)
 
 
 def test_how_the_bytes_are_cut_changes_nothing():
@@ -61,16 +61,16 @@ def test_how_the_bytes_are_cut_changes_nothing():
 
 def test_the_live_view_shows_what_the_devices_say():
     items = as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).samples)
-    road = played(items[:-12])
+    pipeline = played(items[:-12])
     now = items[-12].host_ns
-    live = road.live(now)
+    live = pipeline.live(now)
     assert live.progress.phase is PressPhase.HELD
     assert live.skin[3] == pytest.approx(80.0, abs=0.01)
     assert live.wrench_s[-1] - live.wrench_s[0] == pytest.approx(1.6, abs=0.2)
     np.testing.assert_allclose(live.wrench[0], [3.0, -2.0, 20.0, 0.1, -0.3, 0.05])
     assert [link.state for link in live.links] == [LinkState.OPEN, LinkState.OPEN]
-    assert road.live(now + 1_500_000_000).progress.phase is PressPhase.HELD
-    assert road.live(now + 2_100_000_000).progress.phase is PressPhase.NO_DATA
+    assert pipeline.live(now + 1_500_000_000).progress.phase is PressPhase.HELD
+    assert pipeline.live(now + 2_100_000_000).progress.phase is PressPhase.NO_DATA
 
 
 def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():
@@ -78,21 +78,21 @@ def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():
     items = as_chunks(script.samples)[:-30]
     lost_ns = items[-1].host_ns + 100_000_000
     back = [dataclasses.replace(item, host_ns=item.host_ns + 20_000_000_000) for item in as_chunks(script.quiet().samples)]
-    road = played([*items, LinkEvent("skin", lost_ns, LinkState.LOST, "unplugged"), *back])
-    kinds = [one.reason if not isinstance(one, Contact) else "contact" for one in outcomes_of(road)]
+    pipeline = played([*items, LinkEvent("skin", lost_ns, LinkState.LOST, "unplugged"), *back])
+    kinds = [one.reason if not isinstance(one, Contact) else "contact" for one in outcomes_of(pipeline)]
     assert kinds == ["contact", Reason.READINGS_LOST, "contact", "contact"]
-    assert all(one.final for one in outcomes_of(road))
+    assert all(one.final for one in outcomes_of(pipeline))
 
 
 def test_the_end_of_the_last_recording_settles_the_last_poke():
     items = as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).quiet(0.1).samples)
-    road = played(items)
-    assert not outcomes_of(road)[0].final
+    pipeline = played(items)
+    assert not outcomes_of(pipeline)[0].final
     end = items[-1].host_ns
-    road.feed(LinkEvent("wrench", end, LinkState.ENDED))
-    assert not outcomes_of(road)[0].final
-    road.feed(LinkEvent("skin", end, LinkState.ENDED))
-    assert outcomes_of(road)[0].final
+    pipeline.feed(LinkEvent("wrench", end, LinkState.ENDED))
+    assert not outcomes_of(pipeline)[0].final
+    pipeline.feed(LinkEvent("skin", end, LinkState.ENDED))
+    assert outcomes_of(pipeline)[0].final
 
 
 def arm_scene():
@@ -102,13 +102,13 @@ def arm_scene():
 
 def test_a_chosen_pose_goes_into_the_contact():
     scene = arm_scene()
-    road = Pipeline(scene, LINKS, None)
-    assert road.snapshot().link_from_sensor is None
-    road.act(SetPose("down"), 0)
-    assert road.snapshot().pose == "down"
+    pipeline = Pipeline(scene, LINKS, None)
+    assert pipeline.snapshot().link_from_sensor is None
+    pipeline.act(SetPose("down"), 0)
+    assert pipeline.snapshot().pose == "down"
     for item in as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples):
-        road.feed(item)
-    (contact,) = outcomes_of(road)
+        pipeline.feed(item)
+    (contact,) = outcomes_of(pipeline)
     assert contact.pose == "down"
     np.testing.assert_array_equal(contact.link_from_sensor, scene.arm.arm.link_from_sensor(np.array([0.4, 0.6])))
 
@@ -124,8 +124,8 @@ def test_streamed_joints_give_the_pose_and_its_name():
             body = line.format(k & 0xFFFF, k * 10_000, ",".join(f"{value:.4f}" for value in degrees))
             items.append(Chunk("joints", item.host_ns - 5_000_000, skt_line(body)))
     items.append(LinkEvent("joints", items[0].host_ns, LinkState.OPEN))
-    road = played(sorted(items, key=lambda item: item.host_ns), scene, links)
-    (contact,) = outcomes_of(road)
+    pipeline = played(sorted(items, key=lambda item: item.host_ns), scene, links)
+    (contact,) = outcomes_of(pipeline)
     assert isinstance(contact, Contact), contact
     assert contact.pose == "down"
     np.testing.assert_allclose(contact.link_from_sensor, scene.arm.arm.link_from_sensor(np.array([0.4002, 0.5999])), atol=1e-5)
@@ -145,11 +145,11 @@ def test_bad_bytes_are_counted_and_the_pokes_survive():
             data = bytearray(items[k].data)
             data[int(rng.integers(len(data)))] ^= 0x41
             items[k] = dataclasses.replace(items[k], data=bytes(data))
-    road = played(items)
-    losses = [sum(link.losses.values()) for link in road.live(items[-1].host_ns).links]
+    pipeline = played(items)
+    losses = [sum(link.losses.values()) for link in pipeline.live(items[-1].host_ns).links]
     assert sum(losses) >= 10
-    assert any(Loss.BAD_CHECKSUM in link.losses for link in road.live(0).links)
-    assert sum(isinstance(one, Contact) for one in outcomes_of(road)) >= 2
+    assert any(Loss.BAD_CHECKSUM in link.losses for link in pipeline.live(0).links)
+    assert sum(isinstance(one, Contact) for one in outcomes_of(pipeline)) >= 2
 
 
 def test_bytes_of_an_unknown_link_are_refused():

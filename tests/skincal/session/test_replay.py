@@ -59,29 +59,29 @@ def scene(tmp_path):
 
 def record(scene, folder, script, actions=(), links=LINKS, change=lambda items: items):
     """A session recorded to its end; each action is done at the share of it that it names."""
-    road = Pipeline(scene, links, None, create_session(folder, scene, links))
-    feed(road, change(as_chunks(script.samples)), actions)
-    return road
+    pipeline = Pipeline(scene, links, None, create_session(folder, scene, links))
+    feed(pipeline, change(as_chunks(script.samples)), actions)
+    return pipeline
 
 
-def feed(road, items, actions=()):
+def feed(pipeline, items, actions=()):
     due = {round(share * len(items)): action for share, action in actions}
     for k, item in enumerate(items):
-        road.feed(item)
+        pipeline.feed(item)
         if k in due:
-            road.act(due[k], item.host_ns)
+            pipeline.act(due[k], item.host_ns)
 
 
-def assert_same(*roads):
-    first, *others = (road.snapshot() for road in roads)
+def assert_same(*pipelines):
+    first, *others = (pipeline.snapshot() for pipeline in pipelines)
     for other in others:
         assert [outcome_key(one.outcome) for one in first.pokes] == [outcome_key(one.outcome) for one in other.pokes]
         assert [one.excluded for one in first.pokes] == [one.excluded for one in other.pokes]
         assert list(first.dead.items()) == list(other.dead.items())
         assert first.can_undo == other.can_undo
         assert same_estimates(first, other)
-    assert len({road.session.pose for road in roads}) == 1
-    assert len({road.session.channels for road in roads}) == 1
+    assert len({pipeline.session.pose for pipeline in pipelines}) == 1
+    assert len({pipeline.session.channels for pipeline in pipelines}) == 1
 
 
 def test_what_is_loaded_is_what_was_lived_and_what_is_played(scene, tmp_path):
@@ -127,9 +127,9 @@ def test_a_pause_and_a_new_start_of_the_program_are_the_same(scene, tmp_path):
     shutil.copytree(tmp_path / "p", tmp_path / "r")
     paused.begin_segment(LINKS, next_segment(tmp_path / "p", scene, LINKS))
     started = resume(tmp_path / "r")
-    for road in (paused, started):
-        feed(road, then)
-        road.close()
+    for pipeline in (paused, started):
+        feed(pipeline, then)
+        pipeline.close()
     assert_same(paused, started, load(tmp_path / "p"), replay(tmp_path / "r"))
 
 
@@ -254,8 +254,8 @@ def test_arm_poses_chosen_and_streamed(tmp_path):
 def test_whatever_is_cut_off_loading_and_playing_agree(scene, tmp_path, share):
     """A session killed or torn anywhere, with bytes behind its last outcome: the same session both ways, also later on."""
     folder = tmp_path / "s"
-    road = record(scene, folder, some_pokes(scene, 5), [(0.5, Exclude(1)), (0.7, MarkDead(4))])
-    whole = len(killed(road).snapshot().pokes)
+    pipeline = record(scene, folder, some_pokes(scene, 5), [(0.5, Exclude(1)), (0.7, MarkDead(4))])
+    whole = len(killed(pipeline).snapshot().pokes)
     torn(folder, round(share * (folder / "segment-0001.mcap").stat().st_size))
     loaded = load(folder)
     assert_same(loaded, replay(folder))

@@ -76,11 +76,11 @@ def test_the_first_time_all_is_new_and_then_nothing(session):
 def test_only_a_poke_that_came_or_came_again_goes_there(session):
     asked = Asked()
     asked.change(session, session.snapshot())
-    told = session.outcome(3)
-    session.add(replace(told, poke=9000))
+    reported = session.outcome(3)
+    session.add(replace(reported, poke=9000))
     change = asked.change(session, session.snapshot())
     assert list(change.pokes) == [9000]
-    session.add(replace(told, final=not told.final))
+    session.add(replace(reported, final=not reported.final))
     change = asked.change(session, session.snapshot())
     assert list(change.pokes) == [3]
     assert change.pokes[3] is session.outcome(3)
@@ -152,7 +152,13 @@ def reviewed(session, reviewer=None, asked=None):
 def places(session, contacts):
     """Where each method puts the taxels, worked out without a reviewer; NaN where it does not know."""
     solved = estimate_taxels(
-        contacts, session.channels, session.methods, session.scene.noise, session.surface, session.dead, model=session.boards
+        contacts,
+        session.channels,
+        session.methods,
+        session.scene.noise,
+        session.surface,
+        session.dead,
+        model=session.module_model,
     )
     unknown = np.full(3, np.nan)
     return {
@@ -196,15 +202,15 @@ def test_a_review_is_what_the_session_itself_finds(session):
 
 
 def test_how_far_each_poke_passes_its_landmark_is_as_the_rig_tells(session):
-    told = reviewed(session).told
-    assert list(told) == list(range(FIRST, FIRST + 8))
+    reported = reviewed(session).reported
+    assert list(reported) == list(range(FIRST, FIRST + 8))
     for poke in session.landmark_pokes:
-        # In the sensor's frame: a force along the axis has at the landmark the moment that is told, less the arm's.
+        # In the sensor's frame: a force along the axis has at the landmark the moment that is reported, less the arm's.
         where = np.linalg.solve(poke.link_from_sensor, np.append(poke.place, 1.0))[:3]
         along = poke.force / np.linalg.norm(poke.force)
         arm = poke.moment - np.cross(where, poke.force)
         miss = np.linalg.norm(arm - (arm @ along) * along) / np.linalg.norm(poke.force)
-        assert told[poke.poke] == pytest.approx(miss, abs=1e-9)
+        assert reported[poke.poke] == pytest.approx(miss, abs=1e-9)
 
 
 def test_a_reviewer_that_follows_says_the_same_as_one_that_is_told_all_at_once(session):
@@ -250,7 +256,7 @@ def test_from_too_few_landmark_pokes_nothing_is_offered(poked):
     assert review.frame is None
     assert review.rig.correction is None
     assert (review.before, review.after) == ({}, {})
-    assert len(review.told) == 2
+    assert len(review.reported) == 2
     assert_is_of(session, review)
 
 
@@ -285,7 +291,7 @@ def test_work_is_given_up_at_any_step_and_can_be_done_again(session):
 # In another process
 
 
-def told(session, asked):
+def next_change(session, asked):
     """The words of a request for the session as it stands, as they arrive in the process."""
     change = asked.change(session, session.snapshot())
     part = None if change.since else part_of(session.scene, session.surface)
@@ -323,9 +329,9 @@ def test_a_review_and_a_change_arrive_as_they_were_sent(session):
 
 def test_what_is_told_bit_by_bit_is_answered_as_the_session_stands(session):
     asked = Asked()
-    assert_is_of(session, review_change("a", *told(session, asked), always))
+    assert_is_of(session, review_change("a", *next_change(session, asked), always))
     session.act(AtLandmark(FIRST, ""))
-    second = review_change("a", *told(session, asked), always)
+    second = review_change("a", *next_change(session, asked), always)
     assert second.generation == 2
     assert len(second.pokes) == 7
     assert_is_of(session, second)
@@ -333,21 +339,21 @@ def test_what_is_told_bit_by_bit_is_answered_as_the_session_stands(session):
 
 def test_what_was_not_told_from_its_beginning_is_not_guessed(session):
     asked = Asked()
-    first = told(session, asked)
+    first = next_change(session, asked)
     assert review_change("a", None, first[1], always) is Unreviewed.UNKNOWN, "a new process knows no part"
     review_change("a", *first, always)
-    told(session, asked)
+    next_change(session, asked)
     session.act(Exclude(4))
-    third = told(session, asked)
+    third = next_change(session, asked)
     assert review_change("a", *third, always) is Unreviewed.UNKNOWN, "the second never came"
     assert review_change("b", *third, always) is Unreviewed.UNKNOWN, "another session's"
     asked.forget()
-    everything = told(session, asked)
+    everything = next_change(session, asked)
     assert everything[1].generation == 4
     assert len(everything[1].pokes) == 31
     assert_is_of(session, review_change("a", *everything, always))
     assert list(review._reviewers) == ["a"]
-    review_change("b", *told(session, Asked()), always)
+    review_change("b", *next_change(session, Asked()), always)
     assert list(review._reviewers) == ["b"], "one session at a time"
 
 
@@ -372,12 +378,12 @@ def test_a_part_without_a_mesh_needs_none():
 
 def test_work_gives_way_to_a_newer_change_and_what_it_was_told_is_kept(session, monkeypatch):
     asked = Asked()
-    assert review_change("a", *told(session, asked), never) is Unreviewed.GIVEN_UP
+    assert review_change("a", *next_change(session, asked), never) is Unreviewed.GIVEN_UP
     session.act(AtLandmark(FIRST, ""))
     steps = iter([True, True, False])
-    assert review_change("a", *told(session, asked), lambda: next(steps)) is Unreviewed.GIVEN_UP, "in the middle"
+    assert review_change("a", *next_change(session, asked), lambda: next(steps)) is Unreviewed.GIVEN_UP, "in the middle"
     session.act(Exclude(4))
-    assert_is_of(session, review_change("a", *told(session, asked), always))
+    assert_is_of(session, review_change("a", *next_change(session, asked), always))
     monkeypatch.setattr(review, "PATIENCE_S", 0.0)
     session.act(Undo())
-    assert_is_of(session, review_change("a", *told(session, asked), never))
+    assert_is_of(session, review_change("a", *next_change(session, asked), never))

@@ -55,7 +55,7 @@ def contacts(count, seed=1, taxels=TAXELS):
 
 
 def tell(session, contact):
-    """Give a session a poke as a road does: at its release, and again once it is final."""
+    """Give a session a poke as a pipeline does: at its release, and again once it is final."""
     session.add(replace(contact, force=contact.force * 1.001, tare_change=float("nan"), final=False))
     session.snapshot()
     session.add(replace(contact, force=contact.force.copy()))

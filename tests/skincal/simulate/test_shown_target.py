@@ -257,23 +257,25 @@ def guided_session(rig, pokes, seed=1):
     scene = rig.scene
     operator = Guided(rig, Habits.careful(), np.random.default_rng(seed), pokes)
     line = DeviceTimeline(rig, operator, np.random.default_rng(seed + 1))
-    road = Pipeline(scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface)
+    pipeline = Pipeline(
+        scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface
+    )
     plan = plan_from(scene.skin.layout, lay(scene.skin.layout, scene.skin.anchor, rig.surface))
     guide = Guide(plan, scene.noise, Method.FREE, scene.skin.layout.spacing)
     for link in line.links:
-        road.feed(LinkEvent(link, 0, LinkState.OPEN))
+        pipeline.feed(LinkEvent(link, 0, LinkState.OPEN))
     asked, hits, counted, known = None, 0, 0, -1
     while not line.finished:
         for at_ns, link, data in line.step():
-            road.feed(Chunk(link, at_ns, data))
-        road.tick(round(line.now * 1e9))
-        snapshot = road.snapshot()
+            pipeline.feed(Chunk(link, at_ns, data))
+        pipeline.tick(round(line.now * 1e9))
+        snapshot = pipeline.snapshot()
         if snapshot.generation == known:
             continue
         contacts = {p.outcome.poke: p.outcome for p in snapshot.pokes if hasattr(p.outcome, "responses")}
         hits += sum(c.channels[c.responses.argmax()] == asked for n, c in contacts.items() if n > counted)
         known, counted = snapshot.generation, max(contacts, default=0)
-        guidance = guide.update(contacts, snapshot.estimates, road.session.evidence)
+        guidance = guide.update(contacts, snapshot.estimates, pipeline.session.evidence)
         asked = guidance.target.channel
         operator.accept(TargetOrder(asked, guidance.target.place, guidance.target.push))
     return hits, len(contacts)
@@ -299,16 +301,16 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
         operator = Guided(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
         operator.accept(read_order(write_wish(TargetOrder(None, head, -outward, known=True))))
         line = DeviceTimeline(rig, operator, np.random.default_rng(4))
-        road = Pipeline(
+        pipeline = Pipeline(
             scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface
         )
         for link in line.links:
-            road.feed(LinkEvent(link, 0, LinkState.OPEN))
+            pipeline.feed(LinkEvent(link, 0, LinkState.OPEN))
         while not line.finished:
             for at_ns, link, data in line.step():
-                road.feed(Chunk(link, at_ns, data))
-            road.tick(round(line.now * 1e9))
-        outcomes = [record.outcome for record in road.snapshot().pokes]
+                pipeline.feed(Chunk(link, at_ns, data))
+            pipeline.tick(round(line.now * 1e9))
+        outcomes = [record.outcome for record in pipeline.snapshot().pokes]
         there = [poke for outcome in outcomes if (poke := poke_at(outcome, Landmark("head", head, None))) is not None]
         assert len(there) >= 5
         if not felt:

@@ -29,9 +29,9 @@ def recorded_bytes(folder):
 
 def test_pokes_become_contacts_near_the_taxels_that_answer(tmp_path):
     begun = []
-    road = record(tmp_path / "s", poses=("1", "2"), progress=begun.append)
+    pipeline = record(tmp_path / "s", poses=("1", "2"), progress=begun.append)
     assert begun == [1, 2, 3, 4]
-    outcomes = [poke.outcome for poke in road.snapshot().pokes]
+    outcomes = [poke.outcome for poke in pipeline.snapshot().pokes]
     assert len(outcomes) == 4
     assert all(isinstance(outcome, Contact) and outcome.final for outcome in outcomes)
     assert len({outcome.pose for outcome in outcomes}) == 2
@@ -47,7 +47,7 @@ def test_pokes_become_contacts_near_the_taxels_that_answer(tmp_path):
         # Aim error, response and noise: the axis passes within a centimetre of the taxel that answers most.
         assert np.linalg.norm(np.cross(strongest - start, axis)) < 0.010
         assert 5.0 < np.linalg.norm(outcome.force) < 13.0
-    health = {link.link: link for link in road.live(0).links}
+    health = {link.link: link for link in pipeline.live(0).links}
     assert set(health) == {"wrench", "skin", "joints"}
     assert not any(sum(link.losses.values()) for link in health.values())
 
@@ -66,9 +66,9 @@ def test_estimates_approach_the_truth(tmp_path):
     scene, _ = scene_and_surface("flat-patch")
     module = scene.skin.layout.modules[0]
     channels = [int(c) for c in module.channels[[5, 6]]]
-    road = record(tmp_path / "s", pokes=16, name="flat-patch", channels=channels)
+    pipeline = record(tmp_path / "s", pokes=16, name="flat-patch", channels=channels)
     truth = {t["channel"]: np.array(t["position_m"]) for t in json.loads((tmp_path / "s" / "truth.json").read_text())["taxels"]}
-    estimates = {e.channel: e for e in road.snapshot().estimates[Method.FREE]}
+    estimates = {e.channel: e for e in pipeline.snapshot().estimates[Method.FREE]}
     for channel in channels:
         assert estimates[channel].position is not None
         assert np.linalg.norm(estimates[channel].position - truth[channel]) < 0.004
@@ -77,8 +77,8 @@ def test_estimates_approach_the_truth(tmp_path):
 def test_accidents_are_rejected(tmp_path):
     # 7 mm or more within the still window of 0.3 s: beyond the limit of 1.5 mm, and beyond what noise excuses.
     habits = replace(Habits.careful(), slide_rate=1.0, slide=(0.012, 0.015), hold_s=(0.4, 0.5))
-    road = record(tmp_path / "s", pokes=3, name="flat-patch", habits=habits)
-    outcomes = [poke.outcome for poke in road.snapshot().pokes]
+    pipeline = record(tmp_path / "s", pokes=3, name="flat-patch", habits=habits)
+    outcomes = [poke.outcome for poke in pipeline.snapshot().pokes]
     assert len(outcomes) == 3
     assert not any(isinstance(outcome, Contact) for outcome in outcomes)
 

@@ -1,6 +1,6 @@
 """How well taxels are found on the simulated forearm: the bars for a good rig, and the paper's errors for the paper's rig.
 
-Contacts are simulated straight, without bytes; `test_simulate_session` and `test_end_to_end` go the whole road. Seeds are
+Contacts are simulated straight, without bytes; `test_simulate_session` and `test_end_to_end` use the whole pipeline. Seeds are
 1, 2, 3 ...: none is chosen.
 """
 
