@@ -1,6 +1,6 @@
-"""The folder of a new session, which a command takes away again where it recorded nothing into it.
+"""`record` and `import`: from devices or from other programs' recordings to a session.
 
-`record` and `import`: from devices or from other programs' recordings to a session.
+A command that made no session of use takes its folder away again: with its input put right it then finds the folder free.
 """
 
 from __future__ import annotations
@@ -30,44 +30,6 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.streams.link_reader import Reader
     from skincal.streams.links import LinkSpec
-
-
-class KeptError(InputError):
-    """A recording is at fault, but something was recorded, and stays."""
-
-
-class Fresh:
-    """What became of the folder of a new session."""
-
-    made = False
-    """The session in it is this command's own: nobody else's is ever taken away."""
-
-
-@contextlib.contextmanager
-def new_folder(folder: Path) -> Generator[Fresh]:
-    """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
-
-    The same command with its input put right then finds its folder free. What was there before stays, and what another
-    program makes there meanwhile.
-    """
-    from skincal.journal.scene_copy import SCENE_FOLDER
-
-    missing = [place for place in (folder, *folder.parents) if not place.exists()]
-    fresh = Fresh()
-    try:
-        yield fresh
-    except KeptError:
-        raise
-    except InputError:
-        if fresh.made:
-            shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
-            for segment in folder.glob("segment-*"):
-                segment.unlink()
-        for place in missing:
-            # One that is not empty is in use by others.
-            with contextlib.suppress(OSError):
-                place.rmdir()
-        raise
 
 
 SceneOption = Annotated[
@@ -104,8 +66,45 @@ def find_scene(path: Path) -> Scene:
     return load_scene(scene_file(path))
 
 
-def new_road(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
-    """Open a new session's journal and the road into it; the mesh is loaded where the scene has one."""
+class KeptError(InputError):
+    """A recording is at fault, but something was recorded, and stays."""
+
+
+class Fresh:
+    """What became of the folder of a new session."""
+
+    made = False
+    """The session in it is this command's own: nobody else's is ever taken away."""
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path) -> Generator[Fresh]:
+    """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
+
+    What was there before stays, and what another program makes there meanwhile.
+    """
+    from skincal.journal.scene_copy import SCENE_FOLDER
+
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    fresh = Fresh()
+    try:
+        yield fresh
+    except KeptError:
+        raise
+    except InputError:
+        if fresh.made:
+            shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
+            for segment in folder.glob("segment-*"):
+                segment.unlink()
+        for place in missing:
+            # A folder that is not empty is in use by others.
+            with contextlib.suppress(OSError):
+                place.rmdir()
+        raise
+
+
+def _new_pipeline(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
+    """Open a new session's journal and the pipeline into it; the mesh is loaded where the scene has one."""
     from skincal.journal.writer import create_session
     from skincal.session.pipeline import Pipeline
 
@@ -147,8 +146,8 @@ def record(
         items: Items = queue.SimpleQueue()
         if orders:
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
-        road = _recorded(loaded, (out, fresh), links, pose, seconds, pokes, items)
-        finish(road, out, as_json)
+        pipeline = _recorded(loaded, (out, fresh), links, pose, seconds, pokes, items)
+        finish(pipeline, out, as_json)
 
 
 def _recorded(
@@ -162,22 +161,22 @@ def _recorded(
 ) -> Pipeline:
     from skincal.streams.link_reader import Reader
 
-    road = new_road(scene, into[0], links, into[1])
+    pipeline = _new_pipeline(scene, into[0], links, into[1])
     readers = {link.name: Reader(link, items) for link in links}
     try:
-        _choose_pose(road, pose)
+        _choose_pose(pipeline, pose)
         for reader in readers.values():
             reader.start()
-        _loop(road, items, readers, seconds, pokes)
+        _loop(pipeline, items, readers, seconds, pokes)
     except KeyboardInterrupt:
         typer.echo("stopped", err=True)
     finally:
         for reader in readers.values():
             reader.stop()
         while not items.empty():
-            _take(road, items.get())
-        road.close()
-    return road
+            _take(pipeline, items.get())
+        pipeline.close()
+    return pipeline
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,15 +198,15 @@ def _read_orders(file: int, items: Items) -> None:
         items.put(OrderLine(time.monotonic_ns(), line))
 
 
-def _take(road: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
-    """Let the road take what arrived; an order that cannot be done is said, and left out."""
+def _take(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
+    """Let the pipeline take what arrived; an order that cannot be done is said, and left out."""
     if not isinstance(item, OrderLine):
-        road.feed(item)
+        pipeline.feed(item)
         return
     from skincal.model.actions import from_json
 
     try:
-        road.act(from_json(json.loads(item.text)), item.host_ns)
+        pipeline.act(from_json(json.loads(item.text)), item.host_ns)
     except (InputError, ValueError, AttributeError) as error:
         typer.echo(f"order {item.text.decode(errors='replace').strip()}: not done. {error}", err=True)
 
@@ -224,32 +223,26 @@ def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
         raise InputError(f"--pose is {pose!r}; the scene has {', '.join(known) or 'no named poses'}.")
 
 
-def _choose_pose(road: Pipeline, pose: str | None) -> None:
+def _choose_pose(pipeline: Pipeline, pose: str | None) -> None:
     from skincal.model.actions import SetPose
 
     if pose is not None:
-        road.act(SetPose(pose), time.monotonic_ns())
+        pipeline.act(SetPose(pose), time.monotonic_ns())
 
 
-def _loop(
-    road: Pipeline,
-    items: Items,
-    readers: Mapping[str, Reader],
-    seconds: float | None,
-    pokes: int | None,
-) -> None:
+def _loop(pipeline: Pipeline, items: Items, readers: Mapping[str, Reader], seconds: float | None, pokes: int | None) -> None:
     """Take items until the time or the pokes are over, every link ended, or one is given up."""
     end = None if seconds is None else time.monotonic() + seconds
-    told = 0
+    reported = 0
     states: dict[str, LinkState] = {}
     silence = Silence()
-    while (end is None or time.monotonic() < end) and not road.journal_failure:
+    while (end is None or time.monotonic() < end) and not pipeline.journal_failure:
         for sentence in silence.sentences(time.monotonic_ns()):
             typer.echo(sentence, err=True)
         try:
             item: Chunk | LinkEvent | OrderLine = items.get(timeout=DRAIN_WAIT_S)
         except queue.Empty:
-            road.tick(time.monotonic_ns())
+            pipeline.tick(time.monotonic_ns())
             over = [states.get(name) for name, reader in readers.items() if not reader.running]
             if LinkState.FAILED in over or len(over) == len(readers):
                 return
@@ -259,10 +252,10 @@ def _loop(
             states[item.link] = item.state
         if not isinstance(item, OrderLine):
             silence.hear(item)
-        _take(road, item)
-        road.tick(item.host_ns)
-        told = _tell_new_pokes(road, told)
-        if pokes is not None and told >= pokes:
+        _take(pipeline, item)
+        pipeline.tick(item.host_ns)
+        reported = _report_new_pokes(pipeline, reported)
+        if pokes is not None and reported >= pokes:
             return
 
 
@@ -299,24 +292,24 @@ class Silence:
         return said
 
 
-def _tell_new_pokes(road: Pipeline, told: int) -> int:
-    """Say each poke's outcome once it is final; return how many were told."""
+def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
+    """Print each poke's outcome once it is final; return how many were printed."""
     from skincal.contacts.outcome import Contact
 
-    records = road.snapshot().pokes
-    while told < len(records) and records[told].outcome.final:
-        outcome = records[told].outcome
+    records = pipeline.snapshot().pokes
+    while reported < len(records) and records[reported].outcome.final:
+        outcome = records[reported].outcome
         if isinstance(outcome, Contact):
             typer.echo(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
         else:
             numbers = f"{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}".rstrip()
             typer.echo(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
-        told += 1
-    return told
+        reported += 1
+    return reported
 
 
 def finish(
-    road: Pipeline,
+    pipeline: Pipeline,
     out: Path,
     as_json: bool,
     findings: Iterable[str] = (),
@@ -339,18 +332,18 @@ def finish(
     """
     from skincal.cli import report
 
-    snapshot = road.snapshot()
+    snapshot = pipeline.snapshot()
     counts = report.poke_counts(snapshot)
-    live = road.live(0)
+    live = pipeline.live(0)
     losses = report.loss_counts(live.links, live.losses_unpaired)
-    layout = road.session.scene.skin.layout
+    layout = pipeline.session.scene.skin.layout
     methods = {method.value: report.method_summary(items, reference, layout) for method, items in snapshot.estimates.items()}
     found = [*findings, *report.link_notes(live.links)]
     text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     silent = report.silent_links(live.links)
     # Without a byte of one of its devices no poke can ever be found in a recording.
     useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
-    kept = bool(road.journal_failure) or not useless
+    kept = bool(pipeline.journal_failure) or not useless
     text += [*report.loss_lines(losses), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {
         "session": str(out) if kept else None,
@@ -361,7 +354,7 @@ def finish(
         "text": text,
     }
     report.print_result(result, as_json)
-    trouble = road.journal_failure or silent
+    trouble = pipeline.journal_failure or silent
     if trouble:
         raise KeptError(trouble) if kept else InputError(f"{trouble} No session was made.")
 
@@ -378,8 +371,7 @@ def import_yarp(
     """Make a session from `yarpdatadumper` folders of one recording."""
     from skincal.files.importers.yarp_folder import read_yarp
 
-    loaded = find_scene(scene)
-    _check_pose(loaded, pose, streamed=joints is not None)
+    _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
     _import(loaded, out, pose, as_json, read_yarp(wrench, skin, joints))
 
 
@@ -395,8 +387,7 @@ def import_csv(
     """Make a session from CSV files of one recording."""
     from skincal.files.importers.csv_log import read_csv
 
-    loaded = find_scene(scene)
-    _check_pose(loaded, pose, streamed=joints is not None)
+    _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
     _import(loaded, out, pose, as_json, read_csv(wrench, skin, joints))
 
 
@@ -409,14 +400,14 @@ def _import(
 ) -> None:
     links, chunks, findings = recording
     with new_folder(out) as fresh:
-        road = new_road(scene, out, links, fresh)
+        pipeline = _new_pipeline(scene, out, links, fresh)
         try:
-            _choose_pose(road, pose)
+            _choose_pose(pipeline, pose)
             for chunk in chunks:
-                road.feed(chunk)
-                road.tick(chunk.host_ns)
-                if road.journal_failure:
+                pipeline.feed(chunk)
+                pipeline.tick(chunk.host_ns)
+                if pipeline.journal_failure:
                     break
         finally:
-            road.close()
-        finish(road, out, as_json, findings, imported=True)
+            pipeline.close()
+        finish(pipeline, out, as_json, findings, imported=True)
