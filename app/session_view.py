@@ -27,9 +27,9 @@ from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import Ear, heard
 from app.state.policies import Allowed, allowed
+from app.state.press_coach import PressCoach
 from app.state.rig_review import RigReview
 from app.state.view_state import ViewState, looked_at, same_results
-from app.text.guidance_text import PressCoach
 from app.text.message import Message
 from app.text.now_text import modules_enough_words
 from app.text.rig_text import corrected_words, offer_news, offer_text

@@ -10,7 +10,8 @@ from guide_support import guidance, part, target
 from scene3d_support import layout, scene
 from window_support import NAMES, PLAN, SCENE, frame, reading, session, slip, touch
 
-from app.text.guidance_text import Lean, end_words, enough_words, lean_of, target_words, why_words
+from app.state.press_coach import Lean, lean_of
+from app.text.guidance_text import end_words, enough_words, target_words, why_words
 from app.text.now_text import SETTLE_S, NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Guidance, GuidePhase

@@ -15,7 +15,8 @@ from window_support import NAMES, PLAN, changed, frame, pixels, reading, session
 from app.panels.now_panel import DIAL_PX, NowPanel
 from app.panels.top_view import AROUND, TOOL, axes_on, top_view
 from app.scene3d.camera import PLAIN, Eye
-from app.text.guidance_text import Ask, Hint, Lean, enough_words, hint_words
+from app.state.press_coach import Ask, Hint, Lean
+from app.text.guidance_text import enough_words, hint_words, lean_words
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.text.outcomes import verdict_words
 from app.theme import DARK, HEADLINE_PT, LIGHT
@@ -54,7 +55,7 @@ def every_headline() -> list[str]:
     says = guidance(ASKED)
     said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
     said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), "counted for 349-11  11.2 N"]
-    said += [f"poke 349-11, tilt 28{DEGREE} {lean.words(names)}", enough_words(guidance(done=range(24)), 0.003, ())]
+    said += [f"poke 349-11, tilt 28{DEGREE} {lean_words(lean, names)}", enough_words(guidance(done=range(24)), 0.003, ())]
     said += [
         hint_words(Hint(ask, amount, lean), ASKED, names)
         for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
