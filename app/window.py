@@ -282,7 +282,7 @@ class Window(QMainWindow):
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
         dialog = NewSessionDialog(scene, folder, self)
-        dialog.plan_chosen.connect(self.open)
+        dialog.request_chosen.connect(self.open)
         dialog.open()
 
     def ask_pedals(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from app.preflight import LIBRARIES, X_LIBRARIES
 from tools import checkout, packages, system
-from tools.checkout import USER_CAN_HELP, StopError, say
+from tools.checkout import StopError, say
 
 INTERRUPTED = 130
 """Exit code of a program ended with Ctrl-C."""
@@ -22,7 +22,7 @@ CHECKS = {
     "pyright": ("-m", "pyright"),
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
-"""Name of each check, and what Python is told to run it; the tests come last."""
+"""Name of each check, and the arguments for Python that run it; the tests come last."""
 PLAYED = "tests/skincal/cli/test_cli_layout.py"
 """Plays a session's bytes again and again, which takes a minute."""
 HALVES = (("-m", "not quiet", "tests", "--ignore=tests/app", f"--ignore={PLAYED}"), ("-m", "not quiet", "tests/app", PLAYED))
@@ -110,7 +110,7 @@ def _check(arguments: Sequence[str]) -> int:
     environment = system.environment()
     environment.pop("QT_QPA_PLATFORM", None)  # "offscreen" has no OpenGL; the tests look at real pixels
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
-    failed = [] if arguments else [name for name, told in CHECKS.items() if _run(name, told, environment)]
+    failed = [] if arguments else [name for name, words in CHECKS.items() if _run(name, words, environment)]
     tests = _run("pytest", ("-m", "pytest", *arguments), environment) if arguments else _run_tests(environment)
     if failed:
         say(f"Failed beside the tests: {', '.join(failed)}")
@@ -138,25 +138,25 @@ def _probe(depth: str) -> None:
         check=False,
     )
     if probe.returncode:
-        told = probe.stderr.strip() or f"it ended with {probe.returncode}"
-        raise StopError(f"Everything is installed, but Qt or VTK does not load here: {told}", USER_CAN_HELP)
+        why = probe.stderr.strip() or f"it ended with {probe.returncode}"
+        raise StopError(f"Everything is installed, but Qt or VTK does not load here: {why}")
 
 
-def _run(name: str, told: Sequence[str], environment: Mapping[str, str]) -> int:
+def _run(name: str, words: Sequence[str], environment: Mapping[str, str]) -> int:
     say(f"\n$ {name}")
-    return subprocess.call([checkout.interpreter(), *told], env=environment, cwd=checkout.CHECKOUT, stdin=subprocess.DEVNULL)
+    return subprocess.call([checkout.interpreter(), *words], env=environment, cwd=checkout.CHECKOUT, stdin=subprocess.DEVNULL)
 
 
 def _run_tests(environment: Mapping[str, str]) -> int:
-    """Run all tests, those of the window beside the others: each uses one core, and half of the time is enough for both."""
+    """Run all tests, those of the window beside the others: each uses one core, so that both take half of the time."""
     alone, beside, quiet, pixels = (("-m", "pytest", "-p", "no:cacheprovider", *part) for part in (*HALVES, QUIET, PIXELS))
-    with tempfile.TemporaryFile() as told:
+    with tempfile.TemporaryFile() as output:
         window = subprocess.Popen(
             [checkout.interpreter(), *beside],
             env=environment,
             cwd=checkout.CHECKOUT,
             stdin=subprocess.DEVNULL,
-            stdout=told,
+            stdout=output,
             stderr=subprocess.STDOUT,
         )
         try:
@@ -165,8 +165,8 @@ def _run_tests(environment: Mapping[str, str]) -> int:
             failed_beside = window.wait()
         finally:
             window.kill()
-        told.seek(0)
-        say(told.read().decode(errors="replace").rstrip())
+        output.seek(0)
+        say(output.read().decode(errors="replace").rstrip())
     failed_quiet = _run(shlex.join(("pytest", *QUIET)), quiet, environment)
     failed_pixels = [_run(f"pytest as on {caps}", pixels, {**environment, CAPABILITIES: caps}) for caps in PROCESSORS]
     return failed or failed_beside or failed_quiet or max(failed_pixels)

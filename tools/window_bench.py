@@ -173,7 +173,7 @@ class Sounds:
         self.latencies: list[float] = []
         self.device: str | None = None
         self._full = False
-        """The still window was filled in this call of the road."""
+        """The still window was filled in this call of the pipeline."""
         self._since: float | None = None
         """When the reading came that filled it, until its sound is on its way."""
         self._asked: float | None = None
@@ -190,16 +190,16 @@ class Sounds:
         self.device = getattr(output, "backend", "")
         return output
 
-    def watch(self, road: type[Any]) -> None:
-        """Watch the road of the readings, the press on it, and the player."""
+    def watch(self, pipeline: type[Any]) -> None:
+        """Watch the pipeline of the readings, the press on it, and the player."""
         from app.sound.player import Line, Player
         from skincal.contacts.press import Press
 
-        self._watch_readings(Press, road)
+        self._watch_readings(Press, pipeline)
         self._watch_sounds(Player, Line)
 
-    def _watch_readings(self, press: type[Any], road: type[Any]) -> None:
-        add, feed = press.add, road.feed
+    def _watch_readings(self, press: type[Any], pipeline: type[Any]) -> None:
+        add, feed = press.add, pipeline.feed
 
         def watched_add(its: Any, *arguments: Any) -> None:
             before = its.held
@@ -212,7 +212,7 @@ class Sounds:
             if self._full:
                 self._since = item.host_ns * 1e-9
 
-        press.add, road.feed = watched_add, watched_feed
+        press.add, pipeline.feed = watched_add, watched_feed
 
     def _watch_sounds(self, player: type[Any], line: type[Any]) -> None:
         from app.sound.cues import Cue
@@ -241,9 +241,9 @@ def percentile(values: list[float], share: float) -> float | None:
     return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else None
 
 
-def _around_feed(road: type[Any], released: list[tuple[int, float]]) -> None:
+def _around_feed(pipeline: type[Any], released: list[tuple[int, float]]) -> None:
     """Note the arrival of each reading that ends a poke."""
-    before = road.feed
+    before = pipeline.feed
 
     def feed(self: Any, item: Any) -> None:
         last = self.session.last_poke
@@ -251,7 +251,7 @@ def _around_feed(road: type[Any], released: list[tuple[int, float]]) -> None:
         if self.session.last_poke != last:
             released.append((self.session.last_poke, item.host_ns * 1e-9))
 
-    road.feed = feed
+    pipeline.feed = feed
 
 
 def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str) -> dict[str, Any]:

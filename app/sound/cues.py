@@ -1,17 +1,15 @@
-"""The sounds of the window, made when they are first wanted: short, and told apart by their rhythm even by who hears no pitch.
+"""The window's sound cues: what each sounds like, and which is due now. `app.sound.player` plays them.
 
-Nothing here knows when a sound is due (`app.sound.cues`) or how it is played (`app.sound.player`).
-
-Which sound is due, as a pure function of what was heard before and the frame; nothing here plays.
-
-Whatever is heard is said on the screen in the same frame, so one who hears nothing misses nothing:
+They are made when they are first wanted, short, and known by their rhythm even to an operator who hears no pitch. Which is due
+is a pure function of what was heard before and of the frame. Whatever is heard is also said on the screen in the same frame, so
+an operator who hears nothing misses nothing:
 
 - contact: the line says what to do with the force; held: "enough, release" - the verdict comes only with the release, and
   it is now that the hand wants to know;
 - accepted and rejected: the verdict; taxel done: the verdict names it, and its mark on the map becomes a square;
 - enough: the line says so; device lost: it says which, and as it says nothing else meanwhile, nothing else is heard.
 
-One sound a frame, the one that matters most: a taxel that is done tells that the poke was accepted.
+One sound a frame, the one that matters most: a taxel that is done implies that the poke was accepted.
 """
 
 from __future__ import annotations
@@ -41,6 +39,8 @@ LEVEL = 0.35
 """Largest sample, as a share of what the device can take: heard beside a fan, and nobody jumps."""
 EDGE_S = 0.003
 """s. A note comes and goes in this time; a harder edge clicks."""
+ALARM_S = 3.0
+"""s. As long as a device is lost, that is said again so often."""
 
 
 class Cue(Enum):
@@ -102,10 +102,6 @@ def _wave(note: Note) -> FloatArray:
     tone = sum((np.sin(2.0 * np.pi * pitch * time) / rank for rank, pitch in enumerate(note.pitches, 1)), np.zeros(len(time)))
     edges = np.clip(np.minimum(time, note.length_s - time) / EDGE_S, 0.0, 1.0)
     return tone * np.sin(0.5 * np.pi * edges) ** 2 * np.exp(-time / note.fading_s)
-
-
-ALARM_S = 3.0
-"""s. As long as a device is lost, that is said again so often."""
 
 
 @dataclass(frozen=True, slots=True)
