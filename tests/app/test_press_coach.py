@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import ASKED, TILT, TO_2, guidance, held, part, target, coaching_of
+from guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, part, target
 from scene3d_support import box
 from window_support import PLAN, SCENE, frame, reading, session
 
@@ -33,10 +33,10 @@ class Line:
 
     def show(self, view, seconds: float = 0.0):
         """Show the same reading for some time; return what is said at its end."""
-        coached_now = None if self.asked is None else coaching_of(view.progress, self.asked)
+        found = None if self.asked is None else coaching_of(view.progress, self.asked)
         now = None
         for _ in range(1 + round(seconds / TICK)):
-            at = replace(frame(session(), view, self.now_s), guidance=self.says, coaching=coached_now)
+            at = replace(frame(session(), view, self.now_s), guidance=self.says, coaching=found)
             now, self.memory = now_line(self.memory, at)
             self.said.append(now.headline)
             self.now_s += TICK
@@ -177,9 +177,9 @@ def test_without_a_target_the_line_says_what_it_always_said():
 def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expected):
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     lean = (c * TO_2[0] - s * TO_2[1], s * TO_2[0] + c * TO_2[1], 0.0)
-    coached_now = coaching_of(held(tilt, lean).progress, ASKED)
-    assert coached_now is not None
-    hint = tilt_hint(guidance(ASKED), ASKED, coached_now)
+    found = coaching_of(held(tilt, lean).progress, ASKED)
+    assert found is not None
+    hint = tilt_hint(guidance(ASKED), ASKED, found)
     assert hint.ask is expected[0]
     if turn == 0.0:
         assert hint.toward == expected[1]
@@ -187,7 +187,7 @@ def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expec
         # From a quarter turn beside: the way leads between taxel 2 and straight.
         assert hint.toward is not None
         way = PLAN.places[hint.toward.channel] - PLAN.places[3]
-        assert (way @ coached_now.lean[:2]) * (-1 if hint.toward.away else 1) > 0.8 * np.linalg.norm(way)
+        assert (way @ found.lean[:2]) * (-1 if hint.toward.away else 1) > 0.8 * np.linalg.norm(way)
 
 
 def coaching(surface):
@@ -209,10 +209,10 @@ def test_the_guide_of_the_window_compares_with_its_own_target_on_the_skin():
     assert says is not None
     assert says.target is not None
     view = held(20.0, asked=says.target, landed=says.target.channel)
-    coached_now = coached(view.progress, says.target)
-    assert coached_now is not None
-    assert coached_now.away < 1e-9
-    assert np.degrees(coached_now.tilt) == pytest.approx(20.0)
+    found = coached(view.progress, says.target)
+    assert found is not None
+    assert found.away < 1e-9
+    assert np.degrees(found.tilt) == pytest.approx(20.0)
     assert coached(replace(view.progress, phase=PressPhase.READY), says.target) is None
     assert coached(view.progress, None) is None
 
@@ -226,6 +226,6 @@ def test_the_tip_is_measured_on_the_mesh_where_there_is_one():
     assert says.target is not None
     # The layout is believed 4 mm below the box's top; a tool that leans by 45 degrees touches the top right above it.
     up = replace(says.target, place=says.target.place + np.array([0.0, 0.0, 0.004]))
-    coached_now = coaching(box())(held(45.0, asked=up).progress, says.target)
-    assert coached_now is not None
-    assert coached_now.away < 1e-7
+    found = coaching(box())(held(45.0, asked=up).progress, says.target)
+    assert found is not None
+    assert found.away < 1e-7
