@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import ASKED, TILT, TO_2, guidance, held, target, told_of
+from guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication
 from whole_window import Paints
@@ -82,7 +82,7 @@ def panel(qtbot):
 
 def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN):
     """Show a frame in which a tool presses, or none."""
-    told = None if view is None else told_of(view.progress, asked)
+    told = None if view is None else coaching_of(view.progress, asked)
     at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=told, eye=eye)
     panel.show_state(at)
     return at
@@ -115,7 +115,7 @@ def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
 
 
 def of(view=None, asked=ASKED, eye=PLAIN, leeway=LEEWAY):
-    return top_view(guidance(asked), asked, None if view is None else told_of(view.progress, asked), leeway, eye)
+    return top_view(guidance(asked), asked, None if view is None else coaching_of(view.progress, asked), leeway, eye)
 
 
 def test_the_picture_from_above_is_what_one_sees_from_above():
