@@ -25,11 +25,11 @@ from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.devices import LinkChips
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
-from app.sound.cues import Ear, heard
+from app.sound.cues import CueMemory, due_cue
 from app.state.policies import Allowed, allowed
+from app.state.press_coach import PressCoach
 from app.state.rig_review import RigReview
 from app.state.view_state import ViewState, looked_at, same_results
-from app.text.guidance_text import PressCoach
 from app.text.message import Message
 from app.text.now_text import modules_enough_words
 from app.text.rig_text import corrected_words, offer_news, offer_text
@@ -74,7 +74,7 @@ class SessionView(QObject):
     unsaid = Signal(object)
     """`Message`: it holds no more."""
     heard = Signal(object)
-    """`Heard`: a sound that is due."""
+    """`DueCue`: a sound that is due."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class SessionView(QObject):
         self._tick: Tick | None = None
         self._revision = 0
         self._clock_offset = time.time() - time.monotonic()
-        self._ear = Ear()
+        self._ear = CueMemory()
         self._rig = RigReview()
         self._guidance: Guidance | None = None
         self._coach = PressCoach(part.surface)
@@ -148,7 +148,7 @@ class SessionView(QObject):
     def session_opened(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
         self.set_addresses()
-        self._ear = Ear.of(snapshot)
+        self._ear = CueMemory.of(snapshot)
         self.workspace.session_opened(snapshot)
 
     # What is shown
@@ -277,7 +277,7 @@ class SessionView(QObject):
 
     def _hear(self, state: ViewState) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""
-        due, self._ear = heard(self._ear, state)
+        due, self._ear = due_cue(self._ear, state)
         if due is not None and state.behind_s <= LATE_S:
             self.heard.emit(due)
 

@@ -1,6 +1,6 @@
 """One look for the whole window: colours, sizes and the palette, light and dark.
 
-Hue is kept for the identity of a module (Okabe-Ito, seven hues that colour-blind eyes tell apart); a state is told by
+Hue is kept for the identity of a module (Okabe-Ito, seven hues that colour-blind eyes tell apart); a state is shown by
 shape and words as well as by colour: accepted is blue with a tick, rejected is vermillion with a cross.
 """
 

@@ -29,7 +29,7 @@ from app.theme import GAP, Choice, Colours, Theme
 if TYPE_CHECKING:
     from app.session.controller import Tick
     from app.session_view import SessionView
-    from app.sound.cues import Heard
+    from app.sound.cues import DueCue
     from skincal.files.reference import Reference
     from skincal.session.part import Part
     from skincal.session.review import Review
@@ -217,7 +217,7 @@ class Window(QMainWindow):
         nothing = "Nothing is open.\nCtrl+N begins a new session, Ctrl+O opens a recorded one."
         self.opening.setText("Opening \N{HORIZONTAL ELLIPSIS}" if opening else nothing)
 
-    def _play(self, heard: Heard) -> None:
+    def _play(self, heard: DueCue) -> None:
         self._player.play(heard.sound, heard.word)
 
     def _follow_sound(self, found: bool) -> None:
@@ -282,7 +282,7 @@ class Window(QMainWindow):
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
         dialog = NewSessionDialog(scene, folder, self)
-        dialog.plan_chosen.connect(self.open)
+        dialog.request_chosen.connect(self.open)
         dialog.open()
 
     def ask_pedals(self) -> None:

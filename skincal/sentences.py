@@ -119,7 +119,7 @@ def _unmended_sentence(left: Unmended) -> str:
         )
     if left.kind is UnmendedKind.UNLIKE:
         return (
-            f"Modules {_named(numbers)} lie in each other's places, but their kinds are different boards: exchange what the "
+            f"Modules {_named(numbers)} lie in each other's places, but they are of different kinds: exchange what the "
             "layout says of their places by hand."
         )
     many = len(numbers) > 1

@@ -30,10 +30,10 @@ def measured(result: dict[str, Any]) -> str:
     """Return the machine, the bars and the two parts, as Markdown."""
     machine = result["machine"]
     load = "" if machine["load"] is None else f", load {machine['load']:.1f}"
-    told = f"{machine['platform']}, {machine['cpus']} cores{load}; Python {machine['python']}, numpy {machine['numpy']}, "
-    told += f"scipy {machine['scipy']}. Clock: {machine['clock']}."
+    about = f"{machine['platform']}, {machine['cpus']} cores{load}; Python {machine['python']}, numpy {machine['numpy']}, "
+    about += f"scipy {machine['scipy']}. Clock: {machine['clock']}."
     if result["quick"]:
-        told += " A quick run."
+        about += " A quick run."
     said = {True: "holds", False: "**does not hold**"}
     bars = [[f"`{name}`", f"{bar['value']:.3g}", said[bar["holds"]]] for name, bar in result["bars"].items()]
     ratios = [[f"`{name}`", f"{value:.3g}"] for name, value in result["ratios"].items()]
@@ -51,7 +51,7 @@ def measured(result: dict[str, Any]) -> str:
         table(["ratio", "value"], ratios),
         table(["part", "method", "time", "error, mm"], rows),
     )
-    return "\n".join(["", told, "", *(line for lines in tables for line in (*lines, ""))])
+    return "\n".join(["", about, "", *(line for lines in tables for line in (*lines, ""))])
 
 
 def table(head: list[str], rows: list[list[str]]) -> list[str]:

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from app.preflight import LIBRARIES, X_LIBRARIES
 from tools import checkout, packages, system
-from tools.checkout import USER_CAN_HELP, StopError, say
+from tools.checkout import StopError, say
 
 INTERRUPTED = 130
 """Exit code of a program ended with Ctrl-C."""
@@ -35,7 +35,7 @@ CHECKS = {
     **{f"pytest as on {caps}": (*PYTEST, "-m", "pixels", PIXELS) for caps in PROCESSORS},
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
-"""Name of each check, and what Python is told to run it: long ones first, so that two cores are done at about the same time."""
+"""Name of each check, and what Python is words to run it: long ones first, so that two cores are done at about the same time."""
 AT_ONCE = 2
 """Checks that run beside each other: each takes one core, and more would lengthen what some tests measure."""
 QUIET = {"pytest of what is measured": (*PYTEST, "-m", "quiet", "tests/app")}
@@ -117,7 +117,7 @@ def _check(arguments: Sequence[str]) -> int:
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
     if arguments:
         return 1 if _run("pytest", ("-m", "pytest", *arguments), environment) else 0
-    failed = [*_run_beside_each_other(environment), *(name for name, told in QUIET.items() if _run(name, told, environment))]
+    failed = [*_run_beside_each_other(environment), *(name for name, words in QUIET.items() if _run(name, words, environment))]
     say(f"\nFailed: {', '.join(failed)}" if failed else "\nAll checks passed.")
     return 1 if failed else 0
 
@@ -143,20 +143,20 @@ def _probe(depth: str) -> None:
         check=False,
     )
     if probe.returncode:
-        told = probe.stderr.strip() or f"it ended with {probe.returncode}"
-        raise StopError(f"Everything is installed, but Qt or VTK does not load here: {told}", USER_CAN_HELP)
+        why = probe.stderr.strip() or f"it ended with {probe.returncode}"
+        raise StopError(f"Everything is installed, but Qt or VTK does not load here: {why}")
 
 
-def _run(name: str, told: Sequence[str], environment: Mapping[str, str]) -> int:
+def _run(name: str, words: Sequence[str], environment: Mapping[str, str]) -> int:
     say(f"\n$ {name}")
-    return subprocess.call([checkout.interpreter(), *told], env=environment, cwd=checkout.CHECKOUT, stdin=subprocess.DEVNULL)
+    return subprocess.call([checkout.interpreter(), *words], env=environment, cwd=checkout.CHECKOUT, stdin=subprocess.DEVNULL)
 
 
 def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
     """Run the checks, show what each said once it is done, and return the names of those that failed."""
     failed: list[str] = []
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        running = {pool.submit(_captured, name, told, environment): name for name, told in CHECKS.items()}
+        running = {pool.submit(_captured, name, words, environment): name for name, words in CHECKS.items()}
         say(f"\n{len(running)} checks, {AT_ONCE} at a time; what each says is shown at its end.")
         try:
             for done in as_completed(running):
@@ -169,11 +169,11 @@ def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
     return failed
 
 
-def _captured(name: str, told: Sequence[str], environment: Mapping[str, str]) -> tuple[int, str]:
+def _captured(name: str, words: Sequence[str], environment: Mapping[str, str]) -> tuple[int, str]:
     """Return a check's exit code and what it said."""
     caps = name.removeprefix("pytest as on ")
     done = subprocess.run(
-        [checkout.interpreter(), *told],
+        [checkout.interpreter(), *words],
         env={**environment, CAPABILITIES: caps} if caps in PROCESSORS else environment,
         cwd=checkout.CHECKOUT,
         stdin=subprocess.DEVNULL,

@@ -1,1 +1,1 @@
-"""The window's dialogs: each gathers one wish and emits it."""
+"""The window's dialogs: each gathers what the operator wants and emits it."""

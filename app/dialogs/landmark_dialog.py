@@ -1,4 +1,4 @@
-"""A known point of the part: a click on it or its coordinates, then its name."""
+"""Adding a landmark, a known point of the part: a click on it or its coordinates, then its name."""
 
 from __future__ import annotations
 

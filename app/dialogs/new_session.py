@@ -1,4 +1,4 @@
-"""A new session: which scene, which devices, which folder."""
+"""The dialog for a new session: which scene, which devices, which folder."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def shipped_scenes() -> list[tuple[str, Path]]:
 
 
 class NewSessionDialog(QDialog):
-    """Gathers a `OpenRequest` and checks it before it is emitted."""
+    """Gathers an `OpenRequest` and checks it before it is emitted."""
 
-    plan_chosen = Signal(object)
+    request_chosen = Signal(object)
 
     def __init__(self, scene: Path | None, folder: Path, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -85,7 +85,7 @@ class NewSessionDialog(QDialog):
         self.setMinimumWidth(560)
         self.buttons.button(QDialogButtonBox.StandardButton.Ok).setFocus()
 
-    def plan(self) -> OpenRequest:
+    def request(self) -> OpenRequest:
         """Return what was chosen.
 
         Raises
@@ -102,11 +102,11 @@ class NewSessionDialog(QDialog):
 
     def _try(self) -> None:
         try:
-            plan = self.plan()
+            request = self.request()
         except InputError as error:
             put(self.objection, f"\N{BALLOT X} {error}")
             return
-        self.plan_chosen.emit(plan)
+        self.request_chosen.emit(request)
         self.accept()
 
     def _choose_scene(self) -> None:

@@ -1,9 +1,8 @@
-"""Foot pedals: keyboards of one key. Each learns a key that means nothing yet, and acts as the space bar, Backspace or N.
+"""Foot pedals, keyboards of one key: each learns a key that means nothing yet, and acts as the space bar, Backspace or N.
 
 A pedal's key is turned where it arrives: in the main window it does what the menu entry with that key does, anywhere else it
 is pressed and let go as that key, so that it presses the focused button of a dialog. In a field for text it types nothing.
-
-Foot pedals: press one, and it is learnt.
+In the dialog a pedal is learnt by pressing it.
 """
 
 from __future__ import annotations
@@ -172,7 +171,7 @@ class Pedals(QObject):
         target = _target()
         if pedal is None or target is None or _takes(target, event):
             return False
-        # A pedal that is held down repeats its key; a press is one wish.
+        # A pedal that is held down repeats its key; a press counts once.
         if not event.isAutoRepeat():
             self._act(pedal, target, is_press)
         return True
@@ -258,7 +257,7 @@ class PedalsDialog(QDialog):
         self._show_keys()
 
     def _take(self, key: str) -> None:
-        """Take the key that was pressed; one that cannot be learnt is said, and the next one is waited for."""
+        """Take the key that was pressed; where it cannot be learnt, say so and wait for the next."""
         pedal = self._asked
         if pedal is None:
             return

@@ -1,4 +1,4 @@
-"""How the session ends: one sentence, the figures behind it, what is not done and why, and the way to the file."""
+"""The verdict on a session: one sentence, the figures behind it, what is not done and why, and the way to the file."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class LeftTable(QAbstractTableModel):
         """Return a taxel's name, or why it is not done."""
         if role not in (Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.ToolTipRole):
             return None
-        one = self.left[index.row()]
-        return self._names.short(one.channel) if index.column() == 0 else left_words(one)
+        left = self.left[index.row()]
+        return self._names.short(left.channel) if index.column() == 0 else left_words(left)
 
 
 class LeftView(QTableView):
@@ -109,8 +109,8 @@ class VerdictDialog(QDialog):
         self.setWindowTitle("Verdict")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.sentence = QLabel(sentence(verdict))
-        told = (*figures(verdict), *((("Rig", rig),) if rig else ()))
-        self.figures = [(name, QLabel(value)) for name, value in told]
+        shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
+        self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
         self.left = LeftView(verdict.left, names)
         self.buttons = QDialogButtonBox()

@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 from app.panels.texts import put, quiet
 from app.panels.top_view import AxisDiversityView, sky_view
 from app.state.view_state import ViewState
-from app.text.guidance_text import FOLLOWS, contacts_words, sky_words
+from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words
 from app.theme import GAP, LIGHT, Colours
 from app.units import ChannelNames
 from skincal.geometry.arrays import FloatArray
@@ -182,7 +182,7 @@ class AxisDiversityPanel(QWidget):
     def _show_sky(self, sky: AxisDiversity, state: ViewState, *, is_target: bool) -> None:
         put(self.whose, f"{self._names.short(sky.channel)}{', the target' if is_target else ''}")
         put(self.contacts, contacts_words(sky))
-        put(self.spread, sky_words(sky, state.method).capitalize())
+        put(self.spread, diversity_words(sky, state.method).capitalize())
         put(self.legend, LEGENDS[state.method])
         put(self.follows, FOLLOWS[state.method])
         self.plot.set(sky, sky_view(sky, state.method, state.eye))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
@@ -15,7 +17,7 @@ from skincal.guide.coaching import PRESSING
 from skincal.session.snapshot import Snapshot
 
 MOST_AXES = 30
-"""Axes of the selected taxel: more are a tangle, and the newest tell most."""
+"""Axes of the selected taxel: more are a tangle, and the newest count most."""
 OUTSIDE, INSIDE = 0.035, 0.012
 """m. Length of an axis before and beyond the contact: a tool's tip, and enough depth to see where axes cross."""
 
@@ -70,35 +72,29 @@ class AxesLayer(Layer):
         return True
 
     def _near(self, state: View3DState, progress: Progress) -> FloatArray:
-        """Where the taxels are that answer now, by estimate or plan; else the middle of the part."""
-        estimates = state.estimates()
-        places: list[FloatArray] = []
-        for row in (self.static.row.get(int(channel), -1) for channel in progress.channels):
-            position = estimates[row].position if 0 <= row < len(estimates) else None
-            if position is not None:
-                places.append(position)
-            elif row >= 0 and np.isfinite(self.static.places[row, 0]):
-                places.append(self.static.places[row])
+        """Return the mean place of the taxels that answer now; the middle of the part where none is known."""
+        places = [place for c in progress.channels.tolist() if (place := self._place_of(state, c)) is not None]
         return np.mean(places, axis=0) if places else self._middle
 
     def _show_past(self, state: View3DState) -> None:
         last = _last(state.snapshot)
         groups = [self._group([last], self._middle, "ink")] if last is not None else []
         if state.selected is not None and state.selected in self.static.row:
-            contacts = _touching(state.snapshot, state.selected)
-            groups.append(self._group(contacts, self._place_of(state, state.selected), "faint"))
+            place = self._place_of(state, state.selected)
+            groups.append(
+                self._group(_touching(state.snapshot, state.selected), self._middle if place is None else place, "faint")
+            )
         ends = [ends for ends, _ in groups] or [np.empty((0, 2, 3))]
         colours = [colours for _, colours in groups] or [np.empty((0, 3), np.uint8)]
         self.past.join(np.concatenate(ends), np.concatenate(colours))
 
-    def _place_of(self, state: View3DState, channel: int) -> FloatArray:
-        row = self.static.row[channel]
-        estimates = state.estimates()
+    def _place_of(self, state: View3DState, channel: int) -> FloatArray | None:
+        """Return where a taxel is by its estimate, else by the plan; None where neither says it."""
+        row, estimates = self.static.row.get(channel), state.estimates()
+        if row is None:
+            return None
         position = estimates[row].position if row < len(estimates) else None
-        if position is not None:
-            return position
-        planned = self.static.places[row]
-        return planned if np.isfinite(planned[0]) else self._middle
+        return self.static.places[row] if position is None and np.isfinite(self.static.places[row, 0]) else position
 
     def _group(self, contacts: list[Contact], near: FloatArray, colour: str) -> tuple[FloatArray, ColourArray]:
         lines = [_axis_of(contact) for contact in contacts]
@@ -139,10 +135,5 @@ def _last(snapshot: Snapshot) -> Contact | None:
 
 def _touching(snapshot: Snapshot, channel: int) -> list[Contact]:
     """Return the newest contacts in which a channel answered and that are not excluded."""
-    found: list[Contact] = []
-    for record in reversed(snapshot.pokes):
-        if not record.excluded and isinstance(record.outcome, Contact) and channel in record.outcome.channels:
-            found.append(record.outcome)
-        if len(found) == MOST_AXES:
-            break
-    return found
+    counting = (record.outcome for record in reversed(snapshot.pokes) if not record.excluded)
+    return list(islice((c for c in counting if isinstance(c, Contact) and channel in c.channels), MOST_AXES))

@@ -327,7 +327,7 @@ def _half_height(stand: Stand, at: FloatArray) -> float:
 
 
 def _between(start: FloatArray, end: FloatArray, share: float, spare: FloatArray) -> FloatArray:
-    """Return (3,) the unit vector `share` of the way from one to another; over `spare` where they are opposite."""
+    """Return (3,) the unit vector `share` of the way from `start` to `end`; over `spare` where they are opposite."""
     axis = np.cross(start, end)
     if float(np.linalg.norm(axis)) < 1e-9:
         axis = spare

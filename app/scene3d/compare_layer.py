@@ -1,4 +1,4 @@
-"""Sets of places over each other: a dot each taxel and set, and arrows from one set to another.
+"""Sets of places over each other: a dot for each taxel and set, and arrows from one set to another.
 
 Everything is drawn before the part: a difference that goes into the part must be seen along its whole length. What lies on
 the part's far side is left out instead.
@@ -43,8 +43,7 @@ class CompareLayer(Layer):
         self._shown: Comparison | None = None
         self._sight: Sight | None = None
         self._part = static.extent
-        known = static.surface is not None and static.laid is not None
-        self._normals = static.normals if known else np.full((len(static.channels), 3), np.nan)
+        self._normals = static.skin_normals
         for shape in (self.arrows, self.dots):
             renderer.AddActor(shape.actor)
 

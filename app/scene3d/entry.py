@@ -92,7 +92,7 @@ def seen_point(surface: Surface, place: FloatArray, direction: FloatArray) -> Fl
 
 
 def _first(points: FloatArray, place: FloatArray, direction: FloatArray) -> FloatArray | None:
-    """Return the one of (n, 3) points on a line that is nearest before an eye there; None where none is before it."""
+    """Return which of (n, 3) points on a line is nearest before an eye there; None where none is before it."""
     away = (points - place) @ direction
     away[away <= 0.0] = np.inf
     return points[away.argmin()] if np.isfinite(away).any() else None

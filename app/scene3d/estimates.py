@@ -21,7 +21,7 @@ from skincal.taxels.result import Estimate, Method, State
 BALL = 3.2e-3
 """m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
 BALL_PIXELS = (5.0, 34.0)
-"""Smallest and largest ball on the screen: below it a hue cannot be told, above it balls hide each other."""
+"""Smallest and largest ball on the screen: below it a hue cannot be made out, above it balls hide each other."""
 RING = 2.6e-3
 """m. Radius of the ring around a ball."""
 MARK = 1.3e-3
@@ -47,7 +47,7 @@ OTHER = {Method.FREE: Method.SURFACE, Method.SURFACE: Method.FREE, Method.MODULE
 
 
 class EstimatesLayer(Layer):
-    """Balls, marks, and on wish a line from each estimate to the other method's."""
+    """Balls, marks, and where wanted a line from each estimate to the other method's."""
 
     name = "estimates"
 
@@ -98,16 +98,12 @@ class EstimatesLayer(Layer):
         self.shown = self.static.channels[rows]
         self.places = _positions([estimates[row] for row in rows])
         self._hues = self.static.hues[rows]
-        if self.static.surface is not None and self.static.laid is not None:
-            self._normals = self.static.normals[rows]
-        else:
-            self._normals = np.full((len(rows), 3), np.nan)
+        self._normals = self.static.skin_normals[rows]
         self.near = np.ones(len(rows), dtype=bool)
         self._compared = state.comparison is not None
         self._show_balls()
         self._show_marks(state, estimates)
-        if self.differences is not None:
-            self._show_differences(state, rows)
+        self._show_differences(state, rows)
         self._show_alternative(state, estimates)
         return True
 
@@ -165,14 +161,12 @@ class EstimatesLayer(Layer):
         return self.static.places[rows] + LIFT * normals, normals.copy()
 
     def _show_differences(self, state: View3DState, rows: list[int]) -> None:
-        others = state.snapshot.estimates.get(OTHER[state.method], ())
+        if self.differences is None:
+            return
+        others = state.snapshot.estimates.get(OTHER[state.method], ()) if state.difference else ()
         paired = [i for i, row in enumerate(rows) if row < len(others) and others[row].position is not None]
-        if not state.difference:
-            paired = []
         there = _positions([others[rows[i]] for i in paired])
-        ends = np.stack([self.places[paired], there], axis=1)
-        if self.differences is not None:
-            self.differences.join(ends, self._faint)
+        self.differences.join(np.stack([self.places[paired], there], axis=1), self._faint)
 
 
 def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:

@@ -134,9 +134,8 @@ class LandmarksLayer(Layer):
         if self._look is None:
             return
         for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):
-            colour = _pale(self._look) if landmark.name in self._poked else np.array(self._look.ink)
-            red, green, blue = (int(value) for value in colour)
-            actor.GetTextProperty().SetColor(*unit((red, green, blue)))
+            colour = _pale(self._look) if landmark.name in self._poked else self._look.ink
+            actor.GetTextProperty().SetColor(*unit(colour))
 
 
 def poked_here(snapshot: Snapshot) -> frozenset[str]:

@@ -134,7 +134,7 @@ class Stage:
         return np.concatenate([self.estimates.places, self.landmarks.places])
 
     def _keep_known_in_picture(self) -> None:
-        """Where nothing but the session tells where the part is, keep them in the picture."""
+        """Keep estimates and landmarks in the picture where nothing else says where the part is."""
         places, (middle, half) = self._known(), self._reach
         if not self.moved and len(places) and np.linalg.norm(places - middle, axis=1).max() > half:
             self.fit()

@@ -1,4 +1,4 @@
-"""What all layers draw from: part and plan, which a session does not change, what to show of a session, and the colours.
+"""What all layers draw from: the part and the plan, which a session does not change; what to show of it; the colours.
 
 Hue names the module, light and dark follow the window. Colours are (3,) uint8, red green blue.
 """
@@ -109,9 +109,9 @@ def module_hues(layout: Layout | None, channels: IntArray) -> ColourArray:
     return HUES[layout.module_of[channels] % len(HUES)]
 
 
-def unit(colour: Colour) -> tuple[float, float, float]:
+def unit(colour: Colour | ColourArray) -> tuple[float, float, float]:
     """Return a colour as VTK takes it, 0 to 1."""
-    return colour[0] / 255, colour[1] / 255, colour[2] / 255
+    return float(colour[0]) / 255, float(colour[1]) / 255, float(colour[2]) / 255
 
 
 class Shaded(NamedTuple):
@@ -229,6 +229,12 @@ class StaticScene:
             return up
         normals = self.laid.normals[self.channels]
         return np.where(np.isfinite(normals), normals, up)
+
+    @cached_property
+    def skin_normals(self) -> FloatArray:
+        """(n, 3) float: as `normals`; NaN where no skin is laid on a surface, and so nothing has a far side."""
+        known = self.surface is not None and self.laid is not None
+        return self.normals if known else np.full((len(self.channels), 3), np.nan)
 
     @cached_property
     def shaded(self) -> Shaded | None:

@@ -17,7 +17,7 @@ from app.scene3d.shapes import Layer, cells
 from app.scene3d.static_scene import Look, Shaded, unit
 
 FRONT_OPACITY = 0.55
-"""Share of light that the near wall keeps: an estimate inside is still told apart from one outside."""
+"""Share of light that the near wall keeps: an estimate inside still looks unlike one outside."""
 SHADE = 0.15
 """Share of the inner side's brightness that depends on where it faces; worked out once, since lighting costs every frame."""
 SHADE_FROM = np.array([0.36, 0.48, 0.8])

@@ -1,17 +1,15 @@
-"""The sounds of the window, made when they are first wanted: short, and told apart by their rhythm even by who hears no pitch.
+"""The window's sound cues: what each sounds like, and which is due now. `app.sound.player` plays them.
 
-Nothing here knows when a sound is due (`app.sound.cues`) or how it is played (`app.sound.player`).
-
-Which sound is due, as a pure function of what was heard before and the frame; nothing here plays.
-
-Whatever is heard is said on the screen in the same frame, so one who hears nothing misses nothing:
+They are made when they are first wanted, short, and known by their rhythm even to an operator who hears no pitch. Which is due
+is a pure function of what was heard before and of the frame. Whatever is heard is also said on the screen in the same frame, so
+an operator who hears nothing misses nothing:
 
 - contact: the line says what to do with the force; held: "enough, release" - the verdict comes only with the release, and
   it is now that the hand wants to know;
 - accepted and rejected: the verdict; taxel done: the verdict names it, and its mark on the map becomes a square;
 - enough: the line says so; device lost: it says which, and as it says nothing else meanwhile, nothing else is heard.
 
-One sound a frame, the one that matters most: a taxel that is done tells that the poke was accepted.
+One sound a frame, the one that matters most: a taxel that is done implies that the poke was accepted.
 """
 
 from __future__ import annotations
@@ -41,6 +39,8 @@ LEVEL = 0.35
 """Largest sample, as a share of what the device can take: heard beside a fan, and nobody jumps."""
 EDGE_S = 0.003
 """s. A note comes and goes in this time; a harder edge clicks."""
+ALARM_S = 3.0
+"""s. As long as a device is lost, that is said again so often."""
 
 
 class Cue(Enum):
@@ -104,12 +104,8 @@ def _wave(note: Note) -> FloatArray:
     return tone * np.sin(0.5 * np.pi * edges) ** 2 * np.exp(-time / note.fading_s)
 
 
-ALARM_S = 3.0
-"""s. As long as a device is lost, that is said again so often."""
-
-
 @dataclass(frozen=True, slots=True)
-class Heard:
+class DueCue:
     """A sound that is due."""
 
     sound: Cue
@@ -118,7 +114,7 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class Ear:
+class CueMemory:
     """What is remembered between two frames."""
 
     outcome: Outcome | None = None
@@ -134,48 +130,48 @@ class Ear:
     alarm_s: float = -math.inf
 
     @staticmethod
-    def of(snapshot: Snapshot) -> Ear:
-        """Return an ear to which the pokes that are there already are no news."""
-        return Ear(outcome=newest_outcome(snapshot))
+    def of(snapshot: Snapshot) -> CueMemory:
+        """Return a memory to which the pokes that are there already are no news."""
+        return CueMemory(outcome=newest_outcome(snapshot))
 
 
-def heard(ear: Ear, at: ViewState) -> tuple[Heard | None, Ear]:
+def due_cue(memory: CueMemory, at: ViewState) -> tuple[DueCue | None, CueMemory]:
     """Return the sound that is due now, None where none is, and what has to be remembered."""
     phase = at.live.progress.phase
     lost = frozenset(link.link for link in at.live.links if at.look(link) is LinkLook.LOST)
-    newest = newest_outcome(at.snapshot) or ear.outcome
-    following = Ear(
+    newest = newest_outcome(at.snapshot) or memory.outcome
+    following = CueMemory(
         outcome=newest,
         at_landmark=newest is not None and newest.poke in at.snapshot.at_landmarks,
         phase=phase,
-        held=phase is PressPhase.HELD or (ear.held and phase in PRESSING),
+        held=phase is PressPhase.HELD or (memory.held and phase in PRESSING),
         guidance=at.guidance,
         lost=lost,
-        alarm_s=ear.alarm_s,
+        alarm_s=memory.alarm_s,
     )
     if at.running is not Running.STREAMING:
         return None, following
     if not lost:
-        return _of_poking(ear, following), following
-    if lost <= ear.lost and at.now_s - ear.alarm_s < ALARM_S:
+        return _of_poking(memory, following), following
+    if lost <= memory.lost and at.now_s - memory.alarm_s < ALARM_S:
         return None, following
-    return Heard(Cue.LOST), replace(following, alarm_s=at.now_s)
+    return DueCue(Cue.LOST), replace(following, alarm_s=at.now_s)
 
 
-def _of_poking(before: Ear, now: Ear) -> Heard | None:
+def _of_poking(before: CueMemory, now: CueMemory) -> DueCue | None:
     """Return what is due of pokes and taxels, the most important of it."""
     if _became_enough(before.guidance, now.guidance):
-        return Heard(Cue.ENOUGH)
+        return DueCue(Cue.ENOUGH)
     verdict = now.outcome if now.outcome is not None and is_news(before.outcome, now.outcome) else None
     if isinstance(verdict, Rejection) and not now.at_landmark:
-        return Heard(Cue.REJECTED, verdict.reason.value)
+        return DueCue(Cue.REJECTED, verdict.reason.value)
     if _came(before.outcome, now.outcome) and newly_done(before.guidance, now.guidance):
-        return Heard(Cue.DONE)
+        return DueCue(Cue.DONE)
     if verdict is not None:
-        return Heard(Cue.ACCEPTED)
+        return DueCue(Cue.ACCEPTED)
     if now.held and not before.held:
-        return Heard(Cue.HELD)
-    return Heard(Cue.CONTACT) if now.phase in PRESSING and before.phase not in PRESSING else None
+        return DueCue(Cue.HELD)
+    return DueCue(Cue.CONTACT) if now.phase in PRESSING and before.phase not in PRESSING else None
 
 
 def _came(before: Outcome | None, now: Outcome | None) -> bool:

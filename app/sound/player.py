@@ -1,6 +1,6 @@
-"""Says a word with the system's own voice: speech-dispatcher or eSpeak on Linux, `say` on macOS, System.Speech on Windows.
+"""Plays sounds and says words beside the window: nobody waits for one, and a machine without a sound device is merely silent.
 
-Plays sounds beside the window: whoever asks for one never waits, and a machine without a sound device is merely silent.
+A word is said by the system's own voice: speech-dispatcher or eSpeak on Linux, `say` on macOS, System.Speech on Windows.
 
 One thread owns the device. It is opened once a session is, runs while sounds come, and rests after `LINGER_S`, so that nothing
 wakes the processor while nobody pokes. It is not started anew for each sound: a desktop's sound server sends a device to sleep
@@ -25,6 +25,23 @@ if TYPE_CHECKING:
 
     from app.sound.cues import Cue
 
+LOG = logging.getLogger(__name__)
+PERIOD_MS = 10
+PERIODS = 4
+"""The device holds so much that is not heard yet: 40 ms. More would be late, less would stutter while a picture is drawn."""
+LINGER_S = 10.0
+"""s. The device runs on for so long after a sound: from one poke to the next."""
+LATE_S = 0.3
+"""s. A sound that would come later than this, because the device was slow to open, would be of something that is over."""
+GONE_S = 1.0
+"""s. A device that has not taken up a sound by then is gone, whatever it says of itself."""
+RETRY_S = 10.0
+"""s. Where there is no device, it is looked for again so often, when a sound is due."""
+STOP_S = 1.0
+"""s. Closing waits this long for the device; its thread is a daemon and dies with the process."""
+
+Stream = Generator[bytes, int, None]
+"""Is sent how many samples the device wants, and gives them, or fewer: the rest is silence."""
 _SYSTEM: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "linux": (("spd-say", "--"), ("espeak-ng", "--"), ("espeak", "--")),
     "darwin": (("say", "--"),),
@@ -89,25 +106,6 @@ class Speaker:
             voice.wait()
 
 
-LOG = logging.getLogger(__name__)
-PERIOD_MS = 10
-PERIODS = 4
-"""The device holds so much that is not heard yet: 40 ms. More would be late, less would stutter while a picture is drawn."""
-LINGER_S = 10.0
-"""s. The device runs on for so long after a sound: from one poke to the next."""
-LATE_S = 0.3
-"""s. A sound that would come later than this, because the device was slow to open, tells of something that is over."""
-GONE_S = 1.0
-"""s. A device that has not taken up a sound by then is gone, whatever it says of itself."""
-RETRY_S = 10.0
-"""s. Where there is no device, it is looked for again so often, when a sound is due."""
-STOP_S = 1.0
-"""s. Closing waits this long for the device; its thread is a daemon and dies with the process."""
-
-Stream = Generator[bytes, int, None]
-"""Is sent how many samples the device wants, and gives them, or fewer: the rest is silence."""
-
-
 class NoSoundError(Exception):
     """There is nothing to play on; the text says why, for the log."""
 
@@ -130,7 +128,7 @@ def open_output(*, real: bool = True) -> Output:
 
     Parameters
     ----------
-    real : else one that takes samples at the right pace, and nobody hears them
+    real : else a device that takes samples at the right pace, and nobody hears them
 
     Raises
     ------
@@ -144,7 +142,7 @@ def open_output(*, real: bool = True) -> Output:
     except (ImportError, OSError) as error:
         raise NoSoundError(f"the sound library cannot be loaded ({error})") from error
     kinds = miniaudio.Backend
-    # Listed, or it would fall back to one that nobody hears. JACK and ALSA fill stderr to say that they are not there.
+    # Listed, or it would fall back to a device that nobody hears. JACK and ALSA fill stderr to say that they are not there.
     unwanted = {kinds.NULL, kinds.CUSTOM, kinds.JACK} | (set() if _has_cards() else {kinds.ALSA})
     # By their number the likeliest comes first.
     found = sorted(miniaudio.get_enabled_backends() - unwanted, key=lambda each: each.value)
@@ -249,7 +247,7 @@ class _Outlet:
 
 
 @dataclass(frozen=True, slots=True)
-class _Wish:
+class _Order:
     sound: Cue | None
     """None: only get ready."""
     word: str
@@ -270,12 +268,12 @@ class Player:
         """The operator wants to hear."""
         self.speaks = False
         """The operator wants words, too."""
-        self.found: Callable[[bool], None] = _tell_nobody
+        self.found: Callable[[bool], None] = lambda _there: None
         """Called in the player's thread when a device is found, or none."""
         self._opener = opener
         self._speech = speech_command() if speech is None else speech
         self._speaker = Speaker(self._speech)
-        self._wishes: queue.SimpleQueue[_Wish | None] = queue.SimpleQueue()
+        self._orders: queue.SimpleQueue[_Order | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._closed = False
         self._there: bool | None = None
@@ -289,30 +287,30 @@ class Player:
 
     def get_ready(self) -> None:
         """Import the library and open the device, so that the first sound is not late; returns at once."""
-        self._wish(None)
+        self._order(None)
 
     def play(self, sound: Cue, word: str = "") -> None:
         """Play a sound, and say the word where words are wanted; returns at once.
 
         Nothing is heard where sounds are off or where there is no device.
         """
-        self._wish(sound, word)
+        self._order(sound, word)
 
     def close(self) -> None:
         """Give the device back, and play nothing any more."""
         self._closed = True
         thread, self._thread = self._thread, None
         if thread is not None:
-            self._wishes.put(None)
+            self._orders.put(None)
             thread.join(STOP_S)
 
-    def _wish(self, sound: Cue | None, word: str = "") -> None:
+    def _order(self, sound: Cue | None, word: str = "") -> None:
         if self._closed or not self.on:
             return
         if self._thread is None:
             self._thread = threading.Thread(target=self._loop, name="skincal-sound", daemon=True)
             self._thread.start()
-        self._wishes.put(_Wish(sound, word, time.monotonic()))
+        self._orders.put(_Order(sound, word, time.monotonic()))
 
     # In the thread
 
@@ -321,28 +319,28 @@ class Player:
         outlet = _Outlet(self._opener)
         while True:
             try:
-                wish = self._wishes.get(timeout=LINGER_S if outlet.running else None)
+                order = self._orders.get(timeout=LINGER_S if outlet.running else None)
             except queue.Empty:
                 self._guarded(outlet, outlet.rest)
                 continue
-            if wish is None:
+            if order is None:
                 break
             if self._there is not False or time.monotonic() >= self._retry_s:
-                self._guarded(outlet, lambda wish=wish: self._do(outlet, wish))
+                self._guarded(outlet, lambda order=order: self._do(outlet, order))
         self._speaker.stop()
         self._guarded(outlet, outlet.close)
 
-    def _do(self, outlet: _Outlet, wish: _Wish) -> None:
+    def _do(self, outlet: _Outlet, order: _Order) -> None:
         if not self._samples:
             from app.sound.cues import Cue, samples_of
 
             self._samples = {sound: samples_of(sound) for sound in Cue}
         outlet.ready()
-        if wish.sound is not None and time.monotonic() - wish.due_s <= LATE_S:
-            outlet.play(self._samples[wish.sound])
-            if wish.word and self.speaks and self._speech:
-                self._say(wish.word)
-        self._tell(there=True)
+        if order.sound is not None and time.monotonic() - order.due_s <= LATE_S:
+            outlet.play(self._samples[order.sound])
+            if order.word and self.speaks and self._speech:
+                self._say(order.word)
+        self._report(there=True)
 
     def _say(self, word: str) -> None:
         try:
@@ -359,17 +357,13 @@ class Player:
             if self._there is not False:
                 LOG.info("nothing is heard: %s", error)
             self._retry_s = time.monotonic() + RETRY_S
-            self._tell(there=False)
+            self._report(there=False)
             try:
                 outlet.close()
             except Exception as second:  # noqa: BLE001 - as above
                 LOG.info("the sound device cannot be closed: %s", second)
 
-    def _tell(self, *, there: bool) -> None:
+    def _report(self, *, there: bool) -> None:
         if there is not self._there and not self._closed:
             self._there = there
             self.found(there)
-
-
-def _tell_nobody(_there: bool) -> None:
-    pass

@@ -1,1 +1,1 @@
-"""Every sentence that an operator reads: pure functions of what a tick hands to the views."""
+"""Every sentence that an operator reads: pure functions of frozen values, without Qt and without state."""

@@ -1,4 +1,4 @@
-"""What is said of two sets of places beside each other; pure functions, without Qt."""
+"""Sentences of the Compare tab, on two sets of places beside each other: pure functions, without Qt."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MODULE_HINTS = (
     "Its number, and how many of its taxels are known in both where some are not",
     "Mean length of its taxels' differences",
     "What it is moved by as a whole: the length of the mean difference",
-    "What is left after its best turn and shift (rms): a board that is only moved has none",
+    "What is left after its best turn and shift (rms): a module that is only moved has none",
     "How far its neighbouring taxels lie apart in the second set, in shares of the layout's spacing",
 )
 MOST_MODULES = 40
@@ -52,7 +52,7 @@ def difference_words(summary: Summary | None, pair: Pair, names: ChannelNames, c
 
 def listed_modules(modules: Sequence[ModuleDifference]) -> Sequence[ModuleDifference]:
     """Return the modules that are listed: all in the layout's order, or of too many the worst, the worst first."""
-    return modules if len(modules) <= MOST_MODULES else sorted(modules, key=lambda one: -one.mean)[:MOST_MODULES]
+    return modules if len(modules) <= MOST_MODULES else sorted(modules, key=lambda module: -module.mean)[:MOST_MODULES]
 
 
 def listed_words(modules: int) -> str:
@@ -60,7 +60,7 @@ def listed_words(modules: int) -> str:
     return f"The {MOST_MODULES} of {modules} modules that lie farthest apart" if modules > MOST_MODULES else ""
 
 
-def module_cells(one: ModuleDifference, number_of: int, taxels: int, spacing: float) -> tuple[str, ...]:
+def module_cells(module: ModuleDifference, number_of: int, taxels: int, spacing: float) -> tuple[str, ...]:
     """Return the cells of `MODULE_HEADINGS` for one module.
 
     Parameters
@@ -69,8 +69,8 @@ def module_cells(one: ModuleDifference, number_of: int, taxels: int, spacing: fl
     taxels : that it has
     spacing : of its neighbours over the layout's; NaN where unknown
     """
-    some = "" if one.known == taxels else f"  {one.known}/{taxels}"
-    lengths = (one.mean, one.shift, one.shape)
+    some = "" if module.known == taxels else f"  {module.known}/{taxels}"
+    lengths = (module.mean, module.shift, module.shape)
     return (f"{number_of}{some}", *(millimetres(length) for length in lengths), number(spacing, 2))
 
 
@@ -123,7 +123,8 @@ def misfit_words(mend: LayoutMend, judged: int, method: Method) -> tuple[str, ..
         return (head, *(misfit_sentence(misfit) for misfit in mend.misfits), *left_sentences(mend))
     if not judged:
         return ()
-    return (f"{_none_of(judged)} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
+    none = "The one module that is known well does not look" if judged == 1 else f"None of {judged} modules looks"
+    return (f"{none} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
 
 
 def save_hint(mend: LayoutMend) -> str:
@@ -141,7 +142,3 @@ def saved_words(path: Path, mend: LayoutMend) -> str:
         f"The corrected layout is in {path}, {changed} changed. This session is solved with it by: skincal solve SESSION "
         "--layout FILE. For the next one name it as modules in the [skin] of the scene file."
     )
-
-
-def _none_of(judged: int) -> str:
-    return "The one module that is known well does not look" if judged == 1 else f"None of {judged} modules looks"

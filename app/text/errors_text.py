@@ -1,6 +1,7 @@
-"""What the panel of errors says and over what range it draws: pure functions, without Qt.
+"""What is said of errors and of doubt: pure functions, without Qt.
 
-What each poke counts for a taxel, and where else the taxel might lie: pure functions, without Qt.
+First what the panel of errors says, and over what range it draws; then what each poke counts for a taxel, and where else the
+taxel might lie.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ SYMBOLS: Mapping[Method, str] = {
     Method.SURFACE: "\N{BLACK DIAMOND}",
     Method.MODULES: "\N{BLACK UP-POINTING TRIANGLE}",
 }
-"""What tells a method's line, in words as in the plot."""
+"""Marks a method's line, in words as in the plot."""
 STATISTICS = {
     MEAN: "\N{EM DASH} mean",
     P95: "\N{EN DASH} \N{EN DASH} p95",
@@ -37,6 +38,13 @@ STATISTICS = {
 }
 """Each after the line that it is drawn with."""
 STEPS = (1.0, 2.0, 5.0)
+"""Marks of a logarithmic axis in each decade."""
+DOUBT_MARKED = 0.5
+"""Trust below which a poke is marked in the list: 99 of 100 good pokes stay above it."""
+FULL = 0.995
+"""Trust from which a poke counts fully, to two decimals."""
+LISTED = 100
+"""Pokes of one taxel in the list, the newest: more are not read."""
 
 
 class Axis(Enum):
@@ -80,9 +88,9 @@ def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
     """
     course = series.spreads.get(method)
     values = np.full(4, np.nan) if course is None or not len(course) else course[-1, row]
-    told = "   ".join(f"{name} {number(in_millimetres(float(values[at])), 1)}" for at, name in STATISTICS.items())
+    figures = "   ".join(f"{name} {number(in_millimetres(float(values[at])), 1)}" for at, name in STATISTICS.items())
     taxels = 0 if math.isnan(values[TAXELS]) else int(values[TAXELS])
-    return f"{told} mm, {count(taxels, 'taxel')}"
+    return f"{figures} mm, {count(taxels, 'taxel')}"
 
 
 def progress_words(series: ErrorSeries) -> str:
@@ -120,14 +128,6 @@ def shown_range(values: Sequence[FloatArray], least: float, most: float) -> tupl
     low = min([least, *(float(v.min()) for v in found if len(v))])
     high = max([most, *(float(v.max()) for v in found if len(v))])
     return log_range(low, high)
-
-
-DOUBT_MARKED = 0.5
-"""Trust below which a poke is marked in the list: 99 of 100 good pokes stay above it."""
-FULL = 0.995
-"""Trust from which a poke counts fully, to two decimals."""
-LISTED = 100
-"""Pokes of one taxel in the list, the newest: more are not read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,9 +205,9 @@ def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> 
 
 def doubt_words(contact: Contact, estimate: Estimate, names: ChannelNames) -> str:
     """Return how far a poke counts for a taxel, and why."""
-    told = f"counts {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
+    words = f"counts {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
     miss = miss_of(contact, estimate)
-    return told if miss is None else f"{told}: its axis passes {millimetres(miss)} from where the other pokes put the taxel"
+    return words if miss is None else f"{words}: its axis passes {millimetres(miss)} from where the other pokes put the taxel"
 
 
 def rival_words(estimate: Estimate | None) -> str:

@@ -1,85 +1,44 @@
-"""What the guide wants, put into words; pure functions of its guidance, without Qt.
-
-What is said to the hand that presses: the one thing that matters most, and nothing while the poke counts.
-
-Wrong is credited, nothing nags: a push that is off is coached only while the hand still moves. As soon as it holds still the
-poke counts as it is, and the line says nothing else. Pure functions without Qt; what lasts is a value that goes in and out.
-"""
+"""What the guide wants, and what the hand that presses should do better, put into words: pure functions, without Qt."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
-from app.scene3d.entry import skin_point
+from app.state.press_coach import (
+    ELSEWHERE,
+    STRAIGHT,
+    Ask,
+    CoachMemory,
+    Force,
+    Hint,
+    Lean,
+    beside,
+    lean_of,
+)
 from app.state.view_state import ViewState
 from app.text.outcomes import METHOD_NAMES
 from app.units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, newtons, number
-from skincal.contacts.outcome import Contact, PressPhase, Progress
-from skincal.geometry.arrays import FloatArray
-from skincal.guide.coaching import Coaching, Smoothed, coach, leeway, smooth
+from skincal.contacts.outcome import Contact
+from skincal.guide.coaching import Coaching
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.landmark_targets import LandmarkTarget
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
-from skincal.mesh.surface import Surface
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
 
-STRAIGHT = float(np.radians(5.0))
-"""rad. A hand does not hold a smaller tilt: it is asked to push straight."""
-ASIDE = float(np.cos(np.radians(35.0)))
-"""Cosine. A neighbour lies where the tool leans if it is off by less: the six around a taxel are 60 degrees apart."""
-FARTHEST = 0.020
-"""m. A neighbour farther away tells no direction to somebody who looks at the taxel."""
 DONE_NAMED = 3
 """So many taxels that became done with one poke are named."""
 BETWEEN = "  \N{MIDDLE DOT}  "
 WHAT: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "place", Method.MODULES: "place"}
-"""What a poke is to tell: nearly all of the free method's error is depth; the surface method's lies along the skin."""
-
-
-@dataclass(frozen=True, slots=True)
-class Lean:
-    """Where the tool's upper end leans, told by a neighbour of the target."""
-
-    channel: int
-    away: bool
-    """It leans away from that neighbour: there is none on the other side."""
-
-    def words(self, names: ChannelNames) -> str:
-        """Return `"toward 17-05"`."""
-        return f"{'away from' if self.away else 'toward'} {names.short(self.channel)}"
-
-
-def lean_of(guidance: Guidance, target: Target) -> Lean | None:
-    """Return where the tool leans; None where it stands straight, or where no neighbour tells."""
-    if target.tilt < STRAIGHT:
-        return None
-    up = -target.push
-    along = up - (up @ target.normal) * target.normal
-    return lean_along(guidance, target, along / np.linalg.norm(along))
-
-
-def lean_along(guidance: Guidance, target: Target, along: FloatArray) -> Lean | None:
-    """Return which neighbour tells a direction `along` the skin, (3,) float, unit; None where none does."""
-    for away in (False, True):
-        channel = _neighbour(guidance, target, -along if away else along)
-        if channel is not None:
-            return Lean(channel, away)
-    return None
-
-
-def _neighbour(guidance: Guidance, target: Target, along: FloatArray) -> int | None:
-    """Return the nearest taxel of those that lie `along` the skin, (3,) float, unit, from the target."""
-    apart = guidance.places - target.place
-    apart -= (apart @ target.normal)[:, None] * target.normal
-    distance = np.sqrt(np.sum(apart * apart, axis=1))
-    found = (apart @ along > ASIDE * distance) & (distance <= FARTHEST) & (guidance.channels != target.channel)
-    return int(guidance.channels[np.where(found, distance, np.inf).argmin()]) if found.any() else None
+"""What a poke is to show: nearly all of the free method's error is depth; the surface method's lies along the skin."""
+FOLLOWS: Mapping[Method, str] = {
+    Method.FREE: "The guide follows the free method: it needs tilt, from all sides.",
+    Method.SURFACE: "The guide follows the surface method: it needs evenness, all around each taxel, and no tilt.",
+    Method.MODULES: "The guide follows the modules method: it needs a few pokes on each module, apart from each other.",
+}
+"""What to poke for depends on the method: what serves one does not serve the others."""
 
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
@@ -92,7 +51,7 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
     if target.tilt < STRAIGHT:
         return f"{poke} straight"
     lean = lean_of(guidance, target)
-    side = "" if lean is None else f" {lean.words(names)}"
+    side = "" if lean is None else f" {lean_words(lean, names)}"
     return f"{poke}, tilt {degrees(target.tilt)}{side}"
 
 
@@ -101,9 +60,9 @@ def landmark_poked_words(poke: int, name: str) -> str:
     return f"poke {poke} at the landmark {name}"
 
 
-def landmark_words(wish: LandmarkTarget) -> str:
+def landmark_words(landmark: LandmarkTarget) -> str:
     """Return which of how many landmark pokes it is."""
-    return f"landmark {wish.done + 1} of {wish.wanted} in this arm pose"
+    return f"landmark {landmark.done + 1} of {landmark.wanted} in this arm pose"
 
 
 def gain_words(gain: Gain | None) -> str:
@@ -209,181 +168,29 @@ def done_words(channels: Sequence[int], names: ChannelNames) -> str:
 
 def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
     """Return how many taxels are done, and how many there are; none that is not used."""
-    used = [
-        not missing for channel, missing in zip(guidance.channels.tolist(), guidance.needs, strict=True) if channel not in dead
-    ]
-    return sum(used), len(used)
+    used = set(guidance.channels.tolist()).difference(dead)
+    return len(used & done_channels(guidance)), len(used)
 
 
-FOLLOWS: Mapping[Method, str] = {
-    Method.FREE: "The guide follows the free method: it needs tilt, from all sides.",
-    Method.SURFACE: "The guide follows the surface method: it needs evenness, all around each taxel, and no tilt.",
-    Method.MODULES: "The guide follows the modules method: it needs a few pokes on each module, apart from each other.",
-}
-"""The guide of one method is wrong for the other."""
-
-
-def sky_words(sky: AxisDiversity, method: Method) -> str:
+def diversity_words(axes: AxisDiversity, method: Method) -> str:
     """Return what a taxel's contacts are like beside what the method needs: `"axes spread 9° of 15°"`."""
     settings = GuideSettings()
-    if not len(sky.own):
+    if not len(axes.own):
         return "not poked yet"
     if method is Method.FREE:
-        return f"axes spread {degrees(sky.diversity)}, wanted {degrees(settings.diversity)}"
-    beside = float(np.sqrt(sky.beside @ sky.beside))
-    if method is Method.MODULES:
-        return f"their middle lies {millimetres(beside)} beside it"
-    return f"their middle lies {millimetres(beside)} beside it, wanted {millimetres(settings.balance)} or less"
+        return f"axes spread {degrees(axes.diversity)}, wanted {degrees(settings.diversity)}"
+    middle = f"their middle lies {millimetres(float(np.sqrt(axes.beside @ axes.beside)))} beside it"
+    return middle if method is Method.MODULES else f"{middle}, wanted {millimetres(settings.balance)} or less"
 
 
-def contacts_words(sky: AxisDiversity) -> str:
+def contacts_words(axes: AxisDiversity) -> str:
     """Return how many contacts there are: `"12 pokes, 3 its own"`; empty where there is none."""
-    return f"{count(len(sky.own), 'poke')}, {int(sky.own.sum())} its own" if len(sky.own) else ""
+    return f"{count(len(axes.own), 'poke')}, {int(axes.own.sum())} its own" if len(axes.own) else ""
 
 
-COACH_S = 0.25
-"""s. A hint is said once it held for so long: a hand that holds still before needs none, one that searches does."""
-FORCE_BACK = 0.3
-"""N. "Press harder" and "press less" stay until the force is inside by so much: three times a good sensor's noise."""
-AIM_FAR = 0.004
-"""m. A tip this far off, on another taxel, is told: nine in ten pokes of a hand with 2 mm sd are nearer."""
-AIM_BACK = 0.003
-"""m. It is told until it is this near."""
-TILT_BACK = float(np.radians(2.0))
-"""rad. A tilt is told until it is inside what is asked for by so much."""
-ELSEWHERE = 0.015
-"""m. A tip this far off, three taxels, is on another one on purpose: it counts there, and there is nothing to say."""
-SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
-"""rad and m. A number that changes by less is not said anew."""
-
-
-class PressCoach:
-    """Follows a poke in progress beside the one that is asked for.
-
-    Parameters
-    ----------
-    surface : of the part; None where the scene has none
-    """
-
-    def __init__(self, surface: Surface | None) -> None:
-        self._surface = surface
-        self._smoothed: Smoothed | None = None
-        self._skin: tuple[Target, FloatArray] | None = None
-        """The target and its place on the skin, (3,) float, metres."""
-        self.coaching: Coaching | None = None
-        """None while nothing presses, or nobody guides."""
-
-    def follow(self, progress: Progress, target: Target | None) -> None:
-        """Take the newest reading; `target` is None where nobody guides."""
-        self._smoothed = smooth(self._smoothed, progress)
-        # What a rig's errors make of a tip on a landmark is what is to be found: nobody is told to aim by it.
-        if target is None or target.landmark or self._smoothed is None:
-            self.coaching = None
-            return
-        if self._skin is None or self._skin[0] is not target:
-            self._skin = target, skin_point(self._surface, target.place, target.normal)
-        self.coaching = coach(self._smoothed, progress, target, self._skin[1])
-
-
-class Force(Enum):
-    """Where the force lies."""
-
-    LOW = "low"
-    RIGHT = "right"
-    HIGH = "high"
-
-
-class Ask(Enum):
-    """What a hand can do better."""
-
-    AIM = "aim"
-    MORE = "tilt more"
-    LESS = "tilt less"
-
-
-@dataclass(frozen=True, slots=True)
-class Hint:
-    """One thing to do better."""
-
-    ask: Ask
-    amount: float
-    """m or rad."""
-    toward: Lean | None = None
-    """Where the tool's upper end has to go; None where no neighbour tells."""
-
-
-@dataclass(frozen=True, slots=True)
-class CoachMemory:
-    """What the coach remembers between two ticks."""
-
-    force: Force = Force.LOW
-    hint: Hint | None = None
-    """What is said."""
-    coming: Hint | None = None
-    coming_since_s: float = -math.inf
-
-
-SILENT = CoachMemory()
-"""Nothing was said yet."""
-
-
-def follow(memory: CoachMemory, at: ViewState) -> CoachMemory:
-    """Return what is to be said now: the force at once, a hint once it held, none while the poke counts."""
-    memory = replace(memory, force=_force(memory.force, at))
-    if at.live.progress.phase is not PressPhase.PRESSING:
-        return CoachMemory(memory.force)
-    wanted = _hint(memory.hint, at)
-    if _alike(wanted, memory.hint):
-        return replace(memory, coming=memory.hint)
-    if not _alike(wanted, memory.coming):
-        return replace(memory, coming=wanted, coming_since_s=at.now_s)
-    if at.now_s - memory.coming_since_s >= COACH_S:
-        return replace(memory, hint=wanted, coming=wanted)
-    return memory
-
-
-def _force(said: Force, at: ViewState) -> Force:
-    progress, limits = at.live.progress, at.scene.contacts
-    size = float(np.linalg.norm(progress.force))
-    # What is held still is hard enough: it counts.
-    if progress.phase is PressPhase.PRESSING and size < limits.force_min + (FORCE_BACK if said is Force.LOW else 0.0):
-        return Force.LOW
-    return Force.HIGH if size > limits.force_max - (FORCE_BACK if said is Force.HIGH else 0.0) else Force.RIGHT
-
-
-def _hint(said: Hint | None, at: ViewState) -> Hint | None:
-    """Return what this moment alone asks for; what is said already is let go a little later than it began."""
-    told, target, guidance = at.coaching, at.target, at.guidance
-    if told is None or target is None or guidance is None or told.away > ELSEWHERE:
-        return None
-    aimed = said is not None and said.ask is Ask.AIM
-    if _beside(told, target) and told.away > (AIM_BACK if aimed else AIM_FAR):
-        return Hint(Ask.AIM, told.away)
-    tilted = said is not None and not aimed
-    if told.error > leeway(guidance) - (TILT_BACK if tilted else 0.0):
-        return tilt_hint(guidance, target, told)
-    return None
-
-
-def tilt_hint(guidance: Guidance, target: Target, told: Coaching) -> Hint:
-    """Return how the tool has to turn: less, where it leans that way already, else more toward a neighbour."""
-    upper = (told.push @ target.normal) * target.normal - told.push
-    leans = math.sin(told.tilt)
-    if told.tilt >= STRAIGHT and float(upper @ told.lean) < -ASIDE * leans:
-        return Hint(Ask.LESS, told.error)
-    return Hint(Ask.MORE, told.error, lean_along(guidance, target, told.lean) if told.lean.any() else None)
-
-
-def _beside(told: Coaching, target: Target) -> bool:
-    """Return whether another taxel answers most than the one that is asked for."""
-    return target.channel is not None and told.landed not in (None, target.channel)
-
-
-def _alike(one: Hint | None, other: Hint | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    near = SAME_AIM if one.ask is Ask.AIM else SAME_TILT
-    return (one.ask, one.toward) == (other.ask, other.toward) and abs(one.amount - other.amount) < near
+def lean_words(lean: Lean, names: ChannelNames) -> str:
+    """Return `"toward 17-05"`."""
+    return f"{'away from' if lean.away else 'toward'} {names.short(lean.channel)}"
 
 
 def hint_words(hint: Hint, target: Target, names: ChannelNames) -> str:
@@ -393,21 +200,21 @@ def hint_words(hint: Hint, target: Target, names: ChannelNames) -> str:
         return f"aim {millimetres(hint.amount, 0)} toward {where}"
     if hint.ask is Ask.LESS:
         return f"tilt {degrees(hint.amount)} less"
-    side = "" if hint.toward is None else f" {hint.toward.words(names)}"
+    side = "" if hint.toward is None else f" {lean_words(hint.toward, names)}"
     return f"tilt {degrees(hint.amount)} more{side}"
 
 
-def pressing_words(told: Coaching | None, target: Target | None, names: ChannelNames) -> str:
-    """Return how a poke goes beside the one that is asked for: `"aim 1.4 mm · tilt 26° of 28°"`; empty where nothing tells."""
-    if told is None or target is None:
+def pressing_words(coaching: Coaching | None, target: Target | None, names: ChannelNames) -> str:
+    """Return how a poke goes beside the poke that is asked for: `"aim 1.4 mm · tilt 26° of 28°"`; or empty."""
+    if coaching is None or target is None:
         return ""
-    if told.away > ELSEWHERE:
-        return "" if told.landed is None else f"on {names.short(told.landed)}, it counts there"
+    if coaching.away > ELSEWHERE:
+        return "" if coaching.landed is None else f"on {names.short(coaching.landed)}, it counts there"
     asked = "" if target.tilt < STRAIGHT else f" of {degrees(target.tilt)}"
-    tilt = f"tilt {degrees(told.tilt)}{asked}"
-    if told.landed is not None and _beside(told, target):
-        return f"on {names.short(told.landed)}, it counts there{BETWEEN}{tilt}"
-    return f"aim {millimetres(told.away)}{BETWEEN}{tilt}"
+    tilt = f"tilt {degrees(coaching.tilt)}{asked}"
+    if coaching.landed is not None and beside(coaching, target):
+        return f"on {names.short(coaching.landed)}, it counts there{BETWEEN}{tilt}"
+    return f"aim {millimetres(coaching.away)}{BETWEEN}{tilt}"
 
 
 def force_words(memory: CoachMemory, at: ViewState) -> tuple[str, str]:

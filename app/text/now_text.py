@@ -11,18 +11,15 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from app.state.policies import GOOD_RMS, is_news, newest_outcome
+from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
 from app.state.running import Running
 from app.state.view_state import LinkLook, ViewState
 from app.text.guidance_text import (
     BETWEEN,
-    SILENT,
-    CoachMemory,
-    Force,
     asked_words,
     done_words,
     end_words,
     enough_words,
-    follow,
     force_words,
     hint_words,
     landmark_poked_words,
@@ -99,7 +96,7 @@ def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
     verdict stays `VERDICT_S`; a calm phase is said once it lasted `SETTLE_S`.
     """
     memory = _settle(_see_guidance(_see_outcome(memory, at), at), at)
-    memory = replace(memory, coach=follow(memory.coach, at))
+    memory = replace(memory, coach=follow_press(memory.coach, at))
     trouble = _trouble(at)
     if trouble is not None:
         return trouble, memory
@@ -180,7 +177,7 @@ def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
     words = verdict_words(outcome, at.names)
     if memory.meant is not None and memory.meant != peak_channel(outcome):
         words, detail = counted_words(outcome, at.names), asked_words(outcome, memory.meant, at.names)
-    # Whoever is quick pokes again while this is still said.
+    # A quick operator pokes again while this is still said.
     return Now(Tone.GOOD, words, BETWEEN.join(filter(None, (done_words(memory.done, at.names), _next(at), detail))))
 
 

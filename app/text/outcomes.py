@@ -41,7 +41,6 @@ ADVICE: Mapping[Reason, str] = {
 
 METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface", Method.MODULES: "modules"}
 
-
 MARK_WORDS: Mapping[Mark, str] = {
     Mark.UNSEEN: "not poked yet",
     Mark.BLIND: "axes do not determine it",
@@ -171,10 +170,9 @@ def tilt_of(contact: Contact, estimates: Mapping[int, Estimate]) -> float | None
 
 def summary_words(estimates: Sequence[Estimate]) -> str:
     """Return how far the session is by one method."""
-    known = [e for e in estimates if e.state is State.ESTIMATED]
-    dead = sum(e.state is State.DEAD for e in estimates)
-    total = len(estimates) - dead
-    return f"{len(known)} of {count(total, 'taxel')} estimated"
+    known = sum(e.state is State.ESTIMATED for e in estimates)
+    used = sum(e.state is not State.DEAD for e in estimates)
+    return f"{known} of {count(used, 'taxel')} estimated"
 
 
 def error_words(estimates: Sequence[Estimate]) -> str:

@@ -1,4 +1,4 @@
-"""How a session ends, put into words; pure functions of the verdict, without Qt."""
+"""The verdict on a session, put into words: pure functions, without Qt."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def sentence(verdict: Verdict) -> str:
     if not verdict.used:
         return "No taxel is used." if verdict.left else "No taxel has answered yet."
     if verdict.done == verdict.used:
-        used = "used " if any(one.why is Why.DEAD for one in verdict.left) else ""
+        used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
         done = f"All {count(verdict.used, used + 'taxel')} are done, predicted to {millimetres(verdict.wanted, 0)}"
     else:
         done = f"{verdict.done} of {count(verdict.used, 'taxel')} are done"
@@ -66,7 +66,7 @@ def done_words(method: Method, wanted: float) -> str:
 
 
 def check_words(verdict: Verdict) -> str:
-    """Return how many held-out pokes fell where they were foretold, and what it means where these are too few."""
+    """Return how many held-out pokes fell where they were predicted, and what it means where these are too few."""
     check = verdict.check
     if not check.checked:
         return "no poke could be held out yet"

@@ -1,7 +1,7 @@
-"""The process that simulates devices: kept, read and told what the guide shows, without ever blocking the window.
+"""The process that simulates devices: kept, read and sent what the guide shows, without ever blocking the window.
 
 It prints one line of JSON that names its links, and, where it simulates them, its taxels; it runs until its standard input
-closes. On that input a simulated operator is told what the guide shows (`skincal/simulate/orders.py`).
+closes. On that input a simulated operator reads what the guide shows (`skincal/simulate/orders.py`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ STOP_MS = 700
 TAIL = 400
 """Characters of its error output that are shown where it ends too early."""
 INPUT_AT_FAULT = 2
-"""Exit code of a command that was told something wrong, and says in one sentence what."""
+"""Exit code of a command whose input is at fault, and which says in one sentence how."""
 SPEAKER = "skincal: "
 """What such a sentence begins with."""
 
@@ -112,7 +112,7 @@ class DeviceProcess(QObject):
 
 
 def end_words(code: int | None, said: str) -> str:
-    """Return what is told of a process that ended by itself.
+    """Return what is said of a process that ended by itself.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Has landmark pokes reviewed beside the window: what they tell of the rig takes some tenths of a second to work out.
+"""Has landmark pokes reviewed beside the window: what they say of the rig takes some tenths of a second to work out.
 
-A process is asked with the first poke at a landmark, and told what is new of the session since it was asked last: one review at
-a time, whose work gives way to a newer one.
+A process is asked from the first poke at a landmark on, and sent what is new of the session since it was asked last. There is
+one review at a time, and its work gives way to a newer request.
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ from skincal.session.snapshot import PokeRecord, Snapshot
 
 LOG = logging.getLogger(__name__)
 SKIN = 10
-"""Pokes on the skin after which the rig is reviewed anew: one alone moves what is found by less than is shown."""
+"""Pokes on the skin after which the rig is reviewed anew: a single poke moves what is found by less than is shown."""
+
+OF_RIG = ("at_landmarks", "landmarks", "corrections", "dead")
+"""Fields of a snapshot that a review depends on, beside the pokes."""
 
 
 class ReviewClient(QObject):
-    """Asks for one session.
+    """Asks for the reviews of a session.
 
     Parameters
     ----------
@@ -47,12 +50,12 @@ class ReviewClient(QObject):
         self._asked = Asked()
         self._seen: Snapshot | None = None
         self._shown: Snapshot | None = None
-        """The one whose review was asked for last; None before the first poke at a landmark."""
+        """The snapshot whose review was asked for last; None before the first poke at a landmark."""
         self._waits = self._again = False
         self._stopped = False
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Ask for a review of the session where its newest snapshot tells enough that the one reviewed last did not."""
+        """Ask for a review of the session where its newest snapshot has enough that is new since the last."""
         seen, self._seen = self._seen, snapshot
         if self._stopped or not (self._shown or snapshot.at_landmarks) or (seen is not None and _same(seen, snapshot)):
             return
@@ -114,11 +117,8 @@ def _review(
         raise InputError(f"The rig is not reviewed any more: {error!r}; details are in the log.") from error
 
 
-OF_RIG = ("at_landmarks", "landmarks", "corrections", "dead")
-
-
 def _same(first: Snapshot, second: Snapshot) -> bool:
-    """Return whether two snapshots tell the same of what is reviewed; most do, since streamed joints make one a frame."""
+    """Return whether two snapshots agree in all that is reviewed; most do, since streamed joints make one a frame."""
     return first is second or all(getattr(first, name) == getattr(second, name) for name in ("pokes", *OF_RIG))
 
 
@@ -126,10 +126,10 @@ def _due(asked: Snapshot, now: Snapshot) -> bool:
     """Return whether a session is to be reviewed anew: at once where landmark pokes, corrections or taken out pokes changed."""
     if any(getattr(asked, name) != getattr(now, name) for name in OF_RIG) or len(now.pokes) >= len(asked.pokes) + SKIN:
         return True
-    return any(_changed(one, other, now) for one, other in zip(asked.pokes, now.pokes, strict=False))
+    return any(_changed(before, after, now) for before, after in zip(asked.pokes, now.pokes, strict=False))
 
 
 def _changed(before: PokeRecord, now: PokeRecord, snapshot: Snapshot) -> bool:
-    """Return whether a poke counts that did not, or no more, or is a landmark poke that was told again."""
-    told_again = before.outcome is not now.outcome and now.outcome.poke in snapshot.at_landmarks
-    return before.excluded != now.excluded or told_again
+    """Return whether a poke counts that did not, or no more, or is a landmark poke whose outcome came again."""
+    came_again = before.outcome is not now.outcome and now.outcome.poke in snapshot.at_landmarks
+    return before.excluded != now.excluded or came_again

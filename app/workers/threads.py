@@ -1,7 +1,7 @@
 """Slow work beside the window: a thread that is there while there is work, and answers that come back in the window's thread.
 
-Whoever has slow work has a service of its own: its requests are done one after another, those of several services side by
-side. Nothing of Qt may be touched by the work.
+Each owner of slow work has a service of its own: its requests are done one after another, those of several services side by
+side. The work may touch nothing of Qt.
 """
 
 from __future__ import annotations

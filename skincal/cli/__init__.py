@@ -10,6 +10,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from functools import cache
 
 import typer
 
@@ -42,8 +43,9 @@ def _options(
     pass
 
 
+@cache
 def _register() -> None:
-    """Add the commands; a function, so that each module is imported after `app` exists."""
+    """Add the commands, once; a function, so that each module is imported after `app` exists."""
     from skincal.cli import calibrate, record, simulate, study
 
     calibrate.add_to(app)
@@ -60,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : without the program's name; those of the process when None
     """
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that a study starts run nothing that lies in the working folder
-    _register_once()
+    _register()
     try:
         result = typer.main.get_command(app).main(
             args=None if arguments is None else list(arguments), prog_name="skincal", standalone_mode=False
@@ -73,16 +75,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:  # noqa: BLE001 - the last handler: a usage error, or a fault of ours that is shown whole
         return _other_failure(error)
     return result if isinstance(result, int) else 0
-
-
-_registered = False
-
-
-def _register_once() -> None:
-    global _registered
-    if not _registered:
-        _register()
-        _registered = True
 
 
 def _other_failure(error: Exception) -> int:

@@ -1,6 +1,6 @@
-"""The folder of a new session, which a command takes away again where it recorded nothing into it.
+"""`record` and `import`: from devices or from other programs' recordings to a session.
 
-`record` and `import`: from devices or from other programs' recordings to a session.
+A command that made no session of use takes its folder away again: with its input put right it then finds the folder free.
 """
 
 from __future__ import annotations
@@ -30,44 +30,6 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.streams.link_reader import Reader
     from skincal.streams.links import LinkSpec
-
-
-class KeptError(InputError):
-    """A recording is at fault, but something was recorded, and stays."""
-
-
-class Fresh:
-    """What became of the folder of a new session."""
-
-    made = False
-    """The session in it is this command's own: nobody else's is ever taken away."""
-
-
-@contextlib.contextmanager
-def new_folder(folder: Path) -> Generator[Fresh]:
-    """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
-
-    The same command with its input put right then finds its folder free. What was there before stays, and what another
-    program makes there meanwhile.
-    """
-    from skincal.journal.scene_copy import SCENE_FOLDER
-
-    missing = [place for place in (folder, *folder.parents) if not place.exists()]
-    fresh = Fresh()
-    try:
-        yield fresh
-    except KeptError:
-        raise
-    except InputError:
-        if fresh.made:
-            shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
-            for segment in folder.glob("segment-*"):
-                segment.unlink()
-        for place in missing:
-            # One that is not empty is in use by others.
-            with contextlib.suppress(OSError):
-                place.rmdir()
-        raise
 
 
 SceneOption = Annotated[
@@ -104,7 +66,44 @@ def find_scene(path: Path) -> Scene:
     return load_scene(scene_file(path))
 
 
-def new_pipeline(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
+class KeptError(InputError):
+    """A recording is at fault, but something was recorded, and stays."""
+
+
+class Fresh:
+    """What became of the folder of a new session."""
+
+    made = False
+    """The session in it is this command's own: nobody else's is ever taken away."""
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path) -> Generator[Fresh]:
+    """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
+
+    What was there before stays, and what another program makes there meanwhile.
+    """
+    from skincal.journal.scene_copy import SCENE_FOLDER
+
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    fresh = Fresh()
+    try:
+        yield fresh
+    except KeptError:
+        raise
+    except InputError:
+        if fresh.made:
+            shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
+            for segment in folder.glob("segment-*"):
+                segment.unlink()
+        for place in missing:
+            # A folder that is not empty is in use by others.
+            with contextlib.suppress(OSError):
+                place.rmdir()
+        raise
+
+
+def _new_pipeline(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
     """Open a new session's journal and the pipeline into it; the mesh is loaded where the scene has one."""
     from skincal.journal.writer import create_session
     from skincal.session.pipeline import Pipeline
@@ -162,7 +161,7 @@ def _recorded(
 ) -> Pipeline:
     from skincal.streams.link_reader import Reader
 
-    pipeline = new_pipeline(scene, into[0], links, into[1])
+    pipeline = _new_pipeline(scene, into[0], links, into[1])
     readers = {link.name: Reader(link, items) for link in links}
     try:
         _choose_pose(pipeline, pose)
@@ -231,16 +230,10 @@ def _choose_pose(pipeline: Pipeline, pose: str | None) -> None:
         pipeline.act(SetPose(pose), time.monotonic_ns())
 
 
-def _loop(
-    pipeline: Pipeline,
-    items: Items,
-    readers: Mapping[str, Reader],
-    seconds: float | None,
-    pokes: int | None,
-) -> None:
+def _loop(pipeline: Pipeline, items: Items, readers: Mapping[str, Reader], seconds: float | None, pokes: int | None) -> None:
     """Take items until the time or the pokes are over, every link ended, or one is given up."""
     end = None if seconds is None else time.monotonic() + seconds
-    told = 0
+    reported = 0
     states: dict[str, LinkState] = {}
     silence = Silence()
     while (end is None or time.monotonic() < end) and not pipeline.journal_failure:
@@ -261,8 +254,8 @@ def _loop(
             silence.hear(item)
         _take(pipeline, item)
         pipeline.tick(item.host_ns)
-        told = _tell_new_pokes(pipeline, told)
-        if pokes is not None and told >= pokes:
+        reported = _report_new_pokes(pipeline, reported)
+        if pokes is not None and reported >= pokes:
             return
 
 
@@ -299,20 +292,20 @@ class Silence:
         return said
 
 
-def _tell_new_pokes(pipeline: Pipeline, told: int) -> int:
-    """Say each poke's outcome once it is final; return how many were told."""
+def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
+    """Print each poke's outcome once it is final; return how many were printed."""
     from skincal.contacts.outcome import Contact
 
     records = pipeline.snapshot().pokes
-    while told < len(records) and records[told].outcome.final:
-        outcome = records[told].outcome
+    while reported < len(records) and records[reported].outcome.final:
+        outcome = records[reported].outcome
         if isinstance(outcome, Contact):
             typer.echo(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
         else:
             numbers = f"{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}".rstrip()
             typer.echo(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
-        told += 1
-    return told
+        reported += 1
+    return reported
 
 
 def finish(
@@ -378,8 +371,7 @@ def import_yarp(
     """Make a session from `yarpdatadumper` folders of one recording."""
     from skincal.files.importers.yarp_folder import read_yarp
 
-    loaded = find_scene(scene)
-    _check_pose(loaded, pose, streamed=joints is not None)
+    _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
     _import(loaded, out, pose, as_json, read_yarp(wrench, skin, joints))
 
 
@@ -395,8 +387,7 @@ def import_csv(
     """Make a session from CSV files of one recording."""
     from skincal.files.importers.csv_log import read_csv
 
-    loaded = find_scene(scene)
-    _check_pose(loaded, pose, streamed=joints is not None)
+    _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
     _import(loaded, out, pose, as_json, read_csv(wrench, skin, joints))
 
 
@@ -409,7 +400,7 @@ def _import(
 ) -> None:
     links, chunks, findings = recording
     with new_folder(out) as fresh:
-        pipeline = new_pipeline(scene, out, links, fresh)
+        pipeline = _new_pipeline(scene, out, links, fresh)
         try:
             _choose_pose(pipeline, pose)
             for chunk in chunks:

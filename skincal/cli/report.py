@@ -83,8 +83,8 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
     return {"links": counts, "frames_without_wrench": unpaired}
 
 
-# Counts that are named only where they are not 0, and in which words.
 _BESIDE = {"excluded": "excluded", "at_landmarks": "at landmarks"}
+"""Counts that are named only where they are not 0, and in which words."""
 
 
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
@@ -99,15 +99,13 @@ def poke_lines(counts: Mapping[str, Any]) -> list[str]:
 def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:
     """Return one line of text for `method_summary`."""
     name = method.value if isinstance(method, Method) else method
+    predicted, ratio, error = summary["predicted_rms_mm"], summary["spacing_ratio"], summary.get("error_mm")
     states = ", ".join(f"{count} {state}" for state, count in summary["states"].items() if count)
     line = f"{name:8s} {states or 'no taxel seen'}"
-    if summary["predicted_rms_mm"] is not None:
-        line += (
-            f"; predicted error {summary['predicted_rms_mm']['mean']:.2f} mm mean, {summary['predicted_rms_mm']['max']:.2f} max"
-        )
-    if summary["spacing_ratio"] is not None:
-        line += f"; neighbours {summary['spacing_ratio']:.2f} of the layout's spacing apart"
-    error = summary.get("error_mm")
+    if predicted is not None:
+        line += f"; predicted error {predicted['mean']:.2f} mm mean, {predicted['max']:.2f} max"
+    if ratio is not None:
+        line += f"; neighbours {ratio:.2f} of the layout's spacing apart"
     if error is not None:
         line += f"; error against the reference {error['mean']:.2f} mm mean (sd {error['sd']:.2f}, max {error['max']:.2f})"
     return line
@@ -118,9 +116,8 @@ def loss_lines(losses: Mapping[str, Any]) -> list[str]:
     lines: list[str] = []
     for name, link in losses["links"].items():
         lost = ", ".join(f"{count} {reason}" for reason, count in link["lost"].items())
-        lines.append(
-            f"{name}: {link['readings']} readings{' of ' + link['format'] if link['format'] else ''}; lost: {lost or 'none'}"
-        )
+        of = f" of {link['format']}" if link["format"] else ""
+        lines.append(f"{name}: {link['readings']} readings{of}; lost: {lost or 'none'}")
     return lines
 
 

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from skincal.simulate.operator import Guided, Habits, Told
     from skincal.simulate.serve import Server
 
-
 SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
 

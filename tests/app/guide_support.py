@@ -80,7 +80,7 @@ def held(
     return replace(reading(), progress=progress)
 
 
-def told_of(progress: Progress, asked: Target) -> Coaching | None:
+def coaching_of(progress: Progress, asked: Target) -> Coaching | None:
     """What the coach says of one reading."""
     felt = smooth(None, progress)
     return None if felt is None else coach(felt, progress, asked, asked.place)

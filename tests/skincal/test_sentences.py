@@ -145,7 +145,7 @@ def test_a_change_says_what_the_file_is_to_say():
         ),
         (
             Unmended(UnmendedKind.UNLIKE, (10, 11)),
-            "Modules 10 and 11 lie in each other's places, but their kinds are different boards: exchange what the layout says "
+            "Modules 10 and 11 lie in each other's places, but they are of different kinds: exchange what the layout says "
             "of their places by hand.",
         ),
         (

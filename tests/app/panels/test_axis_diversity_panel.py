@@ -14,7 +14,7 @@ from app.panels.inspect_panel import InspectPanel
 from app.panels.top_view import AROUND_TAXEL, EDGE, GRAIN, sky_view
 from app.scene3d.camera import PLAIN, Eye
 from app.session.opening import OpenRequest
-from app.text.guidance_text import FOLLOWS, WHAT, sky_words
+from app.text.guidance_text import FOLLOWS, WHAT, diversity_words
 from app.text.outcomes import METHOD_NAMES
 from app.theme import DARK, LIGHT
 from skincal.guide.candidates import directions
@@ -227,5 +227,5 @@ def test_every_method_has_its_words_and_its_picture():
         assert set(words) == set(Method)
     of = sky([push(28, 0)] * 2)
     for method in Method:
-        assert sky_words(of, method)
+        assert diversity_words(of, method)
         assert (sky_view(of, method, PLAIN).limit > 0) is (method is not Method.MODULES)

@@ -6,19 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication
 
 from app.panels.now_panel import DIAL_PX, NowPanel
 from app.panels.top_view import AROUND, TOOL, axes_on, top_view
 from app.scene3d.camera import PLAIN, Eye
-from app.text.guidance_text import Ask, Hint, Lean, enough_words, hint_words
+from app.state.press_coach import Ask, Hint, Lean
+from app.text.guidance_text import enough_words, hint_words, lean_words
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.text.outcomes import verdict_words
 from app.theme import DARK, HEADLINE_PT, LIGHT
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
-from tests.app.guide_support import ASKED, TILT, TO_2, guidance, held, target, told_of
+from tests.app.guide_support import ASKED, TILT, TO_2, guidance, held, target
 from tests.app.whole_window import Paints
 from tests.app.window_support import NAMES, PLAN, changed, frame, pixels, reading, session, slip, touch
 
@@ -54,7 +56,7 @@ def every_headline() -> list[str]:
     says = guidance(ASKED)
     said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
     said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), "counted for 349-11  11.2 N"]
-    said += [f"poke 349-11, tilt 28{DEGREE} {lean.words(names)}", enough_words(guidance(done=range(24)), 0.003, ())]
+    said += [f"poke 349-11, tilt 28{DEGREE} {lean_words(lean, names)}", enough_words(guidance(done=range(24)), 0.003, ())]
     said += [
         hint_words(Hint(ask, amount, lean), ASKED, names)
         for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
@@ -81,7 +83,7 @@ def panel(qtbot):
 
 def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN):
     """Show a frame in which a tool presses, or none."""
-    told = None if view is None else told_of(view.progress, asked)
+    told = None if view is None else coaching_of(view.progress, asked)
     at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=told, eye=eye)
     panel.show_state(at)
     return at
@@ -114,7 +116,7 @@ def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
 
 
 def of(view=None, asked=ASKED, eye=PLAIN, leeway=LEEWAY):
-    return top_view(guidance(asked), asked, None if view is None else told_of(view.progress, asked), leeway, eye)
+    return top_view(guidance(asked), asked, None if view is None else coaching_of(view.progress, asked), leeway, eye)
 
 
 def test_the_picture_from_above_is_what_one_sees_from_above():

@@ -455,15 +455,15 @@ def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
     dialog = shown(qtbot, NewSessionDialog(None, tmp_path / "new"))
     assert len(shipped_scenes()) >= 3
     dialog.fields["wrench"].setText("/dev/ttyUSB0")
-    with qtbot.assertNotEmitted(dialog.plan_chosen):
+    with qtbot.assertNotEmitted(dialog.request_chosen):
         dialog.buttons.accepted.emit()
     assert "No skin device" in dialog.objection.text()
     dialog.fields["skin"].setText("spy:///dev/ttyACM0?file=x")
-    with qtbot.assertNotEmitted(dialog.plan_chosen):
+    with qtbot.assertNotEmitted(dialog.request_chosen):
         dialog.buttons.accepted.emit()
     assert "begins with spy:, expected a serial port" in dialog.objection.text()
     dialog.fields["skin"].setText("/dev/ttyACM0")
-    with qtbot.waitSignal(dialog.plan_chosen) as chosen:
+    with qtbot.waitSignal(dialog.request_chosen) as chosen:
         dialog.buttons.accepted.emit()
     plan = chosen.args[0]
     assert (plan.addresses.wrench, plan.addresses.skin, plan.folder) == ("/dev/ttyUSB0", "/dev/ttyACM0", tmp_path / "new")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.sound.cues import ALARM_S, EDGE_S, LEVEL, LONGEST_S, RATE, Cue, Ear, Heard, heard, samples_of
+from app.sound.cues import ALARM_S, EDGE_S, LEVEL, LONGEST_S, RATE, Cue, CueMemory, DueCue, due_cue, samples_of
 from app.state.running import Running
 from app.text.now_text import NowMemory, now_line
 from skincal.contacts.outcome import PressPhase, Reason
@@ -28,11 +28,11 @@ def at(phase=READY, pokes=(), guided=None, now_s=100.0, lost=(), **changes):
     return replace(made, guidance=guided)
 
 
-def told(*frames, ear=None):
+def cues_of(*frames, memory=None):
     """What is heard in these frames, None where nothing is."""
-    ear, sounds = ear or Ear(), []
+    memory, sounds = memory or CueMemory(), []
     for each in frames:
-        due, ear = heard(ear, each)
+        due, memory = due_cue(memory, each)
         sounds.append(None if due is None else due.sound)
     return sounds
 
@@ -40,43 +40,43 @@ def told(*frames, ear=None):
 def test_a_poke_is_heard_from_its_touch_to_its_verdict():
     one = (touch(1),)
     phases = (READY, PRESSING, PRESSING, STILL, HELD, HELD)
-    assert told(*map(at, phases), at(READY, one), at(READY, one)) == [
+    assert cues_of(*map(at, phases), at(READY, one), at(READY, one)) == [
         None, Cue.CONTACT, None, None, Cue.HELD, None, Cue.ACCEPTED, None,
     ]  # fmt: skip
 
 
 def test_enough_is_heard_once_a_press_and_again_in_the_next():
-    assert told(*map(at, (HELD, STILL, HELD))) == [Cue.HELD, None, None]
-    assert told(*map(at, (HELD, READY, PRESSING, HELD))) == [Cue.HELD, None, Cue.CONTACT, Cue.HELD]
+    assert cues_of(*map(at, (HELD, STILL, HELD))) == [Cue.HELD, None, None]
+    assert cues_of(*map(at, (HELD, READY, PRESSING, HELD))) == [Cue.HELD, None, Cue.CONTACT, Cue.HELD]
 
 
 def test_a_rejection_comes_with_its_word():
-    _, ear = heard(Ear(), at())
-    due, _ = heard(ear, at(pokes=(slip(1, Reason.TOO_SOFT),)))
-    assert due == Heard(Cue.REJECTED, "too soft")
+    _, memory = due_cue(CueMemory(), at())
+    due, _ = due_cue(memory, at(pokes=(slip(1, Reason.TOO_SOFT),)))
+    assert due == DueCue(Cue.REJECTED, "too soft")
 
 
 def test_the_final_form_of_a_verdict_is_not_heard_again_but_another_is():
     first = touch(1)
     again, but = touch(1), slip(1, Reason.TARE_CHANGED)
-    assert told(at(), at(pokes=(first,)), at(pokes=(again,)), at(pokes=(but,))) == [
+    assert cues_of(at(), at(pokes=(first,)), at(pokes=(again,)), at(pokes=(but,))) == [
         None, Cue.ACCEPTED, None, Cue.REJECTED,
     ]  # fmt: skip
 
 
 def test_pokes_that_were_there_before_or_are_taken_back_are_not_heard():
     three = (touch(1), touch(2), slip(3))
-    ear = Ear.of(session(pokes=three))
-    assert told(at(pokes=three), at(pokes=three[:2]), at(pokes=three[:1]), at(), ear=ear) == [None] * 4
-    assert told(at(pokes=three), at(pokes=(*three, touch(4))), ear=ear) == [None, Cue.ACCEPTED]
+    memory = CueMemory.of(session(pokes=three))
+    assert cues_of(at(pokes=three), at(pokes=three[:2]), at(pokes=three[:1]), at(), memory=memory) == [None] * 4
+    assert cues_of(at(pokes=three), at(pokes=(*three, touch(4))), memory=memory) == [None, Cue.ACCEPTED]
 
 
 def test_a_taxel_that_is_done_rings_in_place_of_accepted():
     before, after = guidance(target(5)), guidance(target(5), done=(3,))
     one, final = (touch(1),), (touch(1),)
-    assert told(at(guided=before), at(pokes=one, guided=after)) == [None, Cue.DONE]
+    assert cues_of(at(guided=before), at(pokes=one, guided=after)) == [None, Cue.DONE]
     # With the tare after the poke, too.
-    assert told(at(guided=before), at(pokes=one, guided=before), at(pokes=final, guided=after)) == [
+    assert cues_of(at(guided=before), at(pokes=one, guided=before), at(pokes=final, guided=after)) == [
         None, Cue.ACCEPTED, Cue.DONE,
     ]  # fmt: skip
 
@@ -85,27 +85,27 @@ def test_only_a_poke_rings():
     one, two = (touch(1),), (touch(1), slip(2))
     before, after = guidance(target(5)), guidance(target(5), done=(3,))
     surface = guidance(target(5), done=(3, 4), method=Method.SURFACE)
-    assert told(at(pokes=one, guided=None), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
-    assert told(at(pokes=one, guided=before), at(pokes=one, guided=surface)) == [Cue.ACCEPTED, None]
-    assert told(at(pokes=one, guided=before), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
-    assert told(at(pokes=two, guided=before), at(pokes=one, guided=after)) == [Cue.REJECTED, None]
+    assert cues_of(at(pokes=one, guided=None), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
+    assert cues_of(at(pokes=one, guided=before), at(pokes=one, guided=surface)) == [Cue.ACCEPTED, None]
+    assert cues_of(at(pokes=one, guided=before), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
+    assert cues_of(at(pokes=two, guided=before), at(pokes=one, guided=after)) == [Cue.REJECTED, None]
 
 
 def test_enough_for_the_session_is_a_chord_and_only_when_it_comes_about():
     every = tuple(range(24))
     nearly, enough = guidance(target(5), done=every[:-1]), guidance(done=every)
     one = (touch(1),)
-    assert told(at(guided=nearly), at(pokes=one, guided=enough), at(pokes=one, guided=enough)) == [None, Cue.ENOUGH, None]
-    assert told(at(guided=None), at(guided=enough)) == [None, None]
-    assert told(at(guided=nearly), at(guided=guidance(done=every, method=Method.SURFACE))) == [None, None]
+    assert cues_of(at(guided=nearly), at(pokes=one, guided=enough), at(pokes=one, guided=enough)) == [None, Cue.ENOUGH, None]
+    assert cues_of(at(guided=None), at(guided=enough)) == [None, None]
+    assert cues_of(at(guided=nearly), at(guided=guidance(done=every, method=Method.SURFACE))) == [None, None]
 
 
 def test_a_lost_device_is_heard_slowly_and_nothing_else_meanwhile():
     times = np.arange(100.0, 100.0 + 2.5 * ALARM_S, 0.5)
-    sounds = told(*(at(now_s=t, lost=("skin",)) for t in times))
+    sounds = cues_of(*(at(now_s=t, lost=("skin",)) for t in times))
     assert [t - 100.0 for t, sound in zip(times, sounds, strict=True) if sound is Cue.LOST] == [0.0, ALARM_S, 2 * ALARM_S]
-    assert told(at(now_s=1, lost=("skin",)), at(now_s=2, lost=("skin", "wrench"))) == [Cue.LOST, Cue.LOST]
-    assert told(at(lost=("skin",)), at(PRESSING, (touch(1),), lost=("skin",)), at(READY, (touch(1),))) == [
+    assert cues_of(at(now_s=1, lost=("skin",)), at(now_s=2, lost=("skin", "wrench"))) == [Cue.LOST, Cue.LOST]
+    assert cues_of(at(lost=("skin",)), at(PRESSING, (touch(1),), lost=("skin",)), at(READY, (touch(1),))) == [
         Cue.LOST,
         None,
         None,
@@ -114,7 +114,12 @@ def test_a_lost_device_is_heard_slowly_and_nothing_else_meanwhile():
 
 @pytest.mark.parametrize("running", [Running.PAUSED, Running.OFFLINE, Running.OPENING])
 def test_nothing_is_heard_while_nothing_streams(running):
-    assert told(at(), at(PRESSING, (touch(1),), lost=("skin",), running=running), at(READY, (touch(1),))) == [None, None, None]
+    frames = (at(), at(PRESSING, (touch(1),), lost=("skin",), running=running), at(READY, (touch(1),)))
+    assert cues_of(*frames) == [None, None, None]
+        None,
+        None,
+        None,
+    ]
 
 
 def test_whatever_is_heard_is_said_in_the_same_frame():
@@ -140,9 +145,9 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.LOST: "lost skin",
     }
     assert set(said) == set(Cue)
-    ear, memory = heard(Ear(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]
+    memory, memory = due_cue(CueMemory(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]
     for sound, each in frames.items():
-        due, ear = heard(ear, each)
+        due, memory = due_cue(memory, each)
         now, memory = now_line(memory, each)
         assert due is not None
         assert due.sound is sound
@@ -182,7 +187,7 @@ def test_a_sound_is_short_never_too_loud_and_begins_and_ends_softly(sound):
 
 @pytest.mark.parametrize(("one", "other"), list(itertools.combinations(Cue, 2)))
 def test_any_two_sounds_differ_in_rhythm(one, other):
-    """In the count of beats, or in the length of one by a third and at least 15 ms: what an ear tells apart."""
+    """In the count of beats, or in the length of one by a third and at least 15 ms: what an memory tells apart."""
     first, second = rhythm(one), rhythm(other)
     if len(first) != len(second):
         return

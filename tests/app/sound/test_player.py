@@ -75,8 +75,8 @@ def make():
 
     def player(opener, **options) -> Player:
         made.append(Player(opener, **{"speech": ()} | options))
-        made[-1].told = []
-        made[-1].found = made[-1].told.append
+        made[-1].reported = []
+        made[-1].found = made[-1].reported.append
         return made[-1]
 
     yield player
@@ -100,7 +100,7 @@ def test_a_sound_reaches_the_device_whole_and_then_there_is_silence(make):
         tape.run()
     assert tape.heard == samples_of(Cue.ACCEPTED) + samples_of(Cue.DONE)
     assert tape.calls == ["start"]
-    assert player.told == [True]
+    assert player.reported == [True]
 
 
 def test_a_new_sound_cuts_off_the_one_before(make):
@@ -143,7 +143,7 @@ def test_what_waited_too_long_for_the_device_is_not_played(make, monkeypatch):
     player.play(Cue.REJECTED)
     time.sleep(0.1)
     free.set()
-    until(lambda: player.told == [True])
+    until(lambda: player.reported == [True])
     assert tape.calls == []
 
 
@@ -152,7 +152,7 @@ def test_the_device_runs_only_while_sounds_come(make, monkeypatch):
     tape = Tape()
     player = make(Shop(tape))
     player.get_ready()
-    until(lambda: player.told == [True])
+    until(lambda: player.reported == [True])
     assert tape.calls == []
     player.play(Cue.CONTACT)
     until(lambda: tape.calls == ["start", "stop"])
@@ -169,16 +169,16 @@ def test_no_device_is_no_error_is_logged_once_and_is_looked_for_again_later(make
     player = make(shop)
     for _ in range(5):
         player.play(Cue.CONTACT)
-    until(lambda: player.told == [False])
+    until(lambda: player.reported == [False])
     time.sleep(0.05)
     assert shop.opened == 1
     monkeypatch.setattr(sound_player, "RETRY_S", 0.0)
     player._retry_s = 0.0
     player.play(Cue.CONTACT)
     until(lambda: shop.opened == 2)
-    assert player.told == [False]
+    assert player.reported == [False]
     player.play(Cue.CONTACT)
-    until(lambda: player.told == [False, True])
+    until(lambda: player.reported == [False, True])
     until(lambda: tape.run())
     assert [r.getMessage() for r in caplog.records] == ["nothing is heard: no sound device (gone)"]
     assert max(r.levelno for r in caplog.records) == logging.INFO
@@ -189,7 +189,7 @@ def test_a_library_that_cannot_be_imported_is_no_error(make, monkeypatch, caplog
     monkeypatch.setitem(sys.modules, "miniaudio", None)
     player = make(open_output)
     player.play(Cue.CONTACT)
-    until(lambda: player.told == [False])
+    until(lambda: player.reported == [False])
     assert "the sound library cannot be loaded" in caplog.text
 
 
@@ -204,7 +204,7 @@ def test_a_device_that_vanished_gives_way_to_the_next(make, monkeypatch):
     until(lambda: second.stream is not None)
     assert second.run() == samples_of(Cue.DONE)[:960]
     assert first.calls[-1] == "close"
-    assert False not in player.told
+    assert False not in player.reported
 
 
 def test_a_device_that_takes_nothing_any_more_is_given_up(make, monkeypatch):
@@ -224,7 +224,7 @@ def test_a_device_that_vanished_for_good_leaves_silence(make):
     first.fault = RuntimeError("the plug is out")
     player = make(Shop(first))
     player.play(Cue.CONTACT)
-    until(lambda: player.told == [False])
+    until(lambda: player.reported == [False])
     assert first.calls == ["start", "close"]
 
 
@@ -255,7 +255,7 @@ def test_closing_does_not_wait_for_a_device_that_hangs(make, monkeypatch):
     player.play(Cue.CONTACT)
     free.set()
     until(lambda: not [t for t in threading.enumerate() if t.name == "skincal-sound"])
-    assert player.told == []
+    assert player.reported == []
 
 
 def test_the_library_takes_the_samples_at_their_pace(make, monkeypatch):
@@ -272,7 +272,7 @@ def test_the_library_takes_the_samples_at_their_pace(make, monkeypatch):
     monkeypatch.setattr(sound_player.Line, "take", watched)
     player = make(lambda: open_output(real=False))
     player.get_ready()
-    until(lambda: player.told == [True])
+    until(lambda: player.reported == [True])
     assert not taken
     for each in (Cue.ACCEPTED, Cue.LOST):
         taken.clear()
@@ -281,7 +281,7 @@ def test_the_library_takes_the_samples_at_their_pace(make, monkeypatch):
         until(lambda: taken[-1][1] == 0)
     begin, count = taken[0][0], len(taken)
     time.sleep(0.5)
-    pace = (len(taken) - count) * player.PERIOD_MS * 1e-3 / 0.5
+    pace = (len(taken) - count) * sound_player.PERIOD_MS * 1e-3 / 0.5
     assert 0.5 < pace < 1.5, f"after {taken[-1][0] - begin:.3f} s"
     player.close()
     count = len(taken)
@@ -332,7 +332,7 @@ def test_a_speech_command_that_cannot_be_run_is_no_error(make, tmp_path):
         player.play(Cue.REJECTED, "slid")
     until(lambda: tape.stream is not None)
     until(lambda: not player.can_speak)
-    assert player.told == [True]
+    assert player.reported == [True]
 
 
 def test_each_system_has_its_voice(monkeypatch):

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.text.guidance_text import Lean, end_words, enough_words, lean_of, target_words, why_words
+from app.state.press_coach import Lean, lean_of
+from app.text.guidance_text import end_words, enough_words, target_words, why_words
 from app.text.now_text import SETTLE_S, NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Guidance, GuidePhase

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.sound.cues import Ear, Heard, heard
+from app.sound.cues import CueMemory, DueCue, due_cue
 from app.state.policies import allowed
 from app.state.running import Running
 from app.text.guidance_text import gain_words, landmark_words, target_words, why_words
@@ -346,20 +346,20 @@ def test_it_is_said_what_to_do_which_of_how_many_it_is_and_what_it_is_worth():
 def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted(poke):
     asked = shown(Landmarks(part(), plan_of(part())), of_pokes())
     before, after = (replace(frame(at), guidance=asked) for at in (of_pokes(), of_pokes(poke, at={1: "corner"})))
-    _, ear = heard(Ear(), before)
-    due, ear = heard(ear, after)
+    _, ear = due_cue(CueMemory(), before)
+    due, ear = due_cue(ear, after)
     assert due is not None
     assert (due.sound.name, due.word) == ("ACCEPTED", "")
-    assert heard(ear, after)[0] is None
+    assert due_cue(ear, after)[0] is None
     said, _ = now_line(now_line(NowMemory(), before)[1], after)
     assert (said.tone, said.headline) == (Tone.GOOD, "poke 1 at the landmark corner")
     assert said.detail == "Next: poke the landmark corner"
 
 
 def test_elsewhere_a_poke_that_no_taxel_answered_is_rejected():
-    _, ear = heard(Ear(), frame(of_pokes()))
-    due, _ = heard(ear, frame(of_pokes(press(1, LATER))))
-    assert due == Heard(due.sound, Reason.NO_TAXEL.value)
+    _, ear = due_cue(CueMemory(), frame(of_pokes()))
+    due, _ = due_cue(ear, frame(of_pokes(press(1, LATER))))
+    assert due == DueCue(due.sound, Reason.NO_TAXEL.value)
     assert due.sound.name == "REJECTED"
     said, _ = now_line(now_line(NowMemory(), frame(of_pokes()))[1], frame(of_pokes(press(1, LATER))))
     assert said.tone is Tone.BAD

@@ -6,8 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+<<<<<<<< HEAD:tests/app/text/test_coaching_words.py
+========
+from guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, part, target
+from scene3d_support import box
+from window_support import PLAN, SCENE, frame, reading, session
+>>>>>>>> w-text:tests/app/test_press_coach.py
 
-from app.text.guidance_text import AIM_FAR, COACH_S, Ask, Lean, PressCoach, tilt_hint
+from app.state.press_coach import AIM_FAR, COACH_S, Ask, Lean, PressCoach, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.coaching import leeway
@@ -33,10 +39,10 @@ class Line:
 
     def show(self, view, seconds: float = 0.0):
         """Show the same reading for some time; return what is said at its end."""
-        told = None if self.asked is None else told_of(view.progress, self.asked)
+        found = None if self.asked is None else coaching_of(view.progress, self.asked)
         now = None
         for _ in range(1 + round(seconds / TICK)):
-            at = replace(frame(session(), view, self.now_s), guidance=self.says, coaching=told)
+            at = replace(frame(session(), view, self.now_s), guidance=self.says, coaching=found)
             now, self.memory = now_line(self.memory, at)
             self.said.append(now.headline)
             self.now_s += TICK
@@ -52,7 +58,7 @@ def test_force_goes_before_all_else_and_the_rest_is_a_detail():
     assert (now.tone, now.headline) == (Tone.BAD, "press less")
 
 
-def test_a_tilt_that_is_off_is_told_with_the_way_once_it_held():
+def test_a_tilt_that_is_off_is_said_with_the_way_once_it_held():
     line = Line()
     assert line.show(held(10.0)).headline == "hold still"
     assert line.show(held(10.0), COACH_S / 2).headline == "hold still"
@@ -68,7 +74,7 @@ def test_a_push_within_ten_degrees_is_as_asked():
     assert Line().show(held(38.5), 1.0).headline == f"tilt 10{DEGREE} less"
 
 
-def test_what_counts_is_told_nothing():
+def test_nothing_is_said_of_a_poke_that_counts():
     line = Line()
     assert line.show(held(8.0), 1.0).headline.startswith("tilt")
     now = line.show(held(8.0, phase=PressPhase.STILL, still=0.3))
@@ -120,7 +126,7 @@ def test_a_number_is_not_said_anew_for_the_trembling_of_a_hand():
     assert said in {f"tilt {n}{DEGREE} more toward 10-02" for n in (13, 14, 15)}, "a hand that trembles has moved, too"
 
 
-def test_a_tip_on_another_taxel_is_told_before_its_tilt_and_only_if_far():
+def test_a_tip_on_another_taxel_is_said_before_its_tilt_and_only_if_far():
     line = Line()
     off = np.array(TO_2) * 0.0062
     now = line.show(held(5.0, aside=off, landed=2), 1.0)
@@ -177,9 +183,9 @@ def test_without_a_target_the_line_says_what_it_always_said():
 def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expected):
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     lean = (c * TO_2[0] - s * TO_2[1], s * TO_2[0] + c * TO_2[1], 0.0)
-    told = told_of(held(tilt, lean).progress, ASKED)
-    assert told is not None
-    hint = tilt_hint(guidance(ASKED), ASKED, told)
+    found = coaching_of(held(tilt, lean).progress, ASKED)
+    assert found is not None
+    hint = tilt_hint(guidance(ASKED), ASKED, found)
     assert hint.ask is expected[0]
     if turn == 0.0:
         assert hint.toward == expected[1]
@@ -187,7 +193,7 @@ def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expec
         # From a quarter turn beside: the way leads between taxel 2 and straight.
         assert hint.toward is not None
         way = PLAN.places[hint.toward.channel] - PLAN.places[3]
-        assert (way @ told.lean[:2]) * (-1 if hint.toward.away else 1) > 0.8 * np.linalg.norm(way)
+        assert (way @ found.lean[:2]) * (-1 if hint.toward.away else 1) > 0.8 * np.linalg.norm(way)
 
 
 def coaching(surface):
@@ -209,10 +215,10 @@ def test_the_guide_of_the_window_compares_with_its_own_target_on_the_skin():
     assert says is not None
     assert says.target is not None
     view = held(20.0, asked=says.target, landed=says.target.channel)
-    told = coached(view.progress, says.target)
-    assert told is not None
-    assert told.away < 1e-9
-    assert np.degrees(told.tilt) == pytest.approx(20.0)
+    found = coached(view.progress, says.target)
+    assert found is not None
+    assert found.away < 1e-9
+    assert np.degrees(found.tilt) == pytest.approx(20.0)
     assert coached(replace(view.progress, phase=PressPhase.READY), says.target) is None
     assert coached(view.progress, None) is None
 
@@ -226,6 +232,6 @@ def test_the_tip_is_measured_on_the_mesh_where_there_is_one():
     assert says.target is not None
     # The layout is believed 4 mm below the box's top; a tool that leans by 45 degrees touches the top right above it.
     up = replace(says.target, place=says.target.place + np.array([0.0, 0.0, 0.004]))
-    told = coaching(box())(held(45.0, asked=up).progress, says.target)
-    assert told is not None
-    assert told.away < 1e-7
+    found = coaching(box())(held(45.0, asked=up).progress, says.target)
+    assert found is not None
+    assert found.away < 1e-7
