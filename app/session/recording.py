@@ -1,6 +1,6 @@
-"""Where a session lives on the disk: in the operator's documents, or in a temporary folder until it is kept.
+"""A session while it is open, without Qt: its pipeline, the readers that feed it through one queue, its place on the disk.
 
-What is open: a road, the readers that feed it through one queue, and its place on the disk. No Qt.
+That place is in the operator's documents, or a temporary folder until the session is kept.
 """
 
 from __future__ import annotations
@@ -91,17 +91,17 @@ class Recording:
 
     Parameters
     ----------
-    road : with an open journal
+    pipeline : with an open journal
     """
 
-    def __init__(self, road: Pipeline, storage: Storage) -> None:
-        self.road = road
-        self.links: tuple[LinkSpec, ...] = road.links
+    def __init__(self, pipeline: Pipeline, storage: Storage) -> None:
+        self.pipeline = pipeline
+        self.links: tuple[LinkSpec, ...] = pipeline.links
         self.storage = storage
         self._queue: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
         self._readers: list[Reader] = []
         self.reached_ns = 0
-        """Arrival of the newest item that the road has worked on."""
+        """Arrival of the newest item that the pipeline has worked on."""
 
     def start(self) -> None:
         """Begin to read the links; returns at once."""
@@ -122,7 +122,7 @@ class Recording:
         return not self._queue.empty()
 
     def drain(self, limit_s: float = float("inf")) -> bool:
-        """Let the road work on what arrived, for at most `limit_s`; return whether there was anything.
+        """Let the pipeline work on what arrived, for at most `limit_s`; return whether there was anything.
 
         What the disk no longer takes is said by `journal_failure`.
         """
@@ -131,7 +131,7 @@ class Recording:
         while not self._queue.empty():
             drained = True
             item = self._queue.get()
-            self.road.feed(item)
+            self.pipeline.feed(item)
             self.reached_ns = item.host_ns
             if time.perf_counter() > end:
                 break
@@ -140,12 +140,12 @@ class Recording:
     @property
     def journal_failure(self) -> str:
         """Why nothing is recorded any more; empty while all is well."""
-        return self.road.journal_failure
+        return self.pipeline.journal_failure
 
     def sync(self) -> None:
         """Force what is recorded onto the medium."""
-        if self.road.journal is not None:
-            self.road.journal.sync()
+        if self.pipeline.journal is not None:
+            self.pipeline.journal.sync()
 
     def go_on(self) -> None:
         """Read again, in a new segment of the journal.
@@ -157,11 +157,11 @@ class Recording:
             what the operator does to it is still recorded.
         """
         self.drain()
-        self.road.demand_record()
-        assert self.road.journal is not None
-        following = self.road.journal.open_next(self.road.scene, self.links)
-        self.road.close()
-        self.road.begin_segment(self.links, following)
+        self.pipeline.demand_record()
+        assert self.pipeline.journal is not None
+        following = self.pipeline.journal.open_next(self.pipeline.scene, self.links)
+        self.pipeline.close()
+        self.pipeline.begin_segment(self.links, following)
         self.start()
 
     def end(self) -> None:
@@ -176,7 +176,7 @@ class Recording:
         try:
             self.drain()
         finally:
-            self.road.close()
+            self.pipeline.close()
             self.storage.finish()
 
 

@@ -74,7 +74,7 @@ def press(poke: int, start_s: float, place=CORNER.place, pose: str = "low") -> R
 
 
 class Landmarks(LandmarkGuide):
-    """The guide of the landmarks, and what the road makes of what it asks for."""
+    """The guide of the landmarks, and what the pipeline makes of what it asks for."""
 
     def __init__(self, of: Part, plan: PlannedPlaces) -> None:
         super().__init__(of, plan)

@@ -25,13 +25,13 @@ class Folder:
 
 @pytest.fixture
 def recording(tmp_path, monkeypatch):
-    monkeypatch.setattr(Recording, "start", lambda _: None)  # nothing to read: the test feeds the road
+    monkeypatch.setattr(Recording, "start", lambda _: None)  # nothing to read: the test feeds the pipeline
     scene = write_scene(tmp_path / "source")
-    road = Pipeline(scene, LINKS, None, writer.create_session(tmp_path / "s", scene, LINKS))
+    pipeline = Pipeline(scene, LINKS, None, writer.create_session(tmp_path / "s", scene, LINKS))
     for item in as_chunks(some_pokes(scene, 2).samples):
-        road.feed(item)
-    yield Recording(road, Folder(tmp_path / "s"))
-    road.close()
+        pipeline.feed(item)
+    yield Recording(pipeline, Folder(tmp_path / "s"))
+    pipeline.close()
 
 
 def segments(folder):
@@ -39,14 +39,14 @@ def segments(folder):
 
 
 def test_no_number_is_skipped_after_a_recovery(recording, tmp_path):
-    killed(recording.road)
-    road = resume(tmp_path / "s")
+    killed(recording.pipeline)
+    pipeline = resume(tmp_path / "s")
     assert (tmp_path / "s" / "segment-0001.mcap.damaged").exists()
-    Recording(road, recording.storage).go_on()
-    road.close()
+    Recording(pipeline, recording.storage).go_on()
+    pipeline.close()
     assert segments(tmp_path / "s") == ["segment-0001.mcap", "segment-0002.mcap", "segment-0003.mcap"]
     assert len(replay(tmp_path / "s").snapshot().pokes) == 2
-    recording.road.journal = None
+    recording.pipeline.journal = None
 
 
 def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, tmp_path, monkeypatch):
@@ -56,17 +56,17 @@ def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, t
     monkeypatch.setattr(writer, "JournalWriter", refuse)
     with pytest.raises(InputError, match="No space left"):
         recording.go_on()
-    monkeypatch.setattr(writer, "JournalWriter", type(recording.road.journal))
-    recording.road.act(Exclude(1), 1)  # still recorded
+    monkeypatch.setattr(writer, "JournalWriter", type(recording.pipeline.journal))
+    recording.pipeline.act(Exclude(1), 1)  # still recorded
     recording.go_on()
-    recording.road.act(Exclude(2), 2)
-    recording.road.close()
+    recording.pipeline.act(Exclude(2), 2)
+    recording.pipeline.close()
     assert segments(tmp_path / "s") == ["segment-0001.mcap", "segment-0002.mcap"]
     assert load(tmp_path / "s").session.excluded == (1, 2)
 
 
 def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp_path):
-    recording.road.journal_failure = "the disk is full"
+    recording.pipeline.journal_failure = "the disk is full"
     with pytest.raises(InputError, match="open the session again"):
         recording.go_on()
     assert segments(tmp_path / "s") == ["segment-0001.mcap"]
@@ -75,16 +75,18 @@ def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp
 def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path, monkeypatch):
     """It goes on while it is copied; lines that speak of bytes that were not copied would not be played."""
     temporary = Storage(OpenRequest(), tmp_path / "documents")
-    copy, rest = shutil.copytree, as_chunks(some_pokes(recording.road.scene, 4).samples)
-    road = Pipeline(recording.road.scene, LINKS, None, writer.create_session(temporary.folder, recording.road.scene, LINKS))
+    copy, rest = shutil.copytree, as_chunks(some_pokes(recording.pipeline.scene, 4).samples)
+    pipeline = Pipeline(
+        recording.pipeline.scene, LINKS, None, writer.create_session(temporary.folder, recording.pipeline.scene, LINKS)
+    )
 
     def slowly(*arguments, **options):
         for _ in range(len(rest) // 2):
-            road.feed(rest.pop(0))
+            pipeline.feed(rest.pop(0))
         return copy(*arguments, **options)
 
-    for item in as_chunks(some_pokes(road.scene, 1).samples):
-        road.feed(item)
+    for item in as_chunks(some_pokes(pipeline.scene, 1).samples):
+        pipeline.feed(item)
     monkeypatch.setattr(shutil, "copytree", slowly)
     kept = temporary.keep()
     monkeypatch.undo()
@@ -92,7 +94,7 @@ def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path,
     assert len(loaded.session.contacts) == len(played.session.contacts) > 1
     assert not any("missing" in sentence for sentence in played.findings)
     assert not (kept / LOCK_NAME).exists()
-    road.close()
+    pipeline.close()
     temporary.finish()
     assert len(load(kept).session.contacts) >= 3
     assert replay(kept).findings == ()

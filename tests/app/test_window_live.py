@@ -134,9 +134,9 @@ def test_pause_and_go_on_make_a_new_segment_and_lose_nothing(bench, tmp_path):
     estimates = known(bench.snapshot)
     bench.window.close()
     assert len(list((tmp_path / "mine").glob("segment-*.mcap"))) == 2
-    road = replay(tmp_path / "mine")
-    assert len(road.snapshot().pokes) >= before + 1
-    assert set(estimates) <= set(known(road.snapshot()))
+    pipeline = replay(tmp_path / "mine")
+    assert len(pipeline.snapshot().pokes) >= before + 1
+    assert set(estimates) <= set(known(pipeline.snapshot()))
     assert bench.window.session_view.workspace.rig.arm is None
 
 

@@ -40,19 +40,19 @@ class Poked:
 
     def __init__(self, bench, monkeypatch) -> None:
         self.bench = bench
-        self.road = road = bench.controller._recording.road
-        live = road.live
+        self.pipeline = pipeline = bench.controller._recording.pipeline
+        live = pipeline.live
 
         def ready(now_ns):
             view = live(now_ns)
             return replace(view, progress=replace(view.progress, phase=PressPhase.READY), links=())
 
-        monkeypatch.setattr(road, "live", ready)
+        monkeypatch.setattr(pipeline, "live", ready)
         bench.controller._set_running(Running.STREAMING)
         self.said: list[str] = []
         bench.window.session_view.said.connect(lambda message: self.said.append(message.text))
         self.rng = np.random.default_rng(5)
-        self.rig = Rig(road.scene, road.session.surface, RigErrors.paper(), np.random.default_rng(1))
+        self.rig = Rig(pipeline.scene, pipeline.session.surface, RigErrors.paper(), np.random.default_rng(1))
         bench.controller.act(SetPose(POSE))
         bench.until(lambda: self.now.headline.text() == f"poke the landmark {self.asked}", 5000)
 
@@ -76,14 +76,14 @@ class Poked:
     def near(self) -> tuple[int, float]:
         """The taxel nearest to the landmark that is asked for, and how far it lies away, metres."""
         laid = self.bench.window.session_view.workspace.part.laid
-        layout = self.road.scene.skin.layout
+        layout = self.pipeline.scene.skin.layout
         apart = np.linalg.norm(laid.places[layout.channels] - self.frame.target.place, axis=1)
         return int(layout.channels[apart.argmin()]), float(apart.min())
 
     def poke(self, *, answered: bool = False) -> int:
         """Poke the landmark that is asked for; return the number of the poke."""
-        number, before = self.road.session.last_poke + 1, self.frame
-        landmark = next(one for one in self.road.session.landmarks if one.name == self.asked)
+        number, before = self.pipeline.session.last_poke + 1, self.frame
+        landmark = next(one for one in self.pipeline.session.landmarks if one.name == self.asked)
         pokes = poke_landmarks(self.rig, (landmark,), 1, self.rng, number)
         told = replace(next(one for one in pokes if one.pose == POSE), poke=number)
         start_s = time.monotonic() + 1.0
@@ -101,8 +101,8 @@ class Poked:
         return number
 
     def end_as(self, outcome) -> None:
-        """Have the road settle a poke, as at the end of one that the devices told of."""
-        self.road._settle_item(LinkEvent("wrench", time.monotonic_ns(), LinkState.OPEN), [outcome])
+        """Have the pipeline settle a poke, as at the end of one that the devices told of."""
+        self.pipeline._settle_item(LinkEvent("wrench", time.monotonic_ns(), LinkState.OPEN), [outcome])
 
     def until_offered(self) -> None:
         self.bench.until(lambda: bool(self.frame.offers), OPEN_MS)
@@ -211,7 +211,7 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_ans
     bench.qtbot.wait(100)
     assert number not in bench.snapshot.at_landmarks, "what was taken back is not said again"
     bench.key(Key.Key_G)
-    session = poked.road.session
+    session = poked.pipeline.session
     unasked = replace(session.outcome(number - 1), poke=number + 1, start_s=time.monotonic() + 5.0)
     poked.end_as(unasked)
     bench.until(lambda: bench.snapshot.pokes[-1].outcome is unasked, 5000)
@@ -228,23 +228,23 @@ def test_the_session_goes_on_before_its_value_is_made_and_no_value_shows_half_of
     assert told
     assert {state.snapshot.at_landmarks.get(number) for state in told} == {name}
     assert {state.target.landmark for state in told} == {poked.asked}, "what is asked for next is in the same value"
-    assert poked.road.asked_landmark == poked.asked
+    assert poked.pipeline.asked_landmark == poked.asked
 
 
 def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
-    bench, road = poked.bench, poked.road
+    bench, pipeline = poked.bench, poked.pipeline
     poked.poke()
-    view, snapshot, asked = bench.window.session_view, road.snapshot(), road.asked_landmark
+    view, snapshot, asked = bench.window.session_view, pipeline.snapshot(), pipeline.asked_landmark
     # A poke that nobody has seen yet, at the landmark that is asked for.
-    unseen = replace(road.session.outcome(road.session.last_poke), poke=road.session.last_poke + 1, start_s=1e9)
+    unseen = replace(pipeline.session.outcome(pipeline.session.last_poke), poke=pipeline.session.last_poke + 1, start_s=1e9)
     bench.controller.stop()
     poked.end_as(unseen)
-    changed = road.snapshot()
+    changed = pipeline.snapshot()
     assert changed is not snapshot
     touched = []
     for owner, names in (
-        (road, ("feed", "act", "take", "begin_segment")),
-        (road.session, ("act", "add", "find_dead", "settle")),
+        (pipeline, ("feed", "act", "take", "begin_segment")),
+        (pipeline.session, ("act", "add", "find_dead", "settle")),
         (view.guide, ("follow", "skip")),
         (view.course, ("follow", "choose")),
         (bench.controller, ("act", "follow_guide", "tick", "pause", "go_on")),
@@ -264,8 +264,8 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
     view.set_colours(bench.theme.colours)
     assert view.state.selected == poked.near()[0]
     assert touched == []
-    assert road.snapshot() is changed
-    assert road.asked_landmark == asked
+    assert pipeline.snapshot() is changed
+    assert pipeline.asked_landmark == asked
 
 
 def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):

@@ -142,23 +142,23 @@ class Plots(PlotPanel):
         self.made += 1
         return QWidget()
 
-    def draw_frame(self, frame):
+    def draw_state(self, state):
         pass
 
 
 def test_plots_are_made_when_their_panel_is_seen(qtbot):
     panel = Plots()
     qtbot.addWidget(panel)
-    panel.show_frame(None)
+    panel.show_state(None)
     assert panel._threads is None, "nothing is imported for a panel that nobody sees"
     panel.show()
-    panel.show_frame(None)
+    panel.show_state(None)
     panel.hide()
     qtbot.waitUntil(lambda: panel._imported, timeout=OPEN_MS)
     assert (panel.made, panel.ready) == (0, False)
     panel.show()
-    panel.show_frame(None)
-    panel.show_frame(None)
+    panel.show_state(None)
+    panel.show_state(None)
     assert (panel.made, panel.ready) == (1, True)
 
 
@@ -168,9 +168,9 @@ def test_that_there_are_no_plots_is_said(qtbot, monkeypatch):
     qtbot.addWidget(panel)
     panel.show()
     for _ in range(3):
-        panel.show_frame(None)
+        panel.show_state(None)
     qtbot.waitUntil(lambda: panel._label.text().startswith("There are no curves: "), timeout=5000)
-    panel.show_frame(None)
+    panel.show_state(None)
     assert (panel.made, panel.ready) == (0, False)
 
 
@@ -289,7 +289,7 @@ def test_a_process_does_not_outlive_a_window_that_was_killed(tmp_path):
 
 def test_the_window_imports_nothing_of_processes_before_it_needs_them():
     code = (
-        "import sys, app.run, app.desk, app.workers.review_client;"
+        "import sys, app.run, app.session_view, app.workers.review_client;"
         "sys.exit(any(name.startswith(('multiprocessing', 'concurrent.futures.process')) for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
