@@ -179,6 +179,7 @@ class Workspace(QWidget):
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
         for panel in (self.now, self.map, *self._panels.values()):
+            # The rig's panel has the palette's colours alone.
             if not isinstance(panel, RigPanel):
                 panel.set_colours(colours)
         self.errors.set_colour(QColor(colours.muted))

@@ -33,6 +33,17 @@ FINEST = 0.2
 """Pixels. A smaller move is not drawn."""
 
 
+_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
+    Tone.GOOD: [[(-8, 1), (-2, 7), (9, -7)]],
+    Tone.BAD: [[(-7, -7), (7, 7)], [(-7, 7), (7, -7)]],
+    Tone.GO: [[(0, -9), (0, 8)], [(-7, 1), (0, 8), (7, 1)]],
+    Tone.HOLD: [[(0, -8), (0, 8)], [(-7, 8), (7, 8)]],
+    Tone.WAIT: [[(-8, 0), (-8, 0)], [(0, 0), (0, 0)], [(8, 0), (8, 0)]],
+    Tone.CALM: [[(-7, 0), (7, 0)]],
+}
+"""Lines of each sign, pixels from its middle, y down."""
+
+
 class Dial(Painted):
     """Target and tool from above: where the tool is asked to lean, and how it is held while it presses.
 
@@ -198,16 +209,6 @@ class Sign(Painted):
         painter.setPen(pen)
         for line in _SIGNS[self._tone]:
             painter.drawPolyline(QPolygonF([QPointF(x, y) for x, y in line]))
-
-
-_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
-    Tone.GOOD: [[(-8, 1), (-2, 7), (9, -7)]],
-    Tone.BAD: [[(-7, -7), (7, 7)], [(-7, 7), (7, -7)]],
-    Tone.GO: [[(0, -9), (0, 8)], [(-7, 1), (0, 8), (7, 1)]],
-    Tone.HOLD: [[(0, -8), (0, 8)], [(-7, 8), (7, 8)]],
-    Tone.WAIT: [[(-8, 0), (-8, 0)], [(0, 0), (0, 0)], [(8, 0), (8, 0)]],
-    Tone.CALM: [[(-7, 0), (7, 0)]],
-}
 
 
 class ForceGauge(Painted):

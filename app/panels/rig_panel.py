@@ -31,6 +31,19 @@ from skincal.guide.guidance import Guidance
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
 
+HEADINGS = ("Landmark", "Here", "All", "Off by")
+_HINTS = (
+    "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
+    "Pokes at it in the present arm pose",
+    "Pokes at it in all arm poses",
+    "How far their axes pass it, as the rig says and under the correction that was found",
+)
+NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
+WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
+NOT_YET = (
+    "Poke landmarks: three tell whether the sensor's frame is right, six or more, at four different ones, correct the rig."
+)
+
 
 class ArmPanel(QWidget):
     """The poses of a scene; absent where a scene has no arm."""
@@ -87,20 +100,6 @@ class ArmPanel(QWidget):
     def _chosen(self, row: QTreeWidgetItem, _column: int) -> None:
         if not self._streamed:
             self.pose_requested.emit(str(row.data(0, Qt.ItemDataRole.UserRole)))
-
-
-HEADINGS = ("Landmark", "Here", "All", "Off by")
-_HINTS = (
-    "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
-    "Pokes at it in the present arm pose",
-    "Pokes at it in all arm poses",
-    "How far their axes pass it, as the rig says and under the correction that was found",
-)
-NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
-WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
-NOT_YET = (
-    "Poke landmarks: three tell whether the sensor's frame is right, six or more, at four different ones, correct the rig."
-)
 
 
 class RigPanel(QScrollArea):

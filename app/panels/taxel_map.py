@@ -43,6 +43,46 @@ from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 
+TURN_GAIN = 1.25
+"""The map is turned only where that makes it a quarter larger; a map that looks like the drawing is worth more else."""
+SMALL = 3.0
+"""Pixels. Below this radius a quarter looks like a half; strength says the state, beside the shape."""
+_FILLED: dict[Mark, int] = {Mark.BLIND: 90, Mark.ROUGH: 180}
+"""Degrees of the circle that are filled."""
+_STRENGTH: dict[Mark, float] = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75, Mark.GOOD: 1.0}
+"""Of a small mark: where even a ring has no room all four are dots, and still differ."""
+_HOLLOW = (Mark.UNSEEN, Mark.BLIND)
+"""Small marks of taxels that have no estimate."""
+LEGEND_PX = 22
+MARGIN_PX = 6
+SHARE_OF_SPACING = 0.30
+"""Radius of a mark in spacings: neighbours do not touch, and an answer shows around it."""
+NUMBER_SHARE = 0.42
+"""Height of a module's number in heights of the module."""
+NUMBER_LEAST = 9
+"""Pixels. A smaller number cannot be read and is left out."""
+WEDGE_SHARE, WEDGE_LEAST = 0.85, 4.5
+"""Size of the wedge of a taxel that may lie elsewhere: in radii of a mark, and pixels at least."""
+TARGET_SHARE, TARGET_LEAST = 2.5, 9.0
+"""Radius of the ring around the target: in radii of a mark, and pixels at least."""
+REACH_PX = 14.0
+"""A click this near to a taxel means it."""
+
+_ARROWS: dict[int, tuple[float, float]] = {
+    Qt.Key.Key_Left: (-1, 0),
+    Qt.Key.Key_Right: (1, 0),
+    Qt.Key.Key_Up: (0, -1),
+    Qt.Key.Key_Down: (0, 1),
+}
+_SHORT = {
+    Mark.UNSEEN: "unseen",
+    Mark.BLIND: "blind",
+    Mark.ROUGH: "> 3 mm",
+    Mark.GOOD: "good",
+    Mark.DONE: "done",
+    Mark.DEAD: "unused",
+}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPlan:
@@ -100,10 +140,6 @@ class Fit:
         return own * self.scale + np.array(self.shift)
 
 
-TURN_GAIN = 1.25
-"""The map is turned only where that makes it a quarter larger; a map that looks like the drawing is worth more else."""
-
-
 def fit(plan: MapPlan, width: float, height: float) -> Fit:
     """Return how a plan fills `width` x `height` pixels, in the middle and with its proportions kept."""
     low, high = plan.bounds()
@@ -114,16 +150,6 @@ def fit(plan: MapPlan, width: float, height: float) -> Fit:
     if turned > TURN_GAIN * plain:
         return Fit(turned, (width / 2 - middle[1] * turned, height / 2 - middle[0] * turned), turned=True)
     return Fit(plain, (width / 2 - middle[0] * plain, height / 2 + middle[1] * plain))
-
-
-SMALL = 3.0
-"""Pixels. Below this radius a quarter looks like a half; strength says the state, beside the shape."""
-_FILLED: dict[Mark, int] = {Mark.BLIND: 90, Mark.ROUGH: 180}
-"""Degrees of the circle that are filled."""
-_STRENGTH: dict[Mark, float] = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75, Mark.GOOD: 1.0}
-"""Of a small mark: where even a ring has no room all four are dots, and still differ."""
-_HOLLOW = (Mark.UNSEEN, Mark.BLIND)
-"""Small marks of taxels that have no estimate."""
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
@@ -230,29 +256,6 @@ class Stamps:
         draw(painter, QPointF(self.reach, self.reach), self._radius, mark, hue, self._crossed)
         painter.end()
         return stamp
-
-
-LEGEND_PX = 22
-MARGIN_PX = 6
-SHARE_OF_SPACING = 0.30
-"""Radius of a mark in spacings: neighbours do not touch, and an answer shows around it."""
-NUMBER_SHARE = 0.42
-"""Height of a module's number in heights of the module."""
-NUMBER_LEAST = 9
-"""Pixels. A smaller number cannot be read and is left out."""
-WEDGE_SHARE, WEDGE_LEAST = 0.85, 4.5
-"""Size of the wedge of a taxel that may lie elsewhere: in radii of a mark, and pixels at least."""
-TARGET_SHARE, TARGET_LEAST = 2.5, 9.0
-"""Radius of the ring around the target: in radii of a mark, and pixels at least."""
-REACH_PX = 14.0
-"""A click this near to a taxel means it."""
-
-_ARROWS: dict[int, tuple[float, float]] = {
-    Qt.Key.Key_Left: (-1, 0),
-    Qt.Key.Key_Right: (1, 0),
-    Qt.Key.Key_Up: (0, -1),
-    Qt.Key.Key_Down: (0, 1),
-}
 
 
 class TaxelMap(Painted):
@@ -530,13 +533,3 @@ class TaxelMap(Painted):
         for width, colour in ((6.5, Qt.GlobalColor.black), (2.5, Qt.GlobalColor.white)):
             painter.setPen(QPen(QColor(colour), width))
             painter.drawEllipse(centre, radius, radius)
-
-
-_SHORT = {
-    Mark.UNSEEN: "unseen",
-    Mark.BLIND: "blind",
-    Mark.ROUGH: "> 3 mm",
-    Mark.GOOD: "good",
-    Mark.DONE: "done",
-    Mark.DEAD: "unused",
-}
