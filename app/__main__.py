@@ -57,11 +57,13 @@ def _run(options: argparse.Namespace) -> int:
     if reason:
         sys.stderr.write(reason + "\n")
         return 2
-    return _open_window(options)
+    from app.run import request_of, run_window
+
+    return run_window(request_of(options))
 
 
 def _check_session(options: argparse.Namespace) -> None:
-    """Refuse what a recorded session would silently ignore."""
+    """Refuse options that a recorded session would silently ignore."""
     seen = [f"--{name}" for name in ("scene", "new", "headless") if getattr(options, name)]
     if options.session is not None and seen:
         raise InputError(
@@ -82,12 +84,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--new", type=Path, help="folder of the new session")
     parser.add_argument("--headless", action="store_true", help="run the simulated session without a window, to files in --new")
     return parser
-
-
-def _open_window(options: argparse.Namespace) -> int:
-    from app.run import plan_of, run_window
-
-    return run_window(plan_of(options))
 
 
 if __name__ == "__main__":

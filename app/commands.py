@@ -32,7 +32,6 @@ class Command:
     checkable: bool = False
 
 
-SEPARATOR = Command("", "", "")
 SOUNDS = "Sounds"
 CORRECT = "Correct the rig"
 
@@ -69,7 +68,7 @@ COMMANDS: tuple[Command, ...] = (
         "Poke",
         "Add landmark\N{HORIZONTAL ELLIPSIS}",
         ("K",),
-        "Tell a known point of the part: a screw's head, a corner; click it in the 3D view",
+        "Name a known point of the part: a screw's head, a corner; click it in the 3D view",
     ),
     Command(
         "pedals", "Poke", "Pedals\N{HORIZONTAL ELLIPSIS}", ("F3",), "Learn the keys of foot pedals for Space, Backspace and N"
@@ -145,7 +144,7 @@ class Commands(QObject):
         return added
 
     def follow_sound(self, *, found: bool, can_speak: bool) -> None:
-        """Enable what is heard where there is a device for it, and say so where there is none."""
+        """Enable sounds and speech where there is a device for them, and say where there is none."""
         _set(self.actions["sounds"], found, SOUNDS if found else f"{SOUNDS} (no sound device)")
         _set(self.actions["speech"], found and can_speak, self.actions["speech"].text())
 

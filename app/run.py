@@ -42,7 +42,7 @@ def documents_folder() -> Path:
     return Path(place or Path.home()) / "skincal"
 
 
-def plan_of(options: argparse.Namespace) -> OpenRequest:
+def request_of(options: argparse.Namespace) -> OpenRequest:
     """Return what to open for the options of the command line.
 
     Raises
@@ -111,7 +111,7 @@ def start_log() -> Path:
     return path
 
 
-def run_window(plan: OpenRequest, player: Player | None = None) -> int:
+def run_window(request: OpenRequest, player: Player | None = None) -> int:
     """Open the window and return the exit code once it is closed: 1 where a fault of the program happened.
 
     Parameters
@@ -133,11 +133,11 @@ def run_window(plan: OpenRequest, player: Player | None = None) -> int:
     window = Window(controller, theme, settings, documents, player)
     faults.happened.connect(lambda text: window.tell(Message(text, error=True)))
     for number in (signal.SIGINT, signal.SIGTERM):
-        # Python runs a handler between any two steps of the program, in the middle of a write, too: it only posts the wish.
+        # Python runs a handler between any two steps of the program, in the middle of a write, too: it only asks for the end.
         signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "close", Qt.ConnectionType.QueuedConnection))
     window.show()
     # Everything else waits until the window is on the screen.
-    QTimer.singleShot(0, lambda: _begin(controller, plan))
+    QTimer.singleShot(0, lambda: _begin(controller, request))
     try:
         application.exec()
     finally:
@@ -146,8 +146,8 @@ def run_window(plan: OpenRequest, player: Player | None = None) -> int:
     return 1 if faults.count else 0
 
 
-def _begin(controller: Controller, plan: OpenRequest) -> None:
+def _begin(controller: Controller, request: OpenRequest) -> None:
     start_log()
-    controller.open(plan)
+    controller.open(request)
     # While the scene is read beside it the window has nothing else to do; later it would stand still for this.
     best_canvas()

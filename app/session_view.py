@@ -1,7 +1,7 @@
 """The view of one open session: panels, selection, method, and what the operator wants of the session.
 
-A tick first lets follow what follows the session (the guide, which landmark is asked for, checks that an open panel wants);
-then one frozen value is made of all that and handed to the views, which change nothing.
+A tick does two things in turn. What follows the session follows it: the guide, which landmark is asked for, the checks that an
+open panel wants. Then one frozen value is made of all that and handed to the views, which change nothing.
 
 It is imported beside the window, after the window is on the screen: numpy and all that stands on it comes with it.
 """
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from skincal.modules.health import LayoutMend
 
 LATE_S = 0.3
-"""s. What happened longer ago is not heard any more: by now the hand does something else."""
+"""s. What happened longer ago makes no sound any more: by now the hand does something else."""
 
 
 class SessionView(QObject):
@@ -98,8 +98,8 @@ class SessionView(QObject):
         self._coach = PressCoach(part.surface)
         self._may: tuple[tuple[object, ...], Allowed] | None = None
         """What the newest answer of `_allowed` was made of, and that."""
-        self._sky: tuple[tuple[object, ...], AxisDiversity | None] = ((), None)
-        """What the newest answer of `_sky_of` was made of, and that."""
+        self._diversity: tuple[tuple[object, ...], AxisDiversity | None] = ((), None)
+        """What the newest answer of `_diversity_of` was made of, and that."""
         self.state: ViewState | None = None
         """What is shown; None before the first tick."""
         self.selected: int | None = None
@@ -114,7 +114,7 @@ class SessionView(QObject):
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
         self._connect()
-        self.set_addresses()
+        self._show_addresses()
 
     def _connect(self) -> None:
         workspace = self.workspace
@@ -141,15 +141,14 @@ class SessionView(QObject):
         """Start to build the 3D view, once the panels are on the screen."""
         QTimer.singleShot(0, self.workspace, self.workspace.begin)
 
-    def set_addresses(self) -> None:
-        """Show where the links of the session go."""
+    def _show_addresses(self) -> None:
         self.workspace.devices.set_addresses({link.name: link.address for link in self._controller.links})
 
     def session_opened(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
-        self.set_addresses()
+        self._show_addresses()
         self._ear = CueMemory.of(snapshot)
-        self.workspace.session_opened(snapshot)
+        self.workspace.now.begin(snapshot)
 
     # What is shown
 
@@ -232,7 +231,7 @@ class SessionView(QObject):
             clock_offset=self._clock_offset,
             revision=self._revision,
             guidance=self._guidance,
-            sky=self._sky_of(tick),
+            diversity=self._diversity_of(tick),
             coaching=self._coach.coaching,
             review=self._rig.shown(snapshot),
             offers=self._rig.offers(snapshot),
@@ -242,16 +241,16 @@ class SessionView(QObject):
             may=self._allowed(tick),
         )
 
-    def _sky_of(self, tick: Tick) -> AxisDiversity | None:
-        """Return the sky of the taxel that is looked at; the same object until something that it follows from changes."""
+    def _diversity_of(self, tick: Tick) -> AxisDiversity | None:
+        """Return what the contacts of the taxel that is looked at are like; the same object until something changes it."""
         channel = looked_at(self.selected, self._guidance)
         made_of = self._revision, self.method, channel, self._guidance
-        if made_of != self._sky[0]:
-            self._sky = made_of, None if channel is None else self.guide.axis_diversity(channel, tick.evidence)
-        return self._sky[1]
+        if made_of != self._diversity[0]:
+            self._diversity = made_of, None if channel is None else self.guide.axis_diversity(channel, tick.evidence)
+        return self._diversity[1]
 
     def take_review(self, review: Review | None) -> None:
-        """Show what landmark pokes tell of the rig, and say once what could be put right; None where nobody tells any more."""
+        """Show what landmark pokes say of the rig, and say once what could be put right; None where there is none."""
         self._rig.review = review
         self.show()
         news = None if self._tick is None else self._rig.news(self._tick.snapshot)
@@ -259,7 +258,7 @@ class SessionView(QObject):
             self.said.emit(Message(offer_news(news), found=True))
 
     def _announce_modules(self, state: ViewState) -> None:
-        """Say that the modules method needs no more, until it is shown: who pokes does not look at messages that pass."""
+        """Say that the modules method needs no more, until it is shown: an operator who pokes misses a message that passes."""
         is_news = self._modules_enough.is_news
         if is_news(state.snapshot, state.revision, state.guidance, state.method, streaming=state.connected):
             self._enough_said = Message(modules_enough_words(), asks=True)
@@ -276,7 +275,7 @@ class SessionView(QObject):
                 self.said.emit(Message(corrected_words(action)))
 
     def _hear(self, state: ViewState) -> None:
-        """Ask for the sound that is due, before anything is drawn: an ear notices less delay than an eye."""
+        """Ask for the sound that is due, before anything is drawn: an ear notices a shorter delay than an eye."""
         due, self._ear = due_cue(self._ear, state)
         if due is not None and state.behind_s <= LATE_S:
             self.heard.emit(due)
@@ -331,10 +330,6 @@ class SessionView(QObject):
             self.selected = channel
             self.show()
 
-    def select_nothing(self) -> None:
-        """Select no taxel."""
-        self.select_taxel(None)
-
     def select_last(self) -> None:
         """Show the newest poke in the list."""
         if self.state is not None and self.state.snapshot.pokes:
@@ -345,10 +340,6 @@ class SessionView(QObject):
         # Opened first: a list that nobody sees does not know the newest pokes.
         self.workspace.tabs.setCurrentWidget(self.workspace.pokes)
         self.workspace.pokes.select(poke)
-
-    def reset_camera(self) -> None:
-        """Bring the whole part into the 3D view."""
-        self.workspace.view.reset_camera()
 
     # What the operator wants
 
@@ -390,10 +381,9 @@ class SessionView(QObject):
         if state is None or self._tick is None or state.guidance is None:
             return
         verdict = self.guide.verdict(state.guidance, state.snapshot, self._tick.evidence)
-        can_export, offers, snapshot = state.may.export, state.offers, state.snapshot
-        rig = rig_state(offers, snapshot.corrections.values(), state.review)
-        names = self.workspace.names
-        dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=can_export, settled=not offers)
+        rig = rig_state(state.offers, state.snapshot.corrections.values(), state.review)
+        may, names, settled = state.may, self.workspace.names, not state.offers
+        dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)
         dialog.taxel_wanted.connect(self.select_taxel)
         dialog.export_wanted.connect(lambda: self.ask_export(parent))
         dialog.open()
@@ -494,4 +484,4 @@ class SessionView(QObject):
         for action in self._tab_actions:
             action.deleteLater()
         self._tab_actions = []
-        self.workspace.close_all()
+        self.workspace.view.close_view()

@@ -1,6 +1,7 @@
 """The main window: on the screen within a moment, then filled with a session view when a session is there.
 
-It imports nothing heavy. What concerns a session is the session view's; here are the menus, the messages, and coming and going.
+It imports nothing heavy. Here are the menus, the messages, and opening and closing; what concerns a session is in the session
+view.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Window(QMainWindow):
 
     Parameters
     ----------
-    controller : its signals are shown, its slots get the wishes
+    controller : its signals are shown, its slots do what the operator wants
     theme : colours
     settings : size, splitters, theme
     documents : where sessions and files go unless the operator says otherwise
@@ -53,7 +54,7 @@ class Window(QMainWindow):
     """
 
     _sound_found = Signal(bool)
-    """Told by the player's thread: there is a sound device."""
+    """From the player's thread: whether there is a sound device."""
 
     def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path, player: Player) -> None:
         super().__init__()
@@ -99,7 +100,7 @@ class Window(QMainWindow):
             "sounds": self._switch_sounds,
             "speech": self._switch_sounds,
             "turn": self._of_session(lambda view: view.show_turning()),
-            "camera": self._of_session(lambda view: view.reset_camera()),
+            "camera": self._of_session(lambda view: view.workspace.view.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,
             "what": QWhatsThis.enterWhatsThisMode,
@@ -121,7 +122,7 @@ class Window(QMainWindow):
         self.commands.add_themes(self._theme.choice, self._choose_theme)
         for name, wanted in (("sounds", True), ("speech", False)):
             self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
-        self.commands.follow_sound(found=True, can_speak=self._player.can_speak)
+        self._follow_sound(True)
         self._switch_sounds()
         self.opening.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.opening.setProperty("quiet", True)
@@ -257,7 +258,7 @@ class Window(QMainWindow):
         elif self.messages.isVisible():
             self.messages.dismiss()
         elif self.session_view is not None:
-            self.session_view.select_nothing()
+            self.session_view.select_taxel(None)
 
     def _switch_sounds(self) -> None:
         """Play sounds, and say words, as the menu has it."""
@@ -297,11 +298,11 @@ class Window(QMainWindow):
         if folder:
             self.open(OpenRequest(session=Path(folder)))
 
-    def open(self, plan: OpenRequest) -> None:
+    def open(self, request: OpenRequest) -> None:
         """Open something in place of what is open."""
         self._drop_session()
         self.where.setText("")
-        self.controller.open(plan)
+        self.controller.open(request)
 
     # Coming and going
 

@@ -1,12 +1,12 @@
-"""The panels of one open session in their places; it exists as long as the session is open.
+"""The panels of one open session in their places, as long as it is open.
 
-What the scene does not have gets no panel. Only what is on the screen is drawn; a tab that comes up gets the newest state.
+Only what is on the screen is drawn; a tab that comes up gets the newest state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TypeAlias
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QColor
@@ -30,7 +30,6 @@ from app.theme import GAP, Colours
 from app.units import ChannelNames
 from skincal.guide.coaching import leeway
 from skincal.session.part import Part
-from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 
@@ -40,15 +39,7 @@ RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
 
 
-_TABS = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel | ErrorsPanel | RigPanel
-
-
-class Panel(Protocol):
-    """What shows states."""
-
-    def show_state(self, state: ViewState) -> None:
-        """Show the difference to what is shown."""
-        ...
+TabPanel: TypeAlias = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel | ErrorsPanel | RigPanel
 
 
 class Workspace(QWidget):
@@ -77,6 +68,16 @@ class Workspace(QWidget):
         self.devices = DevicesPanel()
         self.error_course = ErrorsPanel(self.methods, scene.skin.layout)
         self.rig = RigPanel(scene.arm)
+        self._panels: dict[str, TabPanel] = {
+            "Readings": self.readings,
+            "Pokes": self.pokes,
+            "Taxel": self.inspect,
+            "Compare": self.compare,
+            "Devices": self.devices,
+            "Errors": self.error_course,
+            "Rig": self.rig,
+        }
+        """Of each tab, by its title."""
         # Splitters, cards and tabs in what they stand in, from the first: Qt applies the style sheet anew to all that a moved
         # widget holds.
         self.across = QSplitter(Qt.Orientation.Horizontal, self)
@@ -91,7 +92,7 @@ class Workspace(QWidget):
 
     def arrange(self) -> None:
         """Lay the panels out, once; apart from making them, since each takes half of what a window may stand still."""
-        for title, panel in self._titled():
+        for title, panel in self._panels.items():
             self.tabs.addTab(panel, title)
         self.tabs.setDocumentMode(True)
         self.tabs.setUsesScrollButtons(False)
@@ -111,19 +112,7 @@ class Workspace(QWidget):
         column.setSpacing(GAP)
         column.addWidget(self.across, 1)
         column.addWidget(self.now)
-        self.tabs.currentChanged.connect(self._tab_changed)
-
-    def _titled(self) -> list[tuple[str, QWidget]]:
-        titled: list[tuple[str, QWidget]] = [
-            ("Readings", self.readings),
-            ("Pokes", self.pokes),
-            ("Taxel", self.inspect),
-            ("Compare", self.compare),
-            ("Devices", self.devices),
-            ("Errors", self.error_course),
-            ("Rig", self.rig),
-        ]
-        return titled
+        self.tabs.currentChanged.connect(lambda _index: self._show_tab())
 
     def _fill_map_card(self, column: QVBoxLayout) -> None:
         for method in self.methods:
@@ -161,10 +150,6 @@ class Workspace(QWidget):
         """Say what is waited for while there is no session yet."""
         self.now.say(Now(Tone.WAIT, headline, detail))
 
-    def session_opened(self, snapshot: Snapshot) -> None:
-        """Start with a session whose pokes are known already."""
-        self.now.begin(snapshot)
-
     def show_state(self, state: ViewState) -> None:
         """Show a tick on everything that is on the screen."""
         before, self._state = self._state, state
@@ -179,33 +164,26 @@ class Workspace(QWidget):
         self._show_tab()
 
     def _show_tab(self) -> None:
-        panel = self.tabs.currentWidget()
-        if self._state is not None and isinstance(panel, _TABS):
-            panel.show_state(self._state)
-
-    def _tab_changed(self, _index: int) -> None:
-        self._show_tab()
+        if self._state is not None and self.tabs.count():
+            self._panels[self.tabs.tabText(self.tabs.currentIndex())].show_state(self._state)
 
     def show_tab(self, title: str) -> None:
         """Open the tab of that title, if there is one."""
-        if title in self.titles():
-            self.tabs.setCurrentIndex(self.titles().index(title))
+        if title in self._panels:
+            self.tabs.setCurrentWidget(self._panels[title])
 
     def titles(self) -> list[str]:
         """Return the titles of the tabs."""
-        return [title for title, _ in self._titled()]
+        return list(self._panels)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
-        panels = (self.now, self.map, self.readings, self.pokes, self.inspect, self.compare, self.devices, self.error_course)
-        for panel in panels:
-            panel.set_colours(colours)
+        for panel in (self.now, self.map, *self._panels.values()):
+            # The rig's panel has the palette's colours alone.
+            if not isinstance(panel, RigPanel):
+                panel.set_colours(colours)
         self.errors.set_colour(QColor(colours.muted))
         self.view.set_dark(colours.dark)
-
-    def close_all(self) -> None:
-        """Give the 3D view's resources back."""
-        self.view.close_view()
 
 
 def _card(splitter: QSplitter) -> QVBoxLayout:

@@ -1,33 +1,33 @@
-"""One taxel's contacts as one looks down on it: from which sides they came, or where around it they lie.
+"""The contacts of one taxel as one looks down on it: from which sides they came, or where around it they lie.
 
-For the free method it is a sky: the rim is 45 degrees, each contact a dot where the tool's upper end stood, and tinted is where
-the next one would tell most. For the surface method it is the skin around the taxel, and the middle of the contacts on it.
+For the free method the rim is a tilt of 45 degrees, each contact a dot where the tool's upper end stood, and tinted is where
+the next contact would help most. For the surface method it is the skin around the taxel, and the middle of the contacts on it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtGui import QColor, QImage, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from app.panels.texts import put, quiet
-from app.panels.top_view import AxisDiversityView, sky_view
+from app.panels.texts import Painted, put, quiet
+from app.panels.top_view import AxisDiversityView, diversity_view
 from app.state.view_state import ViewState
 from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words
-from app.theme import GAP, LIGHT, Colours
+from app.theme import GAP, Colours
 from app.units import ChannelNames
 from skincal.geometry.arrays import FloatArray
 from skincal.guide.guidance import Guidance
 from skincal.guide.progress import AxisDiversity
 from skincal.taxels.result import Method
 
-SKY_PX = 152
+PLOT_PX = 152
 DOT_PX = 4.0
 DOUBT_LEAST = 0.45
 """A contact that is not believed at all is drawn in this share of the size."""
 SHADE_MOST = 110
-"""Opacity, 0 to 255, where the next contact would tell most: dots must stand out on it."""
+"""Opacity, 0 to 255, where the next contact would help most: dots must stand out on it."""
 _PLACES = "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'\n\N{MULTIPLICATION SIGN} their middle"
 LEGENDS = {
     Method.FREE: "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'  small: doubted\n"
@@ -37,56 +37,47 @@ LEGENDS = {
 }
 
 
-class AxisDiversityPlot(QWidget):
+class AxisDiversityPlot(Painted):
     """The picture alone."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setFixedSize(SKY_PX, SKY_PX)
-        self._sky: AxisDiversity | None = None
+        self.setFixedSize(PLOT_PX, PLOT_PX)
+        self._diversity: AxisDiversity | None = None
         self._view: AxisDiversityView | None = None
-        self._colours = LIGHT
         self.setAccessibleName("contacts of the taxel, from above")
 
     def sizeHint(self) -> QSize:
         """Return the size that it keeps."""
-        return QSize(SKY_PX, SKY_PX)
+        return QSize(PLOT_PX, PLOT_PX)
 
-    def set(self, sky: AxisDiversity, view: AxisDiversityView) -> None:
+    def set(self, diversity: AxisDiversity, view: AxisDiversityView) -> None:
         """Show the contacts of a taxel."""
-        self._sky, self._view = sky, view
+        self._diversity, self._view = diversity, view
         self.update()
 
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self.update()
-
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the rim, what is worth most, the limit, the contacts and the next."""
-        sky, view = self._sky, self._view
-        if sky is None or view is None:
+    def paint(self, painter: QPainter) -> None:
+        """Paint the rim, what is worth most, the limit, the contacts and the next."""
+        diversity, view = self._diversity, self._view
+        if diversity is None or view is None:
             return
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.translate(SKY_PX / 2, SKY_PX / 2)
-        self._draw_ground(painter, view)
-        for place, own, trust in zip(view.dots, sky.own.tolist(), sky.trust.tolist(), strict=True):
+        painter.translate(PLOT_PX / 2, PLOT_PX / 2)
+        self._draw_scale(painter, view)
+        for place, own, trust in zip(view.dots, diversity.own.tolist(), diversity.trust.tolist(), strict=True):
             self._draw_dot(painter, self._at(place), own=own, trust=trust)
         if view.middle is not None and len(view.dots):
             self._draw_middle(painter, self._at(view.middle))
         if view.wanted is not None:
             self._draw_wanted(painter, self._at(view.wanted))
-        painter.end()
 
     def _radius(self) -> float:
-        return SKY_PX / 2 - DOT_PX - 3
+        return PLOT_PX / 2 - DOT_PX - 3
 
     def _at(self, point: FloatArray) -> QPointF:
         x, y = (self._radius() * point).tolist()
         return QPointF(x, -y)
 
-    def _draw_ground(self, painter: QPainter, view: AxisDiversityView) -> None:
+    def _draw_scale(self, painter: QPainter, view: AxisDiversityView) -> None:
         radius = self._radius()
         painter.setPen(QPen(QColor(self._colours.line), 1.5))
         painter.setBrush(QColor(self._colours.window))
@@ -126,7 +117,7 @@ class AxisDiversityPlot(QWidget):
                 painter.drawLine(at + QPointF(x, 5.0), at - QPointF(x, 5.0))
 
     def _draw_wanted(self, painter: QPainter, at: QPointF) -> None:
-        """Draw a square on its tip around the side from which the next one tells most."""
+        """Draw a square on its tip around the side from which the next one helps most."""
         reach = 8.0
         corners = [at + QPointF(x * reach, y * reach) for x, y in ((0, -1), (1, 0), (0, 1), (-1, 0))]
         painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -174,18 +165,18 @@ class AxisDiversityPanel(QWidget):
         if key == self._key and state.guidance is self._guidance:
             return
         self._key, self._guidance = key, state.guidance
-        sky = state.sky
-        self.setVisible(sky is not None)
-        if sky is not None:
-            self._show_sky(sky, state, is_target=channel == target)
+        diversity = state.diversity
+        self.setVisible(diversity is not None)
+        if diversity is not None:
+            self._show_diversity(diversity, state, is_target=channel == target)
 
-    def _show_sky(self, sky: AxisDiversity, state: ViewState, *, is_target: bool) -> None:
-        put(self.whose, f"{self._names.short(sky.channel)}{', the target' if is_target else ''}")
-        put(self.contacts, contacts_words(sky))
-        put(self.spread, diversity_words(sky, state.method).capitalize())
+    def _show_diversity(self, diversity: AxisDiversity, state: ViewState, *, is_target: bool) -> None:
+        put(self.whose, f"{self._names.short(diversity.channel)}{', the target' if is_target else ''}")
+        put(self.contacts, contacts_words(diversity))
+        put(self.spread, diversity_words(diversity, state.method).capitalize())
         put(self.legend, LEGENDS[state.method])
         put(self.follows, FOLLOWS[state.method])
-        self.plot.set(sky, sky_view(sky, state.method, state.eye))
+        self.plot.set(diversity, diversity_view(diversity, state.method, state.eye))
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""

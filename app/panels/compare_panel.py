@@ -1,6 +1,6 @@
-"""Two sets of places over each other: arrows of difference in the 3D view, and here what they come to.
+"""The panel that compares two sets of places: arrows of difference in the 3D view, and here what they come to.
 
-It works, and the 3D view draws it, only while it is on the screen.
+It works, and the 3D view draws the arrows, only while the panel is on the screen.
 """
 
 from __future__ import annotations
@@ -14,19 +14,17 @@ from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QGridLayout,
-    QHeaderView,
     QLabel,
     QListWidget,
     QListWidgetItem,
     QPushButton,
     QScrollArea,
     QTreeWidget,
-    QTreeWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from app.panels.texts import on_panel, put, quiet
+from app.panels.texts import embolden, fit_rows, on_panel, put, put_rows, put_taxels, quiet, table
 from app.scene3d.static_scene import DARK, LIGHT, Cloud, Comparison, Tint
 from app.state.place_sets import Pair, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.state.view_state import ViewState
@@ -108,7 +106,7 @@ class ComparePanel(QScrollArea):
         """Saves the corrected layout; there only while there is one."""
         self.spacing = quiet(wrap=True)
         self.listed = quiet()
-        self.modules = _module_list()
+        self.modules = table("modules", MODULE_HEADINGS, MODULE_HINTS)
         self.worst = QListWidget()
         self._fill()
         self._arrange()
@@ -123,17 +121,17 @@ class ComparePanel(QScrollArea):
         self.scale.setAccessibleName("length of the arrows")
         self.scale.setToolTip("How many times their own length the arrows are drawn")
         self.all.setToolTip("Show the layout and every method's places over each other")
+        self.modules.setSelectionMode(QTreeWidget.SelectionMode.NoSelection)
+        self.modules.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.worst.setAccessibleName("taxels that lie farthest apart")
         self.worst.setMinimumHeight(110)
-        font = self.summary.font()
-        font.setBold(True)
-        self.summary.setFont(font)
+        embolden(self.summary)
         for label in (self.legend, self.summary, self.health):
             label.setWordWrap(True)
         self.legend.setTextFormat(Qt.TextFormat.RichText)
         self.setWhatsThis(
             "How far the places of the taxels lie apart by two ways to know them. Errors of the rig move whole modules, so a "
-            "module's difference is told in two: its shift, and what is left after its best turn and shift, its shape."
+            "module's difference is given in two: its shift, and what is left after its best turn and shift, its shape."
         )
 
     def _arrange(self) -> None:
@@ -216,12 +214,9 @@ class ComparePanel(QScrollArea):
         channels = self._channels.tolist()
         put(self.summary, difference_words(summarise(lengths), pair, self._names, channels))
         rows = [] if pair[0] == pair[1] else worst_rows(lengths, WORST).tolist()
-        _list_taxels(
-            self.worst, [(channels[row], worst_words(channels[row], float(lengths[row]), self._names)) for row in rows]
-        )
-        if self._layout is None:
-            return
-        self._show_modules(self._layout, here, there)
+        put_taxels(self.worst, [(channels[row], worst_words(channels[row], float(lengths[row]), self._names)) for row in rows])
+        if self._layout is not None:
+            self._show_modules(self._layout, here, there)
 
     def _show_modules(self, layout: Layout, here: FloatArray, there: FloatArray) -> None:
         spacing, modules = self._ratios(there), layout.modules
@@ -229,10 +224,11 @@ class ComparePanel(QScrollArea):
         put(self.listed, listed_words(len(every)))
         self.listed.setVisible(bool(self.listed.text()))
         cells = [
-            module_cells(one, modules[one.module].id, len(modules[one.module].channels), float(spacing[one.module]))
-            for one in listed_modules(every)
+            module_cells(found, modules[found.module].id, len(modules[found.module].channels), float(spacing[found.module]))
+            for found in listed_modules(every)
         ]
-        _list_modules(self.modules, cells)
+        put_rows(self.modules, cells)
+        fit_rows(self.modules, ROWS_SHOWN)
 
     def _ratios(self, places: FloatArray) -> FloatArray:
         """Return how far neighbours lie apart over the layout's spacing, module by module and at last over all."""
@@ -263,7 +259,7 @@ class ComparePanel(QScrollArea):
             return
         if self.save is None:
             self.save = QPushButton("Save the corrected layout\N{HORIZONTAL ELLIPSIS}")
-            # The space bar is taken: Enter presses the button that has the focus.
+            # The space bar pauses: Enter presses the button that has the focus.
             self.save.setAutoDefault(True)
             self.save.clicked.connect(self._save_wanted)
             self._column.insertWidget(self._column.indexOf(self.health) + 1, self.save, 0, Qt.AlignmentFlag.AlignLeft)
@@ -280,18 +276,18 @@ class ComparePanel(QScrollArea):
         """Have the 3D view draw it, and say what is what there."""
         scale = SCALES[self.scale.currentIndex()]
         first, second = self.pair(state)
-        clouds = [Cloud(Tint.FROM, here), Cloud(Tint.TO, there)]
+        sets = [Cloud(Tint.FROM, here), Cloud(Tint.TO, there)]
         named = [(Tint.FROM, source_words(first)), (Tint.TO, source_words(second))]
         if self.all.isChecked():
             sources = [source for source in self._sources if source.origin in (PlaceOrigin.LAYOUT, PlaceOrigin.METHOD)]
             tints = [TINTS[source.method] if source.method is not None else Tint.LAYOUT for source in sources]
-            clouds = [Cloud(tint, self._places.find(source, state)) for tint, source in zip(tints, sources, strict=True)]
+            sets = [Cloud(tint, self._places.find(source, state)) for tint, source in zip(tints, sources, strict=True)]
             named = [(tint, source_words(source)) for tint, source in zip(tints, sources, strict=True)]
         dots = [f"{self._sign(BLACK_DOT, tint)}&nbsp;{_kept(words)}" for tint, words in named]
         arrows = self._sign(ARROW, Tint.TO) + "&nbsp;" + arrow_words((first, second), scale, named=self.all.isChecked())
         put(self.legend, "&nbsp;&nbsp; ".join([*dots, arrows]))
         ends = np.stack([here, here + scale * (there - here)], axis=1)
-        self.comparison_changed.emit(Comparison(tuple(clouds), ends))
+        self.comparison_changed.emit(Comparison(tuple(sets), ends))
 
     def _sign(self, sign: str, tint: Tint) -> str:
         red, green, blue = self._tints[tint]
@@ -332,45 +328,3 @@ class ComparePanel(QScrollArea):
 def _kept(words: str) -> str:
     """Return words that are not parted at the end of a line."""
     return words.replace(" ", "&nbsp;")
-
-
-def _module_list() -> QTreeWidget:
-    modules = QTreeWidget()
-    modules.setHeaderLabels(MODULE_HEADINGS)
-    modules.setRootIsDecorated(False)
-    modules.setUniformRowHeights(True)
-    modules.setSelectionMode(QTreeWidget.SelectionMode.NoSelection)
-    modules.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    modules.setAccessibleName("modules")
-    modules.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    modules.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-    for column, hint in enumerate(MODULE_HINTS):
-        modules.headerItem().setToolTip(column, hint)
-    return modules
-
-
-def _list_modules(tree: QTreeWidget, rows: list[tuple[str, ...]]) -> None:
-    """List the modules, in as much height as they take."""
-    while tree.topLevelItemCount() > len(rows):
-        tree.takeTopLevelItem(tree.topLevelItemCount() - 1)
-    for at, cells in enumerate(rows):
-        item = tree.topLevelItem(at)
-        if item is None:
-            item = QTreeWidgetItem(tree)
-        for column, text in enumerate(cells):
-            if item.text(column) != text:
-                item.setText(column, text)
-    seen = min(len(rows), ROWS_SHOWN)
-    tree.setFixedHeight(tree.header().sizeHint().height() + seen * max(tree.sizeHintForRow(0), 0) + 2 * tree.frameWidth())
-
-
-def _list_taxels(widget: QListWidget, entries: list[tuple[int, str]]) -> None:
-    while widget.count() > len(entries):
-        widget.takeItem(widget.count() - 1)
-    while widget.count() < len(entries):
-        widget.addItem(QListWidgetItem())
-    for row, (channel, text) in enumerate(entries):
-        item = widget.item(row)
-        item.setData(Qt.ItemDataRole.UserRole, channel)
-        if item.text() != text:
-            item.setText(text)

@@ -1,10 +1,8 @@
-"""The lowest and highest value per column of a curve, so that ten thousand points draw as a thousand and no peak is lost.
+"""The curves of force and moment: the last ten seconds, as the sensor says them, drawn by pyqtgraph.
 
-Measured on six curves of 10 000 points: a third of the cost of the plot's own downsampling (`docs`: window).
-
-Force and moment of the last ten seconds, as the sensor says them: six curves, drawn as envelopes.
-
-The time axis ends at the newest reading, not at the clock, so a curve without new readings costs nothing.
+The time axis ends at the newest reading, not at the clock, so a curve without new readings costs nothing. Ten thousand points
+are drawn as the lowest and the highest value of each column of the picture, so that no peak is lost: measured on six curves of
+10 000 points, a third of the cost of the plot's own downsampling.
 """
 
 from __future__ import annotations
@@ -21,6 +19,17 @@ from app.state.view_state import ViewState
 from app.theme import GAP, LIGHT, Colours
 from app.units import number
 from skincal.geometry.arrays import FloatArray
+
+SPAN = 10.0
+"""s, of the time axis: what the live view keeps."""
+COLUMNS = 500
+"""Columns of an envelope: about the width of the panel in pixels."""
+CURVES_S = 0.09
+"""s between two drawings of the curves: six of them cost as much as a picture of the 3D view, which comes thrice as often."""
+NUMBERS_S = 0.2
+"""s between two changes of the numbers: faster ones cannot be read."""
+MEAN_READINGS = 100
+"""Readings that the shown number is the mean of, a tenth of a second at 1 kHz."""
 
 
 def envelope(times: FloatArray, values: FloatArray, columns: int, span: float) -> tuple[FloatArray, FloatArray]:
@@ -54,16 +63,31 @@ def envelope(times: FloatArray, values: FloatArray, columns: int, span: float) -
     return np.repeat(edges, 2) + np.tile((0.0, 0.5 * width), len(starts)), reduced
 
 
-SPAN = 10.0
-"""s, of the time axis: what the live view keeps."""
-COLUMNS = 500
-"""Columns of an envelope: about the width of the panel in pixels."""
-CURVES_S = 0.09
-"""s between two drawings of the curves: six of them cost as much as a picture of the 3D view, which comes thrice as often."""
-NUMBERS_S = 0.2
-"""s between two changes of the numbers: faster ones cannot be read."""
-MEAN_READINGS = 100
-"""Readings that the shown number is the mean of, a tenth of a second at 1 kHz."""
+def still_plot(view: pg.PlotWidget, left_px: int, bottom_px: int) -> Any:
+    """Take from a plot what mouse and keys would do to it; return its item.
+
+    Parameters
+    ----------
+    left_px, bottom_px : size of the axes, so that the curves stand still while the numbers beside them change
+    """
+    item: Any = view.getPlotItem()
+    item.hideButtons()
+    item.setMouseEnabled(False, False)
+    item.disableAutoRange()
+    item.getAxis("left").setWidth(left_px)
+    item.getAxis("bottom").setHeight(bottom_px)
+    view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    return item
+
+
+def colour_plot(view: pg.PlotWidget, colours: Colours) -> None:
+    """Give a plot's background and axes the theme's colours."""
+    view.setBackground(colours.panel)
+    item: Any = view.getPlotItem()
+    for name in ("left", "bottom"):
+        axis = item.getAxis(name)
+        axis.setPen(pg.mkPen(colours.line))
+        axis.setTextPen(pg.mkPen(colours.muted))
 
 
 class Curves(QWidget):
@@ -87,39 +111,25 @@ class Curves(QWidget):
         self.header.setTextFormat(Qt.TextFormat.RichText)
         self.header.setContentsMargins(GAP, 2, GAP, 0)
         self.plot = pg.PlotWidget(enableMenu=False)
-        self._item: Any = self.plot.getPlotItem()
+        self._item = still_plot(self.plot, 44, 18)
         self.plot.setAccessibleName(f"curves of the {title.lower()}")
+        self.plot.setMinimumHeight(60)
+        self._item.setXRange(-SPAN, 0.0, padding=0.0)
+        self._item.setYRange(-self._half, self._half, padding=0.02)
         self.curves = [self.plot.plot() for _ in range(3)]
-        self._prepare()
+        for curve in self.curves:
+            # No NaN reaches the curves: the readings are whole, and the check costs a pass over them.
+            curve.setSkipFiniteCheck(True)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         column.addWidget(self.header)
         column.addWidget(self.plot, 1)
 
-    def _prepare(self) -> None:
-        item = self._item
-        item.hideButtons()
-        item.setMouseEnabled(False, False)
-        item.disableAutoRange()
-        item.setXRange(-SPAN, 0.0, padding=0.0)
-        item.getAxis("left").setWidth(44)
-        item.getAxis("bottom").setHeight(18)
-        self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.plot.setMinimumHeight(60)
-        for curve in self.curves:
-            # No NaN reaches the curves: the readings are whole, and the check costs a pass over them.
-            curve.setSkipFiniteCheck(True)
-        item.setYRange(-self._half, self._half, padding=0.02)
-
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
         self._colours = colours
-        self.plot.setBackground(colours.panel)
-        for name in ("left", "bottom"):
-            axis = self._item.getAxis(name)
-            axis.setPen(pg.mkPen(colours.line))
-            axis.setTextPen(pg.mkPen(colours.muted))
+        colour_plot(self.plot, colours)
         for curve, colour in zip(self.curves, colours.axes, strict=True):
             curve.setPen(pg.mkPen(colour, width=1))
 
@@ -139,7 +149,7 @@ class Curves(QWidget):
         for index, curve in enumerate(self.curves):
             curve.setData(times, np.ascontiguousarray(shown[:, index]))
 
-    def tell(self, newest: FloatArray) -> None:
+    def show_numbers(self, newest: FloatArray) -> None:
         """Show the newest values, (3,) float, SI."""
         shown = [number(float(v) * self._factor, self._decimals) for v in newest]
         cells = "".join(
@@ -157,7 +167,7 @@ class CurvesPanel(QWidget):
         self.force = Curves("Force", "N", 1.0, 1.0, 2)
         self.moment = Curves("Moment", "N mm", 1e3, 50.0, 0)
         self._newest_s = -np.inf
-        self._told_s = -np.inf
+        self._numbers_s = -np.inf
         column = QVBoxLayout(self)
         column.setContentsMargins(0, GAP // 2, 0, 0)
         column.setSpacing(0)
@@ -183,16 +193,16 @@ class CurvesPanel(QWidget):
         before = columns - self._newest_s
         self.force.draw(before, reduced[:, :3])
         self.moment.draw(before, reduced[:, 3:])
-        if self._newest_s - self._told_s >= NUMBERS_S:
-            self._told_s = self._newest_s
+        if self._newest_s - self._numbers_s >= NUMBERS_S:
+            self._numbers_s = self._newest_s
             mean = wrench[-MEAN_READINGS:].mean(axis=0)
-            self.force.tell(mean[:3])
-            self.moment.tell(mean[3:])
+            self.force.show_numbers(mean[:3])
+            self.moment.show_numbers(mean[3:])
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
         self.force.set_colours(colours)
         self.moment.set_colours(colours)
-        self._newest_s = self._told_s = -np.inf
+        self._newest_s = self._numbers_s = -np.inf
         for curves in (self.force, self.moment):
-            curves.tell(np.full(3, np.nan))
+            curves.show_numbers(np.full(3, np.nan))

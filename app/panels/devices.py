@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from app.panels.texts import ElidedLabel, on_panel, put, quiet
+from app.panels.texts import ElidedLabel, Painted, embolden, on_panel, put, quiet
 from app.state.view_state import LinkLook, ViewState
 from app.text.outcomes import LinkWords, link_lines
 from app.theme import GAP, LIGHT, Colours, digits_font
@@ -14,16 +14,19 @@ from app.units import count
 from skincal.model.readings import LinkHealth
 
 ICON_PX = 18
+BEHIND_SAID_S = 0.6
+"""s. A shorter delay is not said: a hand does not notice it."""
+REFRESH_S = 0.25
+"""s between two changes of the numbers of a device: faster ones cannot be read."""
 
 
-class LinkIcon(QWidget):
+class LinkIcon(Painted):
     """State of a link by shape: full disc, hollow ring, bar in a ring, cross, square."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setFixedSize(ICON_PX, ICON_PX)
         self._look = LinkLook.WAITING
-        self._colours = LIGHT
 
     def set(self, look: LinkLook) -> None:
         """Show another state."""
@@ -32,15 +35,8 @@ class LinkIcon(QWidget):
             self.setToolTip(look.value)
             self.update()
 
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self.update()
-
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the shape."""
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    def paint(self, painter: QPainter) -> None:
+        """Paint the shape."""
         colours = self._colours
         colour = QColor(
             {
@@ -63,7 +59,6 @@ class LinkIcon(QWidget):
             painter.drawRect(area.adjusted(1, 1, -1, -1))
         else:
             painter.drawEllipse(area)
-        painter.end()
 
 
 class LinkCard(QFrame):
@@ -74,9 +69,7 @@ class LinkCard(QFrame):
         self.setObjectName("card")
         self.icon = LinkIcon()
         self.name = QLabel()
-        font = self.name.font()
-        font.setBold(True)
-        self.name.setFont(font)
+        embolden(self.name)
         self.rate = QLabel()
         self.rate.setFont(digits_font(13, bold=True))
         self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
@@ -115,12 +108,6 @@ class LinkCard(QFrame):
         """Follow the theme."""
         self.icon.set_colours(colours)
         self.about.set_colour(QColor(colours.muted))
-
-
-BEHIND_SAID_S = 0.6
-"""s. A shorter delay is not said: a hand does not notice it."""
-REFRESH_S = 0.25
-"""s between two changes of the numbers of a device: faster ones cannot be read."""
 
 
 class DevicesPanel(QScrollArea):

@@ -1,7 +1,7 @@
 """The plot of errors: for each method a solid line for the mean, a dashed one for p95 and a dotted one for the maximum.
 
-The vertical axis is logarithmic, since the first pokes leave ten times the error of the last. A method is told by its
-symbol as well as by its hue.
+The vertical axis is logarithmic, since the first pokes leave ten times the error of the last. A method has a
+symbol of its own as well as a hue.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
+from app.panels.curves import colour_plot, still_plot
 from app.text.errors_text import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
 from app.theme import LIGHT, Colours, method_hue
 from app.units import in_millimetres, in_minutes
@@ -25,7 +26,7 @@ from skincal.taxels.result import Method
 STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
 SYMBOLS = {Method.FREE: "o", Method.SURFACE: "d", Method.MODULES: "t1"}
 SYMBOLS_SHOWN = 12
-"""Symbols along a line: enough to tell it, few enough to see it."""
+"""Symbols along a line: enough to know it by, few enough to see it."""
 SHIFT = {Method.FREE: -0.22, Method.SURFACE: 0.0, Method.MODULES: 0.22}
 """Methods stand side by side at a module; 1 is from module to module."""
 TICK = 0.1
@@ -45,7 +46,7 @@ class ErrorPlot(QWidget):
         super().__init__(parent)
         self._modules = modules
         self.view = pg.PlotWidget(enableMenu=False)
-        self._item: Any = self.view.getPlotItem()
+        self._item = still_plot(self.view, 46, 34)
         self._across = (0.0, 1.0)
         """What is drawn reaches from here to there."""
         self.curves: dict[tuple[Method, int], Any] = {(m, at): self.view.plot() for m in methods for at in STATISTICS}
@@ -53,7 +54,11 @@ class ErrorPlot(QWidget):
         self.papers = {method: self._paper(method) for method in methods if method in PAPER}
         for item in (*self.symbols.values(), *self.papers.values()):
             self._item.addItem(item)
-        self._prepare()
+        self._item.getViewBox().sigResized.connect(self._keep_rim)
+        self.view.setMinimumHeight(90)
+        self.view.setAccessibleName("course of the errors")
+        for curve in self.curves.values():
+            curve.setSkipFiniteCheck(True)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.addWidget(self.view)
@@ -67,27 +72,9 @@ class ErrorPlot(QWidget):
         place = math.log10(in_millimetres(PAPER[method]))
         return pg.InfiniteLine(place, angle=0, label=paper_words(method), labelOpts=options)
 
-    def _prepare(self) -> None:
-        item = self._item
-        item.hideButtons()
-        item.setMouseEnabled(False, False)
-        item.disableAutoRange()
-        item.getViewBox().sigResized.connect(self._keep_rim)
-        item.getAxis("left").setWidth(46)
-        item.getAxis("bottom").setHeight(34)
-        self.view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.view.setMinimumHeight(90)
-        self.view.setAccessibleName("course of the errors")
-        for curve in self.curves.values():
-            curve.setSkipFiniteCheck(True)
-
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
-        self.view.setBackground(colours.panel)
-        for name in ("left", "bottom"):
-            axis = self._item.getAxis(name)
-            axis.setPen(pg.mkPen(colours.line))
-            axis.setTextPen(pg.mkPen(colours.muted))
+        colour_plot(self.view, colours)
         for (method, statistic), curve in self.curves.items():
             curve.setPen(pg.mkPen(method_hue(colours, method), width=1, style=STYLES[statistic]))
         for method, line in self.papers.items():

@@ -1,4 +1,4 @@
-"""The error of both methods against pokes, time or modules; drawn and worked out only while it is on the screen."""
+"""The panel of errors: of each method, against pokes, time or modules; worked out and drawn only while it is on the screen."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from app.panels.texts import put, quiet
 from app.state.view_state import ViewState
 from app.text.errors_text import SYMBOLS, Axis, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
-from app.theme import GAP, LIGHT, Colours, method_hue
+from app.theme import GAP, Colours, method_hue
 from skincal.model.skin import Layout
 from skincal.session.error_history import ErrorFollower
 from skincal.taxels.result import Method
@@ -25,7 +25,7 @@ DRAW_S = 0.2
 
 
 class ErrorsPanel(PlotPanel):
-    """Mean, 95th percentile and maximum of both methods, against what is known of the taxels' places.
+    """Mean, 95th percentile and maximum of each method, against what is known of the taxels' places.
 
     Parameters
     ----------
@@ -40,7 +40,6 @@ class ErrorsPanel(PlotPanel):
         super().__init__(parent)
         self._methods = [method for method in Method if method in methods]
         self._modules = [] if layout is None else [str(module.id) for module in layout.modules]
-        self._colours: Colours = LIGHT
         self._course: ErrorFollower | None = None
         self._drawn: object = None
         self._drawn_s = -DRAW_S
@@ -138,14 +137,11 @@ class ErrorsPanel(PlotPanel):
         self._drawn, self._drawn_s = wanted, state.now_s
         row = self.module_box.currentIndex()
         for method, label in self.lines.items():
-            mark = f'<span style="color:{self._hue(method)}">{SYMBOLS[method]}</span>'
+            mark = f'<span style="color:{method_hue(self._colours, method)}">{SYMBOLS[method]}</span>'
             words = newest_words(series, method, row).replace(" ", "&nbsp;")
             put(label, f"{mark} <b>{METHOD_NAMES[method]}</b>&nbsp;&nbsp;{words}")
         if self.plot is not None:
             self.plot.draw(series, self.axis, row, quantity_words(course.source), paper=course.source is not None)
-
-    def _hue(self, method: Method) -> str:
-        return method_hue(self._colours, method)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""

@@ -1,4 +1,4 @@
-"""One taxel by both methods, and the taxels that need pokes most."""
+"""The panel of one taxel: its estimates by each method and its pokes; and the taxels that need pokes most."""
 
 from __future__ import annotations
 
@@ -6,20 +6,17 @@ import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QGridLayout,
-    QHeaderView,
     QLabel,
     QListWidget,
     QListWidgetItem,
     QPushButton,
     QScrollArea,
-    QTreeWidget,
-    QTreeWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
 from app.panels.axis_diversity_panel import AxisDiversityPanel
-from app.panels.texts import on_panel, put, quiet
+from app.panels.texts import embolden, on_panel, put, put_rows, put_taxels, quiet, table
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
 from app.text.errors_text import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
@@ -81,26 +78,24 @@ class InspectPanel(QScrollArea):
         self._selected: int | None = None
         self._dead = False
         self.title = QLabel("No taxel selected")
-        font = self.title.font()
-        font.setBold(True)
-        font.setPointSizeF(font.pointSizeF() + 2)
-        self.title.setFont(font)
+        embolden(self.title, 2.0)
         self.cells = {method: [QLabel(DASH) for _ in ROWS] for method in methods}
         self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
         self.use.setEnabled(False)
-        self.sky = AxisDiversityPanel(names)
-        self.sky.hide()
+        self.diversity = AxisDiversityPanel(names)
         self.rival = QLabel()
         self.rival.setWordWrap(True)
-        self.pokes = _poke_list()
+        self.pokes_title = quiet()
+        self.pokes = table("pokes of the taxel", POKE_HEADINGS, _POKE_HINTS)
+        self.pokes.setMinimumHeight(110)
         self.worst = QListWidget()
         self.worst.setAccessibleName("taxels that need pokes most")
         self._arrange()
         self.use.clicked.connect(self._use_clicked)
         self.worst.itemActivated.connect(self._worst_chosen)
         self.worst.itemClicked.connect(self._worst_chosen)
-        self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(item.data(0, Qt.ItemDataRole.UserRole)))
+        self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(int(item.text(0))))
         self.setWhatsThis("The selected taxel by each method. " + LEFT_OUT)
 
     def _arrange(self) -> None:
@@ -117,41 +112,40 @@ class InspectPanel(QScrollArea):
         for row, text in enumerate(ROWS, start=1):
             grid.addWidget(quiet(text), row, 0, Qt.AlignmentFlag.AlignTop)
         inner = on_panel(self)
-        column_box = QVBoxLayout(inner)
-        column_box.setContentsMargins(GAP, GAP, GAP, GAP)
-        column_box.addWidget(self.title)
-        column_box.addWidget(self.sky)
-        column_box.addLayout(grid)
-        column_box.addWidget(self.rival)
-        column_box.addWidget(self.reason)
-        column_box.addWidget(self.use, 0, Qt.AlignmentFlag.AlignLeft)
-        self.pokes_title = quiet()
-        column_box.addWidget(self.pokes_title)
-        column_box.addWidget(self.pokes, 1)
-        for empty in (self.rival, self.pokes_title, self.pokes):
+        panel = QVBoxLayout(inner)
+        panel.setContentsMargins(GAP, GAP, GAP, GAP)
+        panel.addWidget(self.title)
+        panel.addWidget(self.diversity)
+        panel.addLayout(grid)
+        for widget in (self.rival, self.reason):
+            panel.addWidget(widget)
+        panel.addWidget(self.use, 0, Qt.AlignmentFlag.AlignLeft)
+        panel.addWidget(self.pokes_title)
+        panel.addWidget(self.pokes, 1)
+        for empty in (self.diversity, self.rival, self.pokes_title, self.pokes):
             empty.hide()
-        column_box.addWidget(quiet("Need pokes most"))
-        column_box.addWidget(self.worst, 1)
+        panel.addWidget(quiet("Need pokes most"))
+        panel.addWidget(self.worst, 1)
         self.worst.setMinimumHeight(110)
         self.setWidget(inner)
 
     def show_state(self, state: ViewState) -> None:
         """Show the selected taxel of a tick and the worst; nothing happens where they are the same."""
-        self.sky.show_state(state)
+        self.diversity.show_state(state)
         shown = (state.revision, state.method, state.guidance is None, state.selected)
         if shown == self._shown:
             return
         changed_worst = shown[:-1] != self._shown[:-1]
         self._shown = shown
         if changed_worst:
-            self._list_worst(state)
+            put_taxels(self.worst, [(estimate.channel, self._worst_words(estimate)) for estimate in worst(state.estimates)])
         self._selected = state.selected
         if state.selected is not None:
             self._show_taxel(state, state.selected)
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
-        self.sky.set_colours(colours)
+        self.diversity.set_colours(colours)
 
     def _show_taxel(self, state: ViewState, channel: int) -> None:
         found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
@@ -169,35 +163,15 @@ class InspectPanel(QScrollArea):
         put(self.rival, f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
         self.rival.setVisible(shown is not None and bool(rival_words(shown)))
         self._list_pokes(() if shown is None else taxel_pokes(state.snapshot, shown), state.method)
-        put_button(self.use, "Use this taxel again" if self._dead else "Do not use this taxel")
+        put(self.use, "Use this taxel again" if self._dead else "Do not use this taxel")
         self.use.setEnabled(True)
 
     def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
-        """List what each poke counts for the taxel; the one that the method doubts is told by a sign as well."""
+        """List what each poke counts for the taxel; one that the method doubts has a sign as well."""
         put(self.pokes_title, f"Its pokes by the {METHOD_NAMES[method]} method, newest first")
         for widget in (self.pokes_title, self.pokes):
             widget.setVisible(bool(pokes))
-        while self.pokes.topLevelItemCount() > len(pokes):
-            self.pokes.takeTopLevelItem(self.pokes.topLevelItemCount() - 1)
-        for row, poke in enumerate(pokes):
-            item = self.pokes.topLevelItem(row)
-            if item is None:
-                item = QTreeWidgetItem(self.pokes)
-            item.setData(0, Qt.ItemDataRole.UserRole, poke.poke)
-            for column, text in enumerate(poke_cells(poke)):
-                item.setText(column, text)
-
-    def _list_worst(self, state: ViewState) -> None:
-        entries = [(e.channel, self._worst_words(e)) for e in worst(state.estimates)]
-        while self.worst.count() > len(entries):
-            self.worst.takeItem(self.worst.count() - 1)
-        while self.worst.count() < len(entries):
-            self.worst.addItem(QListWidgetItem())
-        for row, (channel, text) in enumerate(entries):
-            item = self.worst.item(row)
-            item.setData(Qt.ItemDataRole.UserRole, channel)
-            if item.text() != text:
-                item.setText(text)
+        put_rows(self.pokes, [poke_cells(poke) for poke in pokes])
 
     def _worst_words(self, estimate: Estimate) -> str:
         name = self._names.short(estimate.channel)
@@ -218,23 +192,3 @@ def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:
     sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < DOUBT_MARKED else ""
     trust = "1" if poke.trust >= FULL else number(poke.trust, 2)
     return (str(poke.poke), number(poke.weight, 2), sign + trust, millimetres(poke.miss))
-
-
-def _poke_list() -> QTreeWidget:
-    pokes = QTreeWidget()
-    pokes.setHeaderLabels(POKE_HEADINGS)
-    pokes.setRootIsDecorated(False)
-    pokes.setUniformRowHeights(True)
-    pokes.setAccessibleName("pokes of the taxel")
-    pokes.setMinimumHeight(110)
-    pokes.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    pokes.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-    for column, hint in enumerate(_POKE_HINTS):
-        pokes.headerItem().setToolTip(column, hint)
-    return pokes
-
-
-def put_button(button: QPushButton, text: str) -> None:
-    """Set a button's text where it differs."""
-    if button.text() != text:
-        button.setText(text)

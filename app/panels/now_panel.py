@@ -1,21 +1,16 @@
-"""The tool on the skin from above: where it is asked to lean, and how it is held while it presses.
+"""The panel below everything: what happens now, in large type, with a sign, the tool from above, and the force.
 
-The middle is the taxel that is asked for. The outlined area is where the tool's upper end may be; the stick is the tool, thick
-at the tip and with a ball at its upper end. Shape tells all of it, colour only says it again.
-
-What is happening, in large type: a sign, a headline with the verb first, one line of detail, and the force.
-
-It must be readable from two metres while both hands are busy, so shape, words and colour say the same thing.
+It must be readable from two metres while both hands are busy, so shape and words say all of it, and colour says it again.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPaintEvent, QPen, QPolygonF
+from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
-from app.panels.texts import ElidedLabel, FittedLabel
+from app.panels.texts import ElidedLabel, FittedLabel, Painted
 from app.panels.top_view import AROUND, TopView, top_view
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
@@ -25,6 +20,8 @@ from skincal.geometry.arrays import FloatArray
 from skincal.guide.coaching import leeway
 from skincal.session.snapshot import Snapshot
 
+SIGN_PX = 52
+GAUGE_PX = 170
 DIAL_PX = 104
 RIM_PX = 3.0
 TAXEL_PX = 2.4
@@ -36,15 +33,28 @@ FINEST = 0.2
 """Pixels. A smaller move is not drawn."""
 
 
-class Dial(QWidget):
-    """Target and tool from above."""
+_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
+    Tone.GOOD: [[(-8, 1), (-2, 7), (9, -7)]],
+    Tone.BAD: [[(-7, -7), (7, 7)], [(-7, 7), (7, -7)]],
+    Tone.GO: [[(0, -9), (0, 8)], [(-7, 1), (0, 8), (7, 1)]],
+    Tone.HOLD: [[(0, -8), (0, 8)], [(-7, 8), (7, 8)]],
+    Tone.WAIT: [[(-8, 0), (-8, 0)], [(0, 0), (0, 0)], [(8, 0), (8, 0)]],
+    Tone.CALM: [[(-7, 0), (7, 0)]],
+}
+"""Lines of each sign, pixels from its middle, y down."""
+
+
+class Dial(Painted):
+    """Target and tool from above: where the tool is asked to lean, and how it is held while it presses.
+
+    The middle is the taxel that is asked for.
+    """
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setFixedSize(DIAL_PX, DIAL_PX)
         self._view: TopView | None = None
         self._key: tuple[object, ...] = ()
-        self._colours = LIGHT
         self.setAccessibleName("tool on the skin, from above")
         self.setWhatsThis(
             "The skin around the taxel that is asked for, from above, up as in the 3D view. The outlined area is where the "
@@ -58,23 +68,18 @@ class Dial(QWidget):
         self.setVisible(target is not None)
         if guidance is None or target is None:
             return
-        told = state.coaching
-        view = top_view(guidance, target, told, leeway(guidance), state.eye)
-        key = self._looks(view, None if told is None else told.landed)
+        coaching = state.coaching
+        view = top_view(guidance, target, coaching, leeway(guidance), state.eye)
+        key = self._looks(view, None if coaching is None else coaching.landed)
         if key != self._key:
             self._key, self._view = key, view
             self.update()
-        if told is None:
+        if coaching is None:
             tip = f"Tilt {degrees(target.tilt)} is asked for"
         else:
-            tip = f"Aim {millimetres(told.away)}, tilt {degrees(told.tilt)} of {degrees(target.tilt)}"
+            tip = f"Aim {millimetres(coaching.away)}, tilt {degrees(coaching.tilt)} of {degrees(target.tilt)}"
         if tip != self.toolTip():
             self.setToolTip(tip)
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self.update()
 
     def _looks(self, view: TopView, landed: int | None) -> tuple[object, ...]:
         """Return what decides the picture, as finely as it is seen."""
@@ -96,13 +101,11 @@ class Dial(QWidget):
         size, most = float(np.sqrt(point @ point)), AROUND - BALL_PX / self._scale()
         return self._at(point * min(1.0, most / size if size > 0 else 1.0))
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the skin, what is asked for, and the tool."""
+    def paint(self, painter: QPainter) -> None:
+        """Paint the skin, what is asked for, and the tool."""
         view = self._view
         if view is None:
             return
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.translate(DIAL_PX / 2, DIAL_PX / 2)
         radius = DIAL_PX / 2 - RIM_PX / 2
         rim = QRectF(-radius, -radius, 2 * radius, 2 * radius)
@@ -115,10 +118,9 @@ class Dial(QWidget):
         self._draw_skin(painter, view)
         self._draw_wanted(painter, view)
         if view.tip is not None and view.tip @ view.tip > AROUND**2:
-            self._draw_way(painter, view.tip)
+            self._draw_wedge(painter, view.tip)
         elif view.tip is not None and view.upper is not None:
             self._draw_tool(painter, self._at(view.tip), self._inside(view.upper), right=view.right)
-        painter.end()
 
     def _draw_skin(self, painter: QPainter, view: TopView) -> None:
         painter.setPen(Qt.PenStyle.NoPen)
@@ -153,7 +155,7 @@ class Dial(QWidget):
         painter.setBrush(QColor(self._colours.text))
         painter.drawEllipse(tip, 3.5, 3.5)
 
-    def _draw_way(self, painter: QPainter, tip: FloatArray) -> None:
+    def _draw_wedge(self, painter: QPainter, tip: FloatArray) -> None:
         """Draw a wedge at the rim, toward a tip that is farther away than the picture reaches."""
         x, y = (tip / np.sqrt(tip @ tip)).tolist()
         out, aside, rim = QPointF(x, -y), QPointF(y, x), DIAL_PX / 2 - RIM_PX
@@ -162,12 +164,8 @@ class Dial(QWidget):
         painter.drawPolygon(QPolygonF([out * rim, out * (rim - 12) + aside * 7, out * (rim - 12) - aside * 7]))
 
 
-SIGN_PX = 52
-GAUGE_PX = 170
-
-
 def tone_colour(tone: Tone, colours: Colours) -> str:
-    """Return the colour of a tone; never the only thing that tells it."""
+    """Return the colour of a tone; which never says anything alone."""
     return {
         Tone.GO: colours.accent,
         Tone.GOOD: colours.accent,
@@ -178,7 +176,7 @@ def tone_colour(tone: Tone, colours: Colours) -> str:
     }[tone]
 
 
-class Sign(QWidget):
+class Sign(Painted):
     """A ring with a sign of the tone; the ring fills while the poke is held still."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -186,7 +184,6 @@ class Sign(QWidget):
         self.setFixedSize(SIGN_PX, SIGN_PX)
         self._tone = Tone.CALM
         self._share = 0.0
-        self._colours = LIGHT
 
     def set(self, tone: Tone, share: float) -> None:
         """Show a tone and how full the still window is, 0 to 1."""
@@ -194,15 +191,8 @@ class Sign(QWidget):
             self._tone, self._share = tone, share
             self.update()
 
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self.update()
-
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the ring, its filled part and the sign."""
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    def paint(self, painter: QPainter) -> None:
+        """Paint the ring, its filled part and the sign."""
         ring = QRectF(5, 5, SIGN_PX - 10, SIGN_PX - 10)
         colour = QColor(tone_colour(self._tone, self._colours))
         painter.setPen(QPen(QColor(self._colours.line), 5))
@@ -219,20 +209,9 @@ class Sign(QWidget):
         painter.setPen(pen)
         for line in _SIGNS[self._tone]:
             painter.drawPolyline(QPolygonF([QPointF(x, y) for x, y in line]))
-        painter.end()
 
 
-_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
-    Tone.GOOD: [[(-8, 1), (-2, 7), (9, -7)]],
-    Tone.BAD: [[(-7, -7), (7, 7)], [(-7, 7), (7, -7)]],
-    Tone.GO: [[(0, -9), (0, 8)], [(-7, 1), (0, 8), (7, 1)]],
-    Tone.HOLD: [[(0, -8), (0, 8)], [(-7, 8), (7, 8)]],
-    Tone.WAIT: [[(-8, 0), (-8, 0)], [(0, 0), (0, 0)], [(8, 0), (8, 0)]],
-    Tone.CALM: [[(-7, 0), (7, 0)]],
-}
-
-
-class ForceGauge(QWidget):
+class ForceGauge(Painted):
     """The force of the poke in progress beside the window in which it counts."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -241,7 +220,6 @@ class ForceGauge(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
         self._force = 0.0
         self._window = (4.0, 15.0)
-        self._colours = LIGHT
         self.setAccessibleName("force of the poke")
 
     def sizeHint(self) -> QSize:
@@ -254,15 +232,8 @@ class ForceGauge(QWidget):
             self._force, self._window = force, (low, high)
             self.update()
 
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self.update()
-
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the number, the scale, the window and the bar."""
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    def paint(self, painter: QPainter) -> None:
+        """Paint the number, the scale, the window and the bar."""
         low, high = self._window
         full = high * 1.25
         metrics = QFontMetrics(painter.font())
@@ -288,7 +259,6 @@ class ForceGauge(QWidget):
         area = QRectF(0, 0, self.width(), bar.top() - 2)
         flags = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom
         painter.drawText(area, flags, newtons(self._force) if pressing else newtons(None) + " N")
-        painter.end()
 
 
 class NowPanel(QFrame):

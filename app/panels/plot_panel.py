@@ -1,6 +1,6 @@
-"""A panel whose plots need pyqtgraph: it is imported beside the window once the panel is seen, and the plots come then.
+"""Panels whose plots need pyqtgraph, which is imported beside the window once such a panel is seen; the plots come then.
 
-The place of the curves of force and moment.
+Here, too, is the panel of the readings, the place of the curves of force and moment.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ class PlotPanel(QWidget):
         self._column.setContentsMargins(0, 0, 0, 0)
         self._column.setSpacing(0)
         self._column.addWidget(self._label)
+        self._colours: Colours = LIGHT
 
     def make(self) -> QWidget:
         """Make the plots, with the colours that hold; pyqtgraph is imported."""
@@ -87,7 +88,6 @@ class ReadingsPanel(PlotPanel):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.curves: CurvesPanel | None = None
-        self._colours: Colours = LIGHT
 
     def make(self) -> QWidget:
         """Make the curves."""

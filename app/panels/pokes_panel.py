@@ -1,6 +1,6 @@
-"""The pokes as rows, newest first; numbers are worked out for the rows on the screen only.
+"""The panel of pokes, newest first: what each ended as, and why some do not count.
 
-The list of pokes: what each ended as, undo, exclude and restore.
+Numbers are worked out for the rows on the screen only: a session has thousands of pokes, and each new one changes the tilts.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _HINTS = (
     "Taxel that answered most, and how many more did",
     "Force, newtons",
     "Angle between the push and the inward normal, degrees",
-    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}, millimetres: beyond the noise it tells a second contact or a torque",
+    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}, millimetres: beyond the noise it shows a second contact or a torque",
 )
 
 
@@ -57,7 +57,7 @@ class PokeTable(QAbstractTableModel):
         self._colours = LIGHT
 
     def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
-        """Show another snapshot's pokes, telling the view no more than what changed."""
+        """Show another snapshot's pokes; the view learns of what changed alone."""
         records = snapshot.pokes
         self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
         self._doubting = doubting(estimates.values())
@@ -72,9 +72,9 @@ class PokeTable(QAbstractTableModel):
             self._records = records
             self.endInsertRows()
         self._records = records
-        self._tell_changed(old, records)
+        self._announce_changes(old, records)
 
-    def _tell_changed(self, old: Sequence[PokeRecord], new: Sequence[PokeRecord]) -> None:
+    def _announce_changes(self, old: Sequence[PokeRecord], new: Sequence[PokeRecord]) -> None:
         if new:
             # What a poke counts for, and its tilt, follow the estimates, and these all pokes.
             self.dataChanged.emit(self.index(0, 1), self.index(len(new) - 1, 4))
@@ -278,5 +278,5 @@ class PokesPanel(QWidget):
 def tally_words(snapshot: Snapshot) -> str:
     """Return how many pokes there are and why some do not count."""
     reasons = Counter(outcome.reason.value for outcome in rejections(snapshot))
-    told = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
-    return pokes_words(snapshot, f" ({told})" if told else "")
+    counted = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
+    return pokes_words(snapshot, f" ({counted})" if counted else "")

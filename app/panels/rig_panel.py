@@ -1,6 +1,6 @@
-"""The arm's pose: chosen from those the scene names, or shown as the joints stream it.
+"""The panel of the rig: the landmarks of the part, what pokes at them say of the sensor and the arm, and the arm's pose.
 
-The rig: the arm's pose, the landmarks of the part, and what they tell of the sensor and the arm.
+The pose is chosen from those that the scene names, or shown as the joints stream it.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from PySide6.QtWidgets import (
     QLabel,
     QPushButton,
     QScrollArea,
-    QTreeWidget,
     QTreeWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from app.panels.texts import fit_rows, on_panel, put, quiet
+from app.panels.texts import embolden, fit_rows, on_panel, put, put_cell, put_rows, quiet, table
 from app.state.rig_review import Offer
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
@@ -31,6 +30,19 @@ from skincal.contacts.outcome import Contact
 from skincal.guide.guidance import Guidance
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
+
+HEADINGS = ("Landmark", "Here", "All", "Off by")
+_HINTS = (
+    "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
+    "Pokes at it in the present arm pose",
+    "Pokes at it in all arm poses",
+    "How far their axes pass it, as the rig says and under the correction that was found",
+)
+NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
+WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
+NOT_YET = (
+    "Poke landmarks: three tell whether the sensor's frame is right, six or more, at four different ones, correct the rig."
+)
 
 
 class ArmPanel(QWidget):
@@ -43,15 +55,13 @@ class ArmPanel(QWidget):
         self._shown: tuple[object, ...] = ()
         self._streamed = False
         self.current = QLabel("Arm pose unknown")
-        font = self.current.font()
-        font.setBold(True)
-        self.current.setFont(font)
+        embolden(self.current)
         self.current.setWordWrap(True)
         self.how = quiet(wrap=True)
-        self.poses = QTreeWidget()
-        self.poses.setAccessibleName("arm poses")
-        self.poses.setHeaderLabels(["Pose", "Joints", "Contacts"])
-        self.poses.setRootIsDecorated(False)
+        self.poses = table("arm poses", ("Pose", "Joints", "Contacts"))
+        # Seven joints are wider than their column: the operator widens it, or scrolls.
+        self.poses.header().setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
+        self.poses.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
         self.poses.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.rows = {name: QTreeWidgetItem(self.poses) for name in arm.poses}
         for name, row in self.rows.items():
@@ -83,32 +93,13 @@ class ArmPanel(QWidget):
         used = [p.outcome.pose for p in state.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
         for name, row in self.rows.items():
             mark = "\N{BLACK CIRCLE}" if name == pose else "\N{WHITE CIRCLE}"
-            _put(row, 0, f"{mark}  {name}")
-            _put(row, 2, str(used.count(name)))
+            put_cell(row, 0, f"{mark}  {name}")
+            put_cell(row, 2, str(used.count(name)))
         fit_rows(self.poses)
 
     def _chosen(self, row: QTreeWidgetItem, _column: int) -> None:
         if not self._streamed:
             self.pose_requested.emit(str(row.data(0, Qt.ItemDataRole.UserRole)))
-
-
-def _put(row: QTreeWidgetItem, column: int, text: str) -> None:
-    if row.text(column) != text:
-        row.setText(column, text)
-
-
-HEADINGS = ("Landmark", "Here", "All", "Off by")
-_HINTS = (
-    "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
-    "Pokes at it in the present arm pose",
-    "Pokes at it in all arm poses",
-    "How far their axes pass it, as the rig tells and under the correction that was found",
-)
-NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
-WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
-NOT_YET = (
-    "Poke landmarks: three tell whether the sensor's frame is right, six or more, at four different ones, correct the rig."
-)
 
 
 class RigPanel(QScrollArea):
@@ -125,7 +116,10 @@ class RigPanel(QScrollArea):
         self._offer: Offer | None = None
         self._used = ""
         self.arm = None if arm is None else ArmPanel(arm)
-        self.points = _list()
+        self.points = table("landmarks", HEADINGS, _HINTS)
+        self.points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        self.points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         self.asked = quiet(wrap=True)
         self.said = quiet(wrap=True)
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -165,7 +159,7 @@ class RigPanel(QScrollArea):
             self.arm.show_state(state)
         snapshot, guidance = state.snapshot, state.guidance
         shown = (state.revision, snapshot.pose, snapshot.landmarks, state.review, state.offers, guidance, state.method)
-        if len(shown) == len(self._shown) and all(one is other for one, other in zip(shown, self._shown, strict=True)):
+        if len(shown) == len(self._shown) and all(new is old for new, old in zip(shown, self._shown, strict=True)):
             return
         self._shown = shown
         self._list_points(state)
@@ -177,22 +171,15 @@ class RigPanel(QScrollArea):
         offer = "" if self._offer is None else f"{offer_text(self._offer)}  (C)"
         for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):
             button.setVisible(bool(text))
-            if button.text() != text:
-                button.setText(text)
+            put(button, text)
 
     def _list_points(self, state: ViewState) -> None:
         rows = landmark_rows(state.snapshot, state.review)
         self.points.setVisible(bool(rows))
-        while self.points.topLevelItemCount() > len(rows):
-            self.points.takeTopLevelItem(self.points.topLevelItemCount() - 1)
         asked = "" if state.target is None else state.target.landmark
-        for index, row in enumerate(rows):
-            item = self.points.topLevelItem(index) or QTreeWidgetItem(self.points)
-            mark = "\N{BLACK RIGHT-POINTING TRIANGLE} " if row.name == asked else ""
-            for column, text in enumerate((mark + row.name, str(row.here), str(row.every), row.off)):
-                if item.text(column) != text:
-                    item.setText(column, text)
-
+        sign = "\N{BLACK RIGHT-POINTING TRIANGLE} "
+        cells = [(sign * (row.name == asked) + row.name, str(row.here), str(row.every), row.off) for row in rows]
+        put_rows(self.points, cells)
         fit_rows(self.points)
 
     def _offer_taken(self) -> None:
@@ -212,18 +199,3 @@ def _words(state: ViewState) -> str:
     if state.review is None:
         return WAITING if state.snapshot.at_landmarks else NOT_YET
     return "\n".join(review_words(state.review, state.snapshot, state.method, state.estimates))
-
-
-def _list() -> QTreeWidget:
-    points = QTreeWidget()
-    points.setAccessibleName("landmarks")
-    points.setHeaderLabels(list(HEADINGS))
-    points.setRootIsDecorated(False)
-    points.setUniformRowHeights(True)
-    points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-    points.header().setStretchLastSection(False)
-    points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-    points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-    for column, hint in enumerate(_HINTS):
-        points.headerItem().setToolTip(column, hint)
-    return points

@@ -1,13 +1,11 @@
-"""Where each channel lies on the flat map: the layout's own plane, or rows of channels where there is no layout.
+"""The map: all taxels at once, flat. Shape and fill say what is known of each, brightness what answers now, hue its module.
 
-How a taxel's state is drawn: hollow, quarter, half, full, a full square once done, crossed; hue names the module.
+A cylinder in 3D always hides half of itself; the map never does. A taxel lies where the layout's own plane has it, or in rows
+of channels where there is no layout. Its mark is hollow, a quarter, half or wholly filled, a full square once it is done, a
+cross where it is not used.
 
-Each kind of mark is drawn once, as a stamp, and put wherever it is needed: four thousand taxels cost a dozen milliseconds.
-
-All taxels at once, flat: what is known of each by shape and fill, what answers now by brightness.
-
-A cylinder in 3D always hides half of itself; the map never does. Marks are drawn again only when the estimates change;
-a tick draws the few taxels that answer.
+Each kind of mark is drawn once, as a stamp, and put wherever it is needed: four thousand taxels cost a dozen milliseconds. The
+marks are put again only when the estimates change; a tick draws the few taxels that answer.
 """
 
 from __future__ import annotations
@@ -26,7 +24,6 @@ from PySide6.QtGui import (
     QKeyEvent,
     QMouseEvent,
     QPainter,
-    QPaintEvent,
     QPen,
     QPixmap,
     QPolygonF,
@@ -34,16 +31,57 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip, QWidget
 
+from app.panels.texts import Painted
 from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.outcomes import MARK_WORDS
-from app.theme import HUES, LIGHT, Colours, mix
+from app.theme import HUES, Colours, mix
 from app.units import ChannelNames, number
 from skincal.geometry.arrays import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
+
+TURN_GAIN = 1.25
+"""The map is turned only where that makes it a quarter larger; a map that looks like the drawing is worth more else."""
+SMALL = 3.0
+"""Pixels. Below this radius a quarter looks like a half; strength says the state, beside the shape."""
+_FILLED: dict[Mark, int] = {Mark.BLIND: 90, Mark.ROUGH: 180}
+"""Degrees of the circle that are filled."""
+_STRENGTH: dict[Mark, float] = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75, Mark.GOOD: 1.0}
+"""Of a small mark: where even a ring has no room all four are dots, and still differ."""
+_HOLLOW = (Mark.UNSEEN, Mark.BLIND)
+"""Small marks of taxels that have no estimate."""
+LEGEND_PX = 22
+MARGIN_PX = 6
+SHARE_OF_SPACING = 0.30
+"""Radius of a mark in spacings: neighbours do not touch, and an answer shows around it."""
+NUMBER_SHARE = 0.42
+"""Height of a module's number in heights of the module."""
+NUMBER_LEAST = 9
+"""Pixels. A smaller number cannot be read and is left out."""
+WEDGE_SHARE, WEDGE_LEAST = 0.85, 4.5
+"""Size of the wedge of a taxel that may lie elsewhere: in radii of a mark, and pixels at least."""
+TARGET_SHARE, TARGET_LEAST = 2.5, 9.0
+"""Radius of the ring around the target: in radii of a mark, and pixels at least."""
+REACH_PX = 14.0
+"""A click this near to a taxel means it."""
+
+_ARROWS: dict[int, tuple[float, float]] = {
+    Qt.Key.Key_Left: (-1, 0),
+    Qt.Key.Key_Right: (1, 0),
+    Qt.Key.Key_Up: (0, -1),
+    Qt.Key.Key_Down: (0, 1),
+}
+_SHORT = {
+    Mark.UNSEEN: "unseen",
+    Mark.BLIND: "blind",
+    Mark.ROUGH: "> 3 mm",
+    Mark.GOOD: "good",
+    Mark.DONE: "done",
+    Mark.DEAD: "unused",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,10 +140,6 @@ class Fit:
         return own * self.scale + np.array(self.shift)
 
 
-TURN_GAIN = 1.25
-"""The map is turned only where that makes it a quarter larger; a map that looks like the drawing is worth more else."""
-
-
 def fit(plan: MapPlan, width: float, height: float) -> Fit:
     """Return how a plan fills `width` x `height` pixels, in the middle and with its proportions kept."""
     low, high = plan.bounds()
@@ -116,16 +150,6 @@ def fit(plan: MapPlan, width: float, height: float) -> Fit:
     if turned > TURN_GAIN * plain:
         return Fit(turned, (width / 2 - middle[1] * turned, height / 2 - middle[0] * turned), turned=True)
     return Fit(plain, (width / 2 - middle[0] * plain, height / 2 + middle[1] * plain))
-
-
-SMALL = 3.0
-"""Pixels. Below this radius a quarter cannot be told from a half; strength tells the state, beside the shape."""
-_FILLED: dict[Mark, int] = {Mark.BLIND: 90, Mark.ROUGH: 180}
-"""Degrees of the circle that are filled."""
-_STRENGTH: dict[Mark, float] = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75, Mark.GOOD: 1.0}
-"""Of a small mark: where even a ring has no room all four are dots, and still differ."""
-_HOLLOW = (Mark.UNSEEN, Mark.BLIND)
-"""Small marks of taxels that have no estimate."""
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
@@ -234,30 +258,7 @@ class Stamps:
         return stamp
 
 
-LEGEND_PX = 22
-MARGIN_PX = 6
-SHARE_OF_SPACING = 0.30
-"""Radius of a mark in spacings: neighbours do not touch, and an answer shows around it."""
-NUMBER_SHARE = 0.42
-"""Height of a module's number in heights of the module."""
-NUMBER_LEAST = 9
-"""Pixels. A smaller number cannot be read and is left out."""
-WEDGE_SHARE, WEDGE_LEAST = 0.85, 4.5
-"""Size of the wedge of a taxel that may lie elsewhere: in radii of a mark, and pixels at least."""
-TARGET_SHARE, TARGET_LEAST = 2.5, 9.0
-"""Radius of the ring around the target: in radii of a mark, and pixels at least."""
-REACH_PX = 14.0
-"""A click this near to a taxel means it."""
-
-_ARROWS: dict[int, tuple[float, float]] = {
-    Qt.Key.Key_Left: (-1, 0),
-    Qt.Key.Key_Right: (1, 0),
-    Qt.Key.Key_Up: (0, -1),
-    Qt.Key.Key_Down: (0, 1),
-}
-
-
-class TaxelMap(QWidget):
+class TaxelMap(Painted):
     """The flat map of a skin."""
 
     taxel_clicked = Signal(int)
@@ -273,7 +274,6 @@ class TaxelMap(QWidget):
         owners = [names.module_index(int(channel)) for channel in channels]
         self._hues = ["" if owner < 0 else HUES[owner % len(HUES)] for owner in owners]
         """One a channel of the plan; empty where there is no module."""
-        self._colours = LIGHT
         self._fit = Fit(1.0, (0.0, 0.0))
         self._places: FloatArray = np.zeros((len(channels), 2))
         self._marks: IntArray = np.zeros(self._width, dtype=np.int64)
@@ -286,18 +286,17 @@ class TaxelMap(QWidget):
         """Channel that is to be poked next."""
         self._selected: int | None = None
         self._generation: tuple[object, ...] = ()
-        self._base = QPixmap()
-        self._states = QPixmap()
+        self._base = self._states = QPixmap()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAccessibleName("map of the taxels")
         self.setWhatsThis(
-            "Every taxel at its place in the maker's flat drawing. The fill tells what is known, the halo how strongly "
+            "Every taxel at its place in the maker's flat drawing. The fill says what is known, the halo how strongly "
             "it answers now, the white ring which to poke next. Click one to select it, or use the arrow keys."
         )
 
     def sizeHint(self) -> QSize:
-        """Return a size at which 84 taxels are told apart."""
+        """Return a size at which each of 84 taxels is seen."""
         return QSize(380, 260)
 
     def minimumSizeHint(self) -> QSize:
@@ -329,10 +328,8 @@ class TaxelMap(QWidget):
 
     def set_colours(self, colours: Colours) -> None:
         """Follow the theme."""
-        self._colours = colours
-        self._base = QPixmap()
-        self._states = QPixmap()
-        self.update()
+        super().set_colours(colours)
+        self._base = self._states = QPixmap()
 
     def channel_at(self, point: QPointF) -> int | None:
         """Return the channel whose mark is nearest to a point of the widget, None where none is near."""
@@ -353,8 +350,7 @@ class TaxelMap(QWidget):
         room = self._room()
         self._fit = fit(self._plan, room.width(), room.height())
         self._places = self._fit.pixels(self._plan.places) + np.array([room.left(), room.top()])
-        self._base = QPixmap()
-        self._states = QPixmap()
+        self._base = self._states = QPixmap()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Select the taxel under the pointer."""
@@ -387,7 +383,7 @@ class TaxelMap(QWidget):
         menu.popup(event.globalPos())
 
     def event(self, event: QEvent) -> bool:
-        """Tell which taxel is under the pointer."""
+        """Say which taxel is under the pointer."""
         if event.type() == QEvent.Type.ToolTip and isinstance(event, QHelpEvent):
             channel = self.channel_at(QPointF(event.pos()))
             QToolTip.showText(event.globalPos(), "" if channel is None else self.tell(channel), self)
@@ -422,20 +418,17 @@ class TaxelMap(QWidget):
         best = int(np.argmin(cost))
         return int(self._plan.channels[best]) if math.isfinite(cost[best]) else None
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the modules, the answers, the states, the selection and the target, in that order."""
+    def paint(self, painter: QPainter) -> None:
+        """Paint the modules, the answers, the states, the selection and the target, in that order."""
         if self._base.isNull():
             self._base = self._drawn(self._draw_modules)
         if self._states.isNull():
             self._states = self._drawn(self._draw_states)
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.drawPixmap(0, 0, self._base)
         self._draw_answers(painter)
         painter.drawPixmap(0, 0, self._states)
         self._draw_selection(painter)
         self._draw_target(painter)
-        painter.end()
 
     def _drawn(self, draw: Callable[[QPainter], None]) -> QPixmap:
         ratio = self.devicePixelRatioF()
@@ -540,13 +533,3 @@ class TaxelMap(QWidget):
         for width, colour in ((6.5, Qt.GlobalColor.black), (2.5, Qt.GlobalColor.white)):
             painter.setPen(QPen(QColor(colour), width))
             painter.drawEllipse(centre, radius, radius)
-
-
-_SHORT = {
-    Mark.UNSEEN: "unseen",
-    Mark.BLIND: "blind",
-    Mark.ROUGH: "> 3 mm",
-    Mark.GOOD: "good",
-    Mark.DONE: "done",
-    Mark.DEAD: "unused",
-}

@@ -24,7 +24,7 @@ AROUND = 0.022
 SIDES = 36
 """Corners of a cone's rim."""
 EDGE = float(np.sin(np.radians(45.0)))
-"""Sine of the tilt at the rim of a sky; what leans more is drawn there."""
+"""Sine of the tilt at the rim of a plot of axis diversity; what leans more is drawn there."""
 AROUND_TAXEL = 0.005
 """m. Half the width of the picture of the contacts around a taxel: as far as its neighbour."""
 GRAIN = 48
@@ -114,21 +114,21 @@ class AxisDiversityView:
     middle: FloatArray | None
     """(2,) float: the middle of the dots, where its place is what counts."""
     wanted: FloatArray | None
-    """(2,) float: the side from which the next one would tell most; None where none tells anything, or place is what counts."""
+    """(2,) float: the side from which the next one would help most; None where none helps, or place is what counts."""
     shade: FloatArray
-    """(g, g) float, 0 to 1: how much a next one would tell there, rows from the top; all 0 where nothing is to be said."""
+    """(g, g) float, 0 to 1: how much a next one would help there, rows from the top; all 0 where nothing is to be said."""
 
 
-def sky_view(sky: AxisDiversity, method: Method, eye: Eye) -> AxisDiversityView:
+def diversity_view(diversity: AxisDiversity, method: Method, eye: Eye) -> AxisDiversityView:
     """Return the picture of what a method needs of a taxel: sides for the free one, places for the others."""
-    axes = axes_on(sky.normal, eye)
+    axes = axes_on(diversity.normal, eye)
     if method is Method.FREE:
-        dots, tried = -(sky.pushes @ axes.T) / EDGE, -(sky.tried @ axes.T) / EDGE
-        limit, middle = float(np.sin(sky.usable_tilt)) / EDGE, None
-        shade = _shade(tried, sky.worth, limit)
-        wanted = tried[sky.worth.argmax()] if shade.any() else None
+        dots, tried = -(diversity.pushes @ axes.T) / EDGE, -(diversity.tried @ axes.T) / EDGE
+        limit, middle = float(np.sin(diversity.usable_tilt)) / EDGE, None
+        shade = _shade(tried, diversity.worth, limit)
+        wanted = tried[diversity.worth.argmax()] if shade.any() else None
     else:
-        dots, middle = sky.offsets @ axes.T / AROUND_TAXEL, sky.beside @ axes.T / AROUND_TAXEL
+        dots, middle = diversity.offsets @ axes.T / AROUND_TAXEL, diversity.beside @ axes.T / AROUND_TAXEL
         # A module's contacts need not lie around each of its taxels.
         limit = GuideSettings().balance / AROUND_TAXEL if method is Method.SURFACE else 0.0
         shade = np.zeros((GRAIN, GRAIN))

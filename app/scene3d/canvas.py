@@ -1,7 +1,7 @@
 """The widget that shows the picture, drawn by a graphics card or by software, and what can be made beside the window's thread.
 
 Importing VTK takes longer than a window may stand still, and so does the first picture, in which software OpenGL compiles
-its shaders. `load` runs in a worker; with EGL or OSMesa, which know no threads of their own, it also draws that picture.
+its shaders. `load` runs beside the window; with EGL or OSMesa, which know no threads of their own, it also draws that picture.
 `mount` runs in the window's thread and makes the widget.
 """
 
@@ -118,7 +118,7 @@ class RasterCanvas(QWidget):
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """What the worker made; None where that must wait for the window's thread."""
+    """What was made beside the window; None where that must wait for the window's thread."""
 
     window: HiddenWindow | None
     stage: Stage | None
@@ -174,7 +174,7 @@ def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int],
 
 
 def mount(canvas: Canvas, loaded: Loaded, static: StaticScene, look: Look, parent: QWidget) -> tuple[AnyCanvas, Stage]:
-    """Make the widget, and the stage where the worker could not."""
+    """Make the widget, and the stage where `load` could not."""
     from app.scene3d.stage import Stage
 
     if canvas is Canvas.OPENGL:

@@ -1,26 +1,25 @@
 """The 3D view as the window sees it: one widget that takes snapshots and says which taxel was clicked.
 
-Importing this module loads neither VTK nor pyvistaqt; `begin` does, in a worker, while the window lives on.
+Importing this module loads neither VTK nor pyvistaqt; `begin` does, beside the window, which lives on meanwhile.
 """
 
 from __future__ import annotations
 
 import logging
-import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
 from PySide6.QtGui import QMouseEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
 from app.scene3d.canvas import Canvas, Loaded, best_canvas, load, mount
 from app.scene3d.static_scene import DARK, LIGHT, Comparison, StaticScene, View3DState
+from app.workers.threads import ThreadService
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface
@@ -36,10 +35,8 @@ if TYPE_CHECKING:
     from app.scene3d.stage import Stage
 
 LOG = logging.getLogger(__name__)
-POLL_MS = 10
-"""How often the window's thread asks whether the worker is done."""
-SWITCH_S = 0.0005
-"""s. Python's thread switch while VTK is imported: at its default of 5 ms the window would answer in jumps."""
+CLOSE_S = 60.0
+"""s. Closing waits so long for VTK, which takes a second or two to load: a program that ends while VTK draws crashes."""
 CLICK_PIXELS = 4.0
 """A press that moves less before its release is a click: hands tremble by two or three pixels."""
 DEGREES_PER_WIDTH = 220.0
@@ -163,17 +160,13 @@ class View3D(QWidget):
         self._picking = False
         self._stage: Stage | None = None
         self._canvas: AnyCanvas | None = None
-        self._worker: ThreadPoolExecutor | None = None
-        self._future: Future[Loaded] | None = None
-        self._switch_s = sys.getswitchinterval()
+        self._threads: ThreadService | None = None
+        """Loads the picture; one for each `begin`."""
         self._message = QLabel("The 3D view is loading …", self)
         self._message.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._message.setWordWrap(True)
-        self._poll = QTimer(self)
-        self._poll.setInterval(POLL_MS)
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
-        self._poll.timeout.connect(self._mount_loaded)
 
     def begin(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
         """Start to build the layers that a scene supports; call once the window is on the screen.
@@ -186,15 +179,22 @@ class View3D(QWidget):
         channels : taxels, in the order of the snapshots' estimates
         """
         self.close_view()
-        self._static = StaticScene(scene, surface, laid, channels)
-        self._choice = self._choice or best_canvas()
+        self._static = static = StaticScene(scene, surface, laid, channels)
+        self._choice = choice = self._choice or best_canvas()
         density = self.devicePixelRatioF()
         size = round(self.width() * density), round(self.height() * density)
-        self._switch_s = sys.getswitchinterval()
-        sys.setswitchinterval(min(self._switch_s, SWITCH_S))
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="scene3d")
-        self._future = self._worker.submit(load, self._choice, self._static, self._look, size, self._state)
-        self._poll.start()
+        look, state = self._look, self._state
+
+        def work() -> Loaded:
+            try:
+                return load(choice, static, look, size, state)
+            except Exception as error:
+                LOG.exception("the 3D view cannot be made")
+                # Whatever a driver or a library raises here: the session goes on without the picture.
+                raise InputError(f"There is no 3D view: {error}\n\nEverything else works.") from error
+
+        self._threads = ThreadService("scene3d", self)
+        self._threads.submit(work, self._mount, failed=self._message.setText, dropped=Loaded.close)
 
     def show_moment(
         self,
@@ -291,13 +291,9 @@ class View3D(QWidget):
 
     def close_view(self) -> None:
         """Stop everything and give it back; the widget stays, empty. Safe at any time and more than once."""
-        self._poll.stop()
-        if self._worker is not None and self._future is not None:
-            self._worker.shutdown(wait=True)
-            if self._stage is None and self._future.exception() is None:
-                self._future.result().close()
-            sys.setswitchinterval(self._switch_s)
-        self._worker = self._future = None
+        if self._threads is not None:
+            self._threads.close(CLOSE_S)
+            self._threads = None
         if self._stage is not None:
             self._stage.close()
         if self._canvas is not None:
@@ -325,22 +321,8 @@ class View3D(QWidget):
         if self._canvas is not None:
             self._canvas.update()
 
-    def _mount_loaded(self) -> None:
-        """Make the widget once the worker is done, or say why there is none."""
-        if self._future is None or self._worker is None or not self._future.done():
-            return
-        self._poll.stop()
-        self._worker.shutdown(wait=True)
-        sys.setswitchinterval(self._switch_s)
-        error = self._future.exception()
-        if error is None:
-            self._mount(self._future.result())
-        else:
-            LOG.error("the 3D view cannot be made", exc_info=error)
-            self._message.setText(f"There is no 3D view: {error}\n\nEverything else works.")
-        self._worker = self._future = None
-
     def _mount(self, loaded: Loaded) -> None:
+        """Make the widget of what was loaded."""
         if self._choice is None or self._static is None:
             return
         self._canvas, self._stage = mount(self._choice, loaded, self._static, self._look, self)

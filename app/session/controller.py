@@ -1,4 +1,4 @@
-"""Owns what is open and the one timer; its slots are what the operator wants.
+"""The controller of the window: owns what is open and the one timer, and does what the operator wants.
 
 Each tick takes what arrived, lets the pipeline work on it for a bounded time, and hands it on once, and only if something
 changed. Thirty ticks a second, fewer while there is work, none for nothing. Everything slow is done in the background and
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.opening import OpenRequest, find_scene, link_specs
+from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, resume_pipeline
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
 from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
@@ -52,15 +52,13 @@ IDLE_S = 0.5
 """s. While nothing arrives the links are looked at this often, to say that one fell silent."""
 SOLVING_S = 0.4
 """s. Solving that lasts longer is said."""
-
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
 SOLVE_S = 0.012
 """s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
 several ticks, in which the window answers."""
-
 AT_ONCE = 200
-"""Taxels that are solved before the next thing is done: 0.1 s at most. Of more, the window waits in its ticks."""
+"""Taxels that are solved before the next action is done: 0.1 s at most. While more wait, an action is refused."""
 
 
 class TickSchedule:
@@ -127,7 +125,7 @@ class Controller(QObject):
     said = Signal(object)
     """`Message`."""
     reviewed = Signal(object)
-    """`Review`: what landmark pokes tell of the rig; None where nobody tells any more."""
+    """`Review`: what landmark pokes say of the rig; None where there is none any more."""
     truth_found = Signal(object)
     """`Reference`: where the taxels of a simulated rig are."""
     stored = Signal(str)
@@ -169,17 +167,17 @@ class Controller(QObject):
         if request.session is not None:
             folder, self._links = request.session, link_specs(request.addresses)
             links = self._links
-            self._run(
+            self.compute(
                 lambda: self._load_session(folder, links),
                 lambda found: self._take_session(storage, found),
-                lambda found: found[1].close(),
+                dropped=lambda found: found[1].close(),
             )
             return
         if request.addresses:
             self._links = link_specs(request.addresses)
         elif request.server:
             self._start_server(request.server)
-        self._run(lambda: self._load_scene(request.scene), self._take_part)
+        self.compute(lambda: self._load_scene(request.scene), self._take_part)
 
     def _release(self) -> None:
         """Let go of what is open; its end takes too long for the window and happens in the background."""
@@ -196,9 +194,9 @@ class Controller(QObject):
         self._part = self._shown = None
         self._links, self._truth, self._sent, self._schedule = (), b"", "", TickSchedule()
         if recording is not None:
-            self._run(recording.end, _nothing)
+            self.compute(recording.end)
         elif storage is not None:
-            self._run(storage.finish, _nothing)
+            self.compute(storage.finish)
 
     def stop(self) -> None:
         """Stop the timer, then the readers: nothing comes to the window any more."""
@@ -243,10 +241,10 @@ class Controller(QObject):
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
-        self._make_pipeline()
+        self._start_recording()
 
     def follow_guide(self, guidance: Guidance | None) -> None:
-        """Tell the pipeline which landmark is asked for, and a simulated operator what to poke, where that changed.
+        """Let the pipeline know which landmark is asked for, and a simulated operator what to poke, where that changed.
 
         Parameters
         ----------
@@ -275,26 +273,26 @@ class Controller(QObject):
             self._sent = line
             self._server.tell(line)
 
-    def _take_part(self, part: Part, *, make_pipeline: bool = True) -> None:
+    def _take_part(self, part: Part, *, record: bool = True) -> None:
         self._part = part
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
-        if make_pipeline:
-            self._make_pipeline()
+        if record:
+            self._start_recording()
 
-    def _make_pipeline(self) -> None:
+    def _start_recording(self) -> None:
         part, links, storage, truth = self._part, self._links, self._storage, self._truth
         if part is not None and links and storage is not None:
-            self._run(
+            self.compute(
                 lambda: begin_session(part, links, storage.folder, truth),
                 lambda pipeline: self._take_recording(Recording(pipeline, storage)),
-                lambda pipeline: pipeline.close(),
+                dropped=lambda pipeline: pipeline.close(),
             )
 
     def _take_session(self, storage: Storage, found: tuple[Part, Pipeline]) -> None:
         part, pipeline = found
-        self._take_part(part, make_pipeline=False)
+        self._take_part(part, record=False)
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
 
     def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
@@ -304,13 +302,13 @@ class Controller(QObject):
             recording.start()
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)
         self.session_opened.emit(recording.pipeline.snapshot())
-        self._tell_storage()
+        self._publish_storage()
         self._publish(recording, recording.pipeline.snapshot(), time.monotonic_ns())
         part = self._part
         if part is not None:
-            self._run(lambda: find_truth_of(recording.storage.folder, part), self._tell_truth)
+            self.compute(lambda: find_truth_of(recording.storage.folder, part), self._publish_truth)
 
-    def _tell_truth(self, truth: Reference | None) -> None:
+    def _publish_truth(self, truth: Reference | None) -> None:
         if truth is not None:
             self.truth_found.emit(truth)
 
@@ -322,7 +320,7 @@ class Controller(QObject):
     # The tick
 
     def tick(self) -> None:
-        """Take what arrived, and tell the window if something changed."""
+        """Take what arrived, and publish it if something changed."""
         recording = self._recording
         if recording is None:
             return
@@ -356,7 +354,7 @@ class Controller(QObject):
         self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence, unsolved))
 
     def _review(self, session: Session, snapshot: Snapshot) -> None:
-        """Let another process tell what landmark pokes say of the rig."""
+        """Let another process work out what landmark pokes say of the rig."""
         if self._reviewing is None:
             from app.workers.review_client import ReviewClient
 
@@ -369,7 +367,7 @@ class Controller(QObject):
         self.said.emit(Message(sentence, error=True))
         self.reviewed.emit(None)
 
-    # The operator's wishes
+    # What the operator wants
 
     def toggle(self) -> None:
         """Do the obvious thing: pause what streams, go on with what is paused, connect what is not."""
@@ -383,7 +381,7 @@ class Controller(QObject):
         if self._recording is not None and self.running is Running.STREAMING:
             readers = self._recording.let_go()
             self._set_running(Running.PAUSED)
-            self._run(lambda: stop_all(readers), _nothing)
+            self.compute(lambda: stop_all(readers))
 
     def go_on(self) -> None:
         """Take the devices, in a new segment of the recording."""
@@ -412,7 +410,7 @@ class Controller(QObject):
         return True
 
     def _is_solving(self) -> bool:
-        """Tell whether what is shown is not what an action would change, and say so; a few taxels are solved first."""
+        """Return whether what is shown is not what an action would change, and say so; a few taxels are solved first."""
         if self._recording is None:
             return False
         if self._recording.pipeline.session.unsolved <= AT_ONCE:
@@ -431,11 +429,11 @@ class Controller(QObject):
         """Copy a temporary recording to where it stays."""
         if self._recording is not None and self.can_keep:
             self._recording.sync()
-            self._run(self._recording.storage.keep, self._kept)
+            self.compute(self._recording.storage.keep, self._kept)
 
     def _kept(self, folder: Path) -> None:
         self.said.emit(Message(kept_words(folder)))
-        self._tell_storage()
+        self._publish_storage()
 
     @property
     def can_keep(self) -> bool:
@@ -475,30 +473,31 @@ class Controller(QObject):
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
             return write_calibration(calibration, format_, path, method)
 
-        self._run(write, done, failed=failed)
+        self.compute(write, done, failed)
 
     def compute(
-        self, work: Callable[[], Any], done: Callable[[Any], None], failed: Callable[[str], None] | None = None
-    ) -> None:
-        """Do `work` in the background; its result is dropped where something else was opened meanwhile."""
-        self._run(work, done, failed=failed)
-
-    # Helpers
-
-    def _run(
         self,
         work: Callable[[], Any],
-        done: Callable[[Any], None],
-        dropped: Callable[[Any], None] | None = None,
+        done: Callable[[Any], None] | None = None,
         failed: Callable[[str], None] | None = None,
+        dropped: Callable[[Any], None] | None = None,
     ) -> None:
-        """Do `work` in the background; where something else was opened meanwhile, what it brings goes to `dropped`."""
+        """Do `work` in the background; see `ThreadService.submit`.
+
+        Parameters
+        ----------
+        failed : by default the window says what failed
+        dropped : gets the result where something else was opened meanwhile
+        """
 
         def take(result: Any) -> None:
             self._news = True
-            done(result)
+            if done is not None:
+                done(result)
 
         self._threads.submit(work, take, failed or self._fail, dropped)
+
+    # Helpers
 
     def _load_scene(self, scene: Path | None) -> Part:
         """Load a scene, and import what shows it, beside the window."""
@@ -509,9 +508,7 @@ class Controller(QObject):
 
     def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
         self.prepare()
-        from app.session.opening import open_pipeline
-
-        return open_pipeline(folder, links)
+        return resume_pipeline(folder, links)
 
     def _fail(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))
@@ -523,7 +520,7 @@ class Controller(QObject):
             self.running = running
             self.running_changed.emit(running)
 
-    def _tell_storage(self) -> None:
+    def _publish_storage(self) -> None:
         if self._recording is not None:
             self.stored.emit(self._recording.storage.words())
 
@@ -545,25 +542,3 @@ def operator_target(guidance: Guidance | None, running: Running) -> Wish:
     if target is None:
         return NoTarget.WAIT
     return TargetOrder(target.channel, target.place, target.push, known=bool(target.landmark))
-
-
-def begin_session(part: Part, links: tuple[LinkSpec, ...], folder: Path, truth: bytes) -> Pipeline:
-    """Start a recording; what a simulated rig says of its taxels is laid beside it."""
-    from app.session.opening import new_pipeline
-    from skincal.files.reference import TRUTH_NAME
-
-    pipeline = new_pipeline(part, links, folder)
-    if truth:
-        (folder / TRUTH_NAME).write_bytes(truth)
-    return pipeline
-
-
-def find_truth_of(folder: Path, part: Part) -> Reference | None:
-    """Return the truth that lies beside a recording; None where there is none."""
-    from skincal.files.reference import find_truth
-
-    return find_truth(folder, part.scene.link, part.channels.tolist())
-
-
-def _nothing(_result: Any) -> None:
-    pass

@@ -1,8 +1,6 @@
-"""What to open: a scene with links, a scene with a process that serves links, or a recorded session.
+"""What to open, and the work of opening it: a scene with links or with a process that serves them, or a recorded session.
 
-Opens a recording, new or recorded; done in the background, without Qt.
-
-The imports stand inside the functions so that they, too, happen beside the window.
+No Qt. What takes long runs beside the window; the imports stand inside the functions so that they do, too.
 """
 
 from __future__ import annotations
@@ -17,6 +15,7 @@ from typing import TYPE_CHECKING
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
+    from skincal.files.reference import Reference
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import LinkSpec
@@ -65,7 +64,7 @@ def find_scene(scene: Path | None) -> Path:
 def server_command(scene: Path | None) -> tuple[str, ...]:
     """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP.
 
-    Its operator follows the target that the window tells it (`DeviceProcess.tell`).
+    Its operator pokes what the window asks for (`DeviceProcess.tell`).
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
     simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
@@ -101,22 +100,32 @@ def dated_folder(parent: Path, now: datetime) -> Path:
     return folder
 
 
-def new_pipeline(part: Part, links: Sequence[LinkSpec], folder: Path) -> Pipeline:
+def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: bytes) -> Pipeline:
     """Start a recording in a new folder.
+
+    Parameters
+    ----------
+    truth : what a simulated rig says of its taxels, laid beside the recording; empty of a real rig
 
     Raises
     ------
     InputError
-        The folder cannot be made or is taken.
+        The folder cannot be made, or there is something in it.
     """
+    from skincal.files.reference import TRUTH_NAME
     from skincal.journal.writer import create_session
     from skincal.session.pipeline import Pipeline
 
     folder.parent.mkdir(parents=True, exist_ok=True)
-    return _solved(Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid))
+    pipeline = Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid)
+    if truth:
+        (folder / TRUTH_NAME).write_bytes(truth)
+    # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
+    pipeline.snapshot()
+    return pipeline
 
 
-def open_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:
+def resume_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:
     """Open a recorded session where it stopped.
 
     Parameters
@@ -131,13 +140,15 @@ def open_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeli
     from skincal.session.part import lay_part
     from skincal.session.replay import resume
 
-    pipeline = _solved(resume(folder, links or None))
+    pipeline = resume(folder, links or None)
+    pipeline.snapshot()
     part = lay_part(pipeline.scene, pipeline.session.surface, pipeline.findings)
     pipeline.laid = part.laid
     return part, pipeline
 
 
-def _solved(pipeline: Pipeline) -> Pipeline:
-    """Return the pipeline after its first snapshot, which looks at every taxel and so takes long."""
-    pipeline.snapshot()
-    return pipeline
+def find_truth_of(folder: Path, part: Part) -> Reference | None:
+    """Return the truth that lies beside a recording; None where there is none."""
+    from skincal.files.reference import find_truth
+
+    return find_truth(folder, part.scene.link, part.channels.tolist())

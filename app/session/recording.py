@@ -1,6 +1,6 @@
-"""Where a session lives on the disk: in the operator's documents, or in a temporary folder until it is kept.
+"""A session while it is open, without Qt: its pipeline, the readers that feed it through one queue, its place on the disk.
 
-What is open: a pipeline, the readers that feed it through one queue, and its place on the disk. No Qt.
+That place is in the operator's documents, or a temporary folder until the session is kept.
 """
 
 from __future__ import annotations

@@ -62,8 +62,7 @@ def default_pair(sources: Sequence[Source], shown: Method) -> Pair:
     free, surface = Source(PlaceOrigin.METHOD, Method.FREE), Source(PlaceOrigin.METHOD, Method.SURFACE)
     if LAYOUT in sources:
         return LAYOUT, Source(PlaceOrigin.METHOD, shown)
-    others = [one for one in sources if one != free]
-    return free, surface if surface in sources else next(iter(others), free)
+    return free, surface if surface in sources else next((source for source in sources if source != free), free)
 
 
 class Places:
@@ -91,14 +90,14 @@ class Places:
             return self._unknown() if self._laid is None else self._laid
         review = state.review
         reviewed = None if review is None else _reviewed(source, source.method, review)
-        told = state.snapshot.estimates.get(source.method, ()) if reviewed is None else reviewed
+        found = state.snapshot.estimates.get(source.method, ()) if reviewed is None else reviewed
         kept, places = self._kept.get(source, (None, None))
-        if kept is not told or places is None:
+        if kept is not found or places is None:
             if review is None or reviewed is None:
                 places = self._worked_out(source.method, state)
             else:
                 places = self._in_order(review.channels, reviewed)
-            self._kept[source] = told, places
+            self._kept[source] = found, places
         return places
 
     def _worked_out(self, method: Method, state: ViewState) -> FloatArray:

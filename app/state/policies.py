@@ -1,4 +1,4 @@
-"""What may be done now, and how what is known is drawn: pure functions of a session's state, without a memory."""
+"""What the operator may do now, and how what is known is drawn: pure functions of a session's state, without a memory."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def newest_outcome(snapshot: Snapshot) -> Outcome | None:
 
 
 def is_news(seen: Outcome | None, newest: Outcome) -> bool:
-    """Return whether a poke's verdict is another than what was seen last; none where a poke was only taken back."""
+    """Return whether a poke's outcome is another than what was seen last; it is not where a poke was only undone."""
     if seen is None or newest.poke != seen.poke:
         return seen is None or newest.poke > seen.poke
     return _kind(seen) != _kind(newest)
@@ -190,7 +190,7 @@ def curve_range(shown: float, largest: float, floor: float) -> float:
 def answer_levels(responses: FloatArray, settings: ContactSettings) -> FloatArray:
     """Return how strongly each channel answers, 0 to 1: the threshold is 0.15, ten times the threshold is 1.
 
-    Below a third of the threshold it is 0, so that noise draws nothing; NaN gives 0. Rounded to what an eye can tell apart.
+    Below a third of the threshold it is 0, so that noise draws nothing; NaN gives 0. Rounded to what an eye can see.
     """
     share = np.nan_to_num(responses, nan=0.0, posinf=0.0, neginf=0.0) / settings.response_min
     level = np.clip(0.15 + 0.85 * (share - 1.0) / 9.0, 0.0, 1.0)

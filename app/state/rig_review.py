@@ -1,4 +1,4 @@
-"""What landmark pokes say of the open session's rig, what of it is offered, and what of that was announced already."""
+"""What landmark pokes say of the open session's rig: which corrections are offered, and which offers were announced."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RigReview:
     def __init__(self) -> None:
         self.review: Review | None = None
         self._announced = set[tuple[str, bool, bool, str]]()
-        """Kinds of offers that the operator was told of."""
+        """Kinds of offers that the operator knows of."""
         self._made: tuple[Review | None, object, tuple[Offer, ...]] = (None, None, ())
         """What the newest offers were made from, and they."""
 

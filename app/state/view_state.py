@@ -84,12 +84,12 @@ class ViewState:
     """s to add to the monotonic clock for the time of day."""
     guidance: Guidance | None = None
     """What to poke next and what each taxel still needs; None where nobody guides."""
-    sky: AxisDiversity | None = None
+    diversity: AxisDiversity | None = None
     """What the contacts of the taxel that is looked at are like; None where nobody guides, or nothing is known of it."""
     coaching: Coaching | None = None
     """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
     review: Review | None = None
-    """What pokes at landmarks tell of the rig, and the places with and without its correction; None while nothing does."""
+    """What pokes at landmarks say of the rig, and the places with and without its correction; None while nothing does."""
     offers: tuple[Offer, ...] = ()
     """What could put the rig right; none of it happens by itself."""
     modules: ModulesFound | None = None
@@ -134,7 +134,7 @@ class ViewState:
 
 
 def same_results(first: Snapshot, second: Snapshot) -> bool:
-    """Return whether two snapshots tell the same of pokes and taxels.
+    """Return whether two snapshots say the same of pokes and taxels.
 
     Streamed joints make a new snapshot with every frame of the skin; tables and maps must not be made anew for that.
     """

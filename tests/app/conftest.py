@@ -18,7 +18,7 @@ from tests.app.whole_window import Bench
 
 WAIT_S = 5.0
 """s. A thread that was told to stop has so long on a busy machine."""
-ENDING = ("reader ", "skincal-", "scene3d")
+ENDING = ("reader ", "skincal-")
 """Names of the program's threads that must end with the window."""
 
 

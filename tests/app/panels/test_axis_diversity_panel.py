@@ -1,4 +1,4 @@
-"""The sky of a taxel: what is drawn of its contacts, for which method, and when."""
+"""The axis diversity of a taxel: what is drawn of its contacts, for which method, and when."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from guide_support import guidance, target
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
+from whole_window import Paints
+from window_support import NAMES, changed, frame, pixels, session
 
-from app.panels.axis_diversity_panel import LEGENDS, SKY_PX, AxisDiversityPanel
+from app.panels.axis_diversity_panel import LEGENDS, PLOT_PX, AxisDiversityPanel
 from app.panels.inspect_panel import InspectPanel
-from app.panels.top_view import AROUND_TAXEL, EDGE, GRAIN, sky_view
+from app.panels.top_view import AROUND_TAXEL, EDGE, GRAIN, diversity_view
 from app.scene3d.camera import PLAIN, Eye
 from app.session.opening import OpenRequest
 from app.text.guidance_text import FOLLOWS, WHAT, diversity_words
@@ -20,9 +23,6 @@ from app.theme import DARK, LIGHT
 from skincal.guide.candidates import directions
 from skincal.guide.progress import AxisDiversity
 from skincal.taxels.result import Method
-from tests.app.guide_support import guidance, target
-from tests.app.whole_window import Paints
-from tests.app.window_support import NAMES, changed, frame, pixels, session
 
 UP = np.array([0.0, 0.0, 1.0])
 USABLE = float(np.radians(28.0))
@@ -34,7 +34,7 @@ def push(tilt: float, azimuth: float) -> np.ndarray:
     return -np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
 
 
-def sky(
+def diversity(
     pushes=(), own=None, trust=None, offsets=None, best: float | None = 90.0, beside=(0.0, 0.0, 0.0), spread=9.0
 ) -> AxisDiversity:
     """Contacts; what is worth most is a push from `best` degrees, None where nothing is worth anything."""
@@ -51,18 +51,18 @@ def sky(
 
 
 def test_a_contact_is_where_the_tools_upper_end_stood():
-    view = sky_view(sky([push(0, 0), push(28, 0), push(28, 90), push(60, 180)]), Method.FREE, PLAIN)
+    view = diversity_view(diversity([push(0, 0), push(28, 0), push(28, 90), push(60, 180)]), Method.FREE, PLAIN)
     reach = np.sin(np.radians(28.0)) / EDGE
     np.testing.assert_allclose(view.dots, [[0, 0], [reach, 0], [0, reach], [-1, 0]], atol=1e-12)
     assert view.limit == pytest.approx(reach)
     assert view.middle is None
-    turned = sky_view(sky([push(28, 0)]), Method.FREE, Eye(PLAIN.up, -PLAIN.right))
+    turned = diversity_view(diversity([push(28, 0)]), Method.FREE, Eye(PLAIN.up, -PLAIN.right))
     np.testing.assert_allclose(turned.dots, [[0, -reach]], atol=1e-12)
 
 
 @pytest.mark.parametrize("best", [0.0, 90.0, 225.0])
 def test_the_tint_is_deepest_where_the_next_poke_tells_most_and_ends_at_the_usable_tilt(best):
-    view = sky_view(sky(best=best), Method.FREE, PLAIN)
+    view = diversity_view(diversity(best=best), Method.FREE, PLAIN)
     row, column = np.unravel_index(view.shade.argmax(), view.shade.shape)
     x, y = (column + 0.5) / GRAIN * 2 - 1, 1 - (row + 0.5) / GRAIN * 2
     side = np.array([np.cos(np.radians(best)), np.sin(np.radians(best))])
@@ -76,14 +76,14 @@ def test_the_tint_is_deepest_where_the_next_poke_tells_most_and_ends_at_the_usab
 
 
 def test_where_nothing_is_worth_a_poke_nothing_is_tinted():
-    view = sky_view(sky([push(10, 0)], best=None), Method.FREE, PLAIN)
+    view = diversity_view(diversity([push(10, 0)], best=None), Method.FREE, PLAIN)
     assert not view.shade.any()
     assert view.wanted is None
 
 
 def test_for_the_surface_method_places_count_and_no_sides():
-    view = sky_view(
-        sky([push(28, 0)] * 2, offsets=[(0.002, 0, 0), (0, 0.02, 0)], beside=(0.001, 0.001, 0)), Method.SURFACE, PLAIN
+    view = diversity_view(
+        diversity([push(28, 0)] * 2, offsets=[(0.002, 0, 0), (0, 0.02, 0)], beside=(0.001, 0.001, 0)), Method.SURFACE, PLAIN
     )
     np.testing.assert_allclose(view.dots, [[0.4, 0], [0, 1]])
     np.testing.assert_allclose(view.middle, [0.2, 0.2])
@@ -106,7 +106,7 @@ def panel(qtbot):
 def framed(says: AxisDiversity | None, selected=None, asked=3, method=Method.FREE, generation=1, **changes):
     asked_for = guidance(None if asked is None else target(asked), method=method)
     at = frame(session(generation), selected=selected, method=method)
-    return replace(at, guidance=asked_for, sky=says, **changes)
+    return replace(at, guidance=asked_for, diversity=says, **changes)
 
 
 def ink(picture, colour) -> int:
@@ -119,10 +119,10 @@ def test_own_pokes_are_filled_others_hollow_and_doubted_ones_small(panel, colour
     panel.set_colours(colours)
     filled = []
     for generation, (own, trust) in enumerate([(True, 1.0), (False, 1.0), (True, 0.1)], start=1):
-        panel.show_state(framed(sky([push(20, 135)], [own], [trust], best=None), generation=generation))
-        view = sky_view(sky([push(20, 135)]), Method.FREE, PLAIN)
+        panel.show_state(framed(diversity([push(20, 135)], [own], [trust], best=None), generation=generation))
+        view = diversity_view(diversity([push(20, 135)]), Method.FREE, PLAIN)
         at = panel.plot._at(view.dots[0])
-        x, y = round(SKY_PX / 2 + at.x()), round(SKY_PX / 2 + at.y())
+        x, y = round(PLOT_PX / 2 + at.x()), round(PLOT_PX / 2 + at.y())
         filled.append(ink(pixels(panel.plot)[y - 8 : y + 9, x - 8 : x + 9], colours.text))
     whole, hollow, small = filled
     assert whole > 20
@@ -131,48 +131,48 @@ def test_own_pokes_are_filled_others_hollow_and_doubted_ones_small(panel, colour
 
 
 def test_the_next_side_is_a_square_and_the_tint_is_seen(panel):
-    panel.show_state(framed(sky(best=None)))
+    panel.show_state(framed(diversity(best=None)))
     plain = pixels(panel.plot)
-    panel.show_state(framed(sky(best=0.0), generation=2))
+    panel.show_state(framed(diversity(best=0.0), generation=2))
     east = pixels(panel.plot)
     assert changed(plain, east) > 2000
     moved = (plain != east).any(axis=2)
-    half = SKY_PX // 2
+    half = PLOT_PX // 2
     assert ink(east[:, half:], "#FFFFFF") > 10
     assert ink(east[:, :half], "#FFFFFF") == 0
     assert not moved[:10].any()
 
 
 def test_words_say_what_the_method_needs_and_which_the_guide_follows(panel):
-    panel.show_state(framed(sky([push(20, 0)] * 5, [True, True, False, False, False])))
+    panel.show_state(framed(diversity([push(20, 0)] * 5, [True, True, False, False, False])))
     assert panel.whose.text() == "10-03, the target"
     assert panel.spread.text() == "Axes spread 9\N{DEGREE SIGN}, wanted 15\N{DEGREE SIGN}"
     assert panel.contacts.text() == "5 pokes, 2 its own"
     assert "free method" in panel.follows.text()
     assert "tilt" in panel.follows.text()
-    panel.show_state(framed(sky([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
+    panel.show_state(framed(diversity([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
     assert panel.spread.text() == "Their middle lies 1.3 mm beside it, wanted 1.0 mm or less"
     assert "surface method" in panel.follows.text()
     assert "evenness" in panel.follows.text()
-    panel.show_state(framed(sky(), method=Method.SURFACE))
+    panel.show_state(framed(diversity(), method=Method.SURFACE))
     assert (panel.spread.text(), panel.contacts.text()) == ("Not poked yet", "")
 
 
 def test_it_is_of_the_selected_taxel_else_of_the_target_and_goes_where_there_is_neither(panel):
-    at = framed(sky())
+    at = framed(diversity())
     assert (at.looked_at, replace(at, selected=15).looked_at, framed(None, asked=None).looked_at) == (3, 15, None)
     panel.show_state(at)
     assert panel.whose.text() == "10-03, the target"
-    panel.show_state(replace(at, selected=15, sky=replace(sky(), channel=15)))
+    panel.show_state(replace(at, selected=15, diversity=replace(diversity(), channel=15)))
     assert panel.whose.text() == "11-03"
     panel.show_state(replace(framed(None, asked=None), selected=None))
     assert panel.isHidden()
-    panel.show_state(replace(at, sky=None, revision=9))
+    panel.show_state(replace(at, diversity=None, revision=9))
     assert panel.isHidden()
 
 
 def test_the_same_sky_is_not_drawn_again(panel, qtbot):
-    at = framed(sky([push(20, 0)]))
+    at = framed(diversity([push(20, 0)]))
     panel.show_state(at)
     qtbot.wait(30)
     paints = Paints(panel.plot)
@@ -184,48 +184,50 @@ def test_the_same_sky_is_not_drawn_again(panel, qtbot):
     panel.show_state(turned)
     qtbot.wait(30)
     assert paints.count == 1
-    panel.show_state(replace(turned, guidance=guidance(target(3)), sky=sky([push(20, 90)])))
+    panel.show_state(replace(turned, guidance=guidance(target(3)), diversity=diversity([push(20, 90)])))
     qtbot.wait(30)
     assert paints.count == 2, "what was skipped changes what is worth asking"
 
 
-def test_the_window_asks_once_for_the_sky_of_the_taxel_that_is_looked_at(bench, recorded, monkeypatch):
+def test_the_window_asks_once_for_the_diversity_of_the_taxel_that_is_looked_at(bench, recorded, monkeypatch):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
     view, asked = bench.window.session_view, []
-    assert view.state.sky.channel == view.state.target.channel
-    sky_of = view.guide.sky
-    monkeypatch.setattr(view.guide, "sky", lambda channel, evidence: asked.append(channel) or sky_of(channel, evidence))
-    other = next(channel for channel in bench.snapshot.pokes[0].outcome.channels.tolist() if channel != view.state.sky.channel)
+    assert view.state.diversity.channel == view.state.target.channel
+    diversity_of = view.guide.sky
+    monkeypatch.setattr(view.guide, "sky", lambda channel, evidence: asked.append(channel) or diversity_of(channel, evidence))
+    other = next(
+        channel for channel in bench.snapshot.pokes[0].outcome.channels.tolist() if channel != view.state.diversity.channel
+    )
     view.select_taxel(other)
-    assert view.state.sky.channel == other
+    assert view.state.diversity.channel == other
     for _ in range(4):
         view.show()
     assert asked == [other]
     bench.key(Qt.Key.Key_N)
     assert asked == [other, other], "what was skipped changes what is worth asking"
     bench.key(Qt.Key.Key_G)
-    assert view.state.sky is None
+    assert view.state.diversity is None
 
 
-def test_the_taxel_tab_shows_the_sky_of_the_target_before_anything_is_selected(qtbot):
+def test_the_taxel_tab_shows_the_diversity_of_the_target_before_anything_is_selected(qtbot):
     tab = InspectPanel((Method.FREE,), NAMES)
     qtbot.addWidget(tab)
     tab.resize(420, 500)
     with qtbot.waitExposed(tab):
         tab.show()
-    tab.show_state(framed(sky([push(20, 0)])))
-    assert tab.sky.isVisible()
+    tab.show_state(framed(diversity([push(20, 0)])))
+    assert tab.diversity.isVisible()
     assert tab.title.text() == "No taxel selected"
-    tab.show_state(replace(framed(sky([push(20, 0)]), generation=2), guidance=None, sky=None))
-    assert not tab.sky.isVisible()
+    tab.show_state(replace(framed(diversity([push(20, 0)]), generation=2), guidance=None, diversity=None))
+    assert not tab.diversity.isVisible()
 
 
 def test_every_method_has_its_words_and_its_picture():
     for words in (FOLLOWS, LEGENDS, WHAT, METHOD_NAMES):
         assert set(words) == set(Method)
-    of = sky([push(28, 0)] * 2)
+    of = diversity([push(28, 0)] * 2)
     for method in Method:
         assert diversity_words(of, method)
-        assert (sky_view(of, method, PLAIN).limit > 0) is (method is not Method.MODULES)
+        assert (diversity_view(of, method, PLAIN).limit > 0) is (method is not Method.MODULES)

@@ -14,7 +14,7 @@ from PySide6.QtGui import QColor
 
 from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
 from app.panels.errors_panel import ErrorsPanel
-from app.session import controller
+from app.session import opening
 from app.session.opening import OpenRequest
 from app.text.errors_text import (
     PAPER,
@@ -503,9 +503,9 @@ def test_a_simulated_rig_tells_where_its_taxels_are_and_the_session_keeps_it(qtb
         server.start((sys.executable, "-c", f"print({json.dumps(told)!r}, flush=True); input()"))
     server.stop()
     folder = tmp_path / "new"
-    pipeline = controller.begin_session(made, served.args[0], folder, order[0])
+    pipeline = opening.begin_session(made, served.args[0], folder, order[0])
     pipeline.close()
-    found = controller.find_truth_of(folder, made)
+    found = opening.find_truth_of(folder, made)
     assert found.origin is Origin.TRUTH
     assert found.places[channel].tolist() == [0.0, 0.1, 0.2]
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication
 
@@ -20,7 +19,7 @@ from app.text.outcomes import verdict_words
 from app.theme import DARK, HEADLINE_PT, LIGHT
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
-from tests.app.guide_support import ASKED, TILT, TO_2, guidance, held, target
+from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
 from tests.app.whole_window import Paints
 from tests.app.window_support import NAMES, PLAN, changed, frame, pixels, reading, session, slip, touch
 

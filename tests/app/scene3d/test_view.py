@@ -303,7 +303,7 @@ def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot
     gc.collect()
     assert stage() is None
     assert not [timer for timer in view.findChildren(QTimer) if timer.isActive()]
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("scene3d")]
+    assert not [thread for thread in threading.enumerate() if thread.name == "skincal-scene3d"]
     assert view.list_layers() == ()
     assert not view.show_moment(snapshot(2, {}), None, Method.FREE, None)
     view.reset_camera()
@@ -324,7 +324,7 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
         view.close_view()
         settle()
     assert view.list_layers() == ()
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("scene3d")]
+    assert not [thread for thread in threading.enumerate() if thread.name == "skincal-scene3d"]
 
 
 def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, monkeypatch):

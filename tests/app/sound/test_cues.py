@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from guide_support import guidance, target
+from window_support import NAMES, frame, link, reading, session, slip, touch
 
 from app.sound.cues import ALARM_S, EDGE_S, LEVEL, LONGEST_S, RATE, Cue, CueMemory, DueCue, due_cue, samples_of
 from app.state.running import Running
@@ -14,8 +16,6 @@ from app.text.now_text import NowMemory, now_line
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.model.readings import LinkState
 from skincal.taxels.result import Method
-from tests.app.guide_support import guidance, target
-from tests.app.window_support import NAMES, frame, link, reading, session, slip, touch
 
 READY, PRESSING, STILL, HELD = PressPhase.READY, PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD
 
@@ -116,10 +116,6 @@ def test_a_lost_device_is_heard_slowly_and_nothing_else_meanwhile():
 def test_nothing_is_heard_while_nothing_streams(running):
     frames = (at(), at(PRESSING, (touch(1),), lost=("skin",), running=running), at(READY, (touch(1),)))
     assert cues_of(*frames) == [None, None, None]
-        None,
-        None,
-        None,
-    ]
 
 
 def test_whatever_is_heard_is_said_in_the_same_frame():
@@ -145,10 +141,10 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.LOST: "lost skin",
     }
     assert set(said) == set(Cue)
-    memory, memory = due_cue(CueMemory(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]
+    cues, line = due_cue(CueMemory(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]
     for sound, each in frames.items():
-        due, memory = due_cue(memory, each)
-        now, memory = now_line(memory, each)
+        due, cues = due_cue(cues, each)
+        now, line = now_line(line, each)
         assert due is not None
         assert due.sound is sound
         assert said[sound] in f"{now.headline} {now.detail}"

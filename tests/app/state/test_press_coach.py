@@ -6,12 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-<<<<<<<< HEAD:tests/app/text/test_coaching_words.py
-========
 from guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, part, target
 from scene3d_support import box
 from window_support import PLAN, SCENE, frame, reading, session
->>>>>>>> w-text:tests/app/test_press_coach.py
 
 from app.state.press_coach import AIM_FAR, COACH_S, Ask, Lean, PressCoach, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
@@ -21,9 +18,6 @@ from skincal.session.guiding import SessionGuide
 from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
-from tests.app.guide_support import ASKED, TILT, TO_2, guidance, held, part, target, told_of
-from tests.app.scene3d_support import box
-from tests.app.window_support import PLAN, SCENE, frame, reading, session
 
 DEGREE, BETWEEN = "\N{DEGREE SIGN}", "  \N{MIDDLE DOT}  "
 TICK = 1 / 30

@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from guide_support import guidance, part, target
+from scene3d_support import layout, scene
+from window_support import NAMES, PLAN, SCENE, frame, reading, session, slip, touch
 
 from app.state.press_coach import Lean, lean_of
 from app.text.guidance_text import end_words, enough_words, target_words, why_words
@@ -17,9 +20,6 @@ from skincal.session.guiding import SessionGuide, plan_of
 from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
-from tests.app.guide_support import guidance, part, target
-from tests.app.scene3d_support import layout, scene
-from tests.app.window_support import NAMES, PLAN, SCENE, frame, reading, session, slip, touch
 
 TILT = float(np.radians(28.0))
 DEGREE, ARROW, BETWEEN = "\N{DEGREE SIGN}", "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE DOT}  "
