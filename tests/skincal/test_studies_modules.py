@@ -191,6 +191,16 @@ def test_what_pokes_do_not_determine_is_told():
     assert all(truth_of("module, newton millimetres by mistake", 1).blind)
 
 
+def test_an_unknown_that_only_rounding_speaks_of_is_zero():
+    """Where no poke says anything of an unknown, rounding leaves a curvature of 1e-50, which would give a step of 1e50 m."""
+    rows = exact.exactly([[3.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+    rows[2, 2] = exact.MP.mpf("1e-50")
+    found = exact.solved(rows, exact.exactly([5.0, 5.0, 1.0]))
+    np.testing.assert_array_equal(exact.floats(found), [1.0, 2.0, 0.0])
+    # Not so where every pivot is asked to count, as for the variance of what is not determined.
+    assert float(exact.solved(rows, exact.exactly([5.0, 5.0, 1.0]), exact.MP.zero)[2]) == pytest.approx(1e50)
+
+
 NAME = "module on a sheet, 7 arm poses"
 
 
