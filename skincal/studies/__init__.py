@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 STUDIES: Mapping[str, tuple[str, str]] = {
     "stability": ("stability", "Every solver against 80-digit arithmetic on stiff and extreme cases."),
-    "guidance": ("guidance_study", "Pokes that the guide takes, beside unguided people and a printed recipe."),
+    "guidance": ("guidance_study", "Pokes that the guide takes, beside people on their own and a printed recipe."),
     "paper": ("paper", "The paper's experiment done again, with rigid modules and landmark pokes beside its two methods."),
     "runtime": (
         "runtime",

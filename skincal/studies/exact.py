@@ -58,7 +58,7 @@ _MARGIN = 64 * float(np.finfo(float).eps)
 roundings a row. A triangle that is further from the best than twice that is the best in no draw."""
 _np: Any = np
 """numpy on such arrays; its own types know numbers only."""
-_number = np.vectorize(MP.mpf, otypes=[object])
+_number: Any = _np.frompyfunc(MP.convert, 1, 1)
 
 
 def exactly(values: Any) -> Exact:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +17,9 @@ from skincal.geometry.arrays import FloatArray
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import FOLLOWED, ErrorCourse, run_course
 from skincal.simulate.ways import WAYS, Conditions
+from skincal.studies.figures import draw_guidance
 from skincal.studies.measuring import bar_lines, bars_of, processes
 from skincal.taxels.result import Method
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 STANDARD = "standard"
 TO_5_MAX, TO_3_MAX = 90.0, 200.0
@@ -248,8 +246,4 @@ def summary(result: dict[str, Any]) -> list[str]:
     return [*map(_in_words, result["table"]), *bar_lines(result["bars"])]
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw error against pokes of every way, all methods."""
-    from skincal.studies.figures import draw_guidance
-
-    draw_guidance(result, figure)
+draw = draw_guidance

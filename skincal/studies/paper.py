@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +27,9 @@ from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
+from skincal.studies.figures import draw_paper
 from skincal.studies.measuring import at_rest, bar_lines, bars_of, clock, processes
 from skincal.taxels.result import Method
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 METHODS = tuple(Method)
 LANDMARKS = (3, 10)
@@ -535,8 +533,4 @@ def _course_line(result: dict[str, Any]) -> str:
     return f"each of {errors['pokes'][last]} pokes solved as it came, of all poses: " + ", ".join(found)
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw the paper's figures 4 and 5, and what came since."""
-    from skincal.studies.figures import draw_paper
-
-    draw_paper(result, figure)
+draw = draw_paper

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -37,12 +37,10 @@ from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.studies import alternatives
 from skincal.studies.alternatives import Problems, Systems, problems
+from skincal.studies.figures import Figure, draw_runtime
 from skincal.studies.measuring import CLOCK, Quartiles, at_rest, bar_lines, bars_of, clock, sampled, time_words, timed
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 LABELS = {
     "surface": "surface, as shipped",
@@ -773,6 +771,4 @@ def _size(row: Row) -> tuple[Any, ...]:
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw error against run time on both parts, and what a taxel costs as the problem grows."""
-    from skincal.studies.figures import draw_runtime
-
     draw_runtime(result, main_rows(result), figure)

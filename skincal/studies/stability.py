@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from itertools import chain, count
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from skincal.modules.pose import ModuleModel, ModulePoses, Pads
 from skincal.modules.pose_fit import Touches, bends_of, find_touches, fit_modules, whitened
 from skincal.studies import exact
 from skincal.studies.exact import NO_NUMBER, ModuleTruth, Truth, distance, distance_to
+from skincal.studies.figures import draw_stability
 from skincal.studies.measuring import processes
 from skincal.studies.stability_cases import (
     FULL,
@@ -54,9 +55,6 @@ from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 FACTOR = 10.0
 """The error may be that many times what the inputs' last digit does."""
@@ -477,8 +475,4 @@ def _of_alternative(method: str, own: list[Record]) -> str:
     return f"{method}: misses {len(misses)} of {len(own)}, at worst {far} ({worst['name']})"
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw each case's share of the bar, shipped and other ways, one panel a solver."""
-    from skincal.studies.figures import draw_stability
-
-    draw_stability(result, figure)
+draw = draw_stability
