@@ -159,20 +159,20 @@ def _row(task: CourseTask, courses: Sequence[ErrorCourse]) -> dict[str, Any]:
         "way": task.way,
         "seeds": len(courses),
         "limit": task.limit,
-        **{name: _interval([one.pokes_to(*wanted) for one in courses]) for name, wanted in thresholds.items()},
-        "seconds_to_5mm": _interval([_seconds_to(one, 0.005) for one in courses]),
+        **{name: _interval([course.pokes_to(*wanted) for course in courses]) for name, wanted in thresholds.items()},
+        "seconds_to_5mm": _interval([_seconds_to(course, 0.005) for course in courses]),
         "pokes": courses[0].pokes.tolist(),
         "mean_mm": (1e3 * _over(courses, "mean")).round(4).tolist(),
         "p95_mm": (1e3 * _over(courses, "p95")).round(4).tolist(),
-        "pokes_to_enough": _interval([one.enough for one in courses]),
-        "given_up": float(np.mean([one.given_up for one in courses])),
-        "done": float(np.mean([one.done for one in courses])),
-        "falsely_done_share": float(np.sum([one.falsely for one in courses]) / (len(courses) * _TAXELS)),
+        "pokes_to_enough": _interval([course.enough for course in courses]),
+        "given_up": float(np.mean([course.given_up for course in courses])),
+        "done": float(np.mean([course.done for course in courses])),
+        "falsely_done_share": float(np.sum([course.falsely for course in courses]) / (len(courses) * _TAXELS)),
     }
 
 
 def _over(courses: Sequence[ErrorCourse], name: str) -> FloatArray:
-    return np.mean([getattr(one, name) for one in courses], axis=0)
+    return np.mean([getattr(course, name) for course in courses], axis=0)
 
 
 def _seconds_to(course: ErrorCourse, error: float) -> float:

@@ -122,16 +122,18 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "pokes": trials[0].pokes,
         "minutes": dict(TABLE_I),
         "mean_mm": _means(trials),
-        "good_rig_mm": {name: _mean([one.course[GOOD_POKES][name].mean for one in goods]) for name in NAMES},
-        "per_pose_mm": {name: {pose: _over([one.alone[name][pose] for one in trials]) for pose in TABLE_I} for name in NAMES},
-        "averaged_mm": {
-            name: [_over([one.averaged[name][step] for one in trials]) for step in range(len(TABLE_I))] for name in NAMES
+        "good_rig_mm": {name: _mean([good.course[GOOD_POKES][name].mean for good in goods]) for name in NAMES},
+        "per_pose_mm": {
+            name: {pose: _over([trial.alone[name][pose] for trial in trials]) for pose in TABLE_I} for name in NAMES
         },
-        "landmarks": [_landmarks([one.landmarks[index] for one in trials]) for index in range(len(LANDMARKS))],
+        "averaged_mm": {
+            name: [_over([trial.averaged[name][step] for trial in trials]) for step in range(len(TABLE_I))] for name in NAMES
+        },
+        "landmarks": [_landmarks([trial.landmarks[index] for trial in trials]) for index in range(len(LANDMARKS))],
         "course_mm": _good_course(goods),
-        "bad_course_mm": {"rigs": len(courses), **_course_means(courses, [one.errors for one in courses], 1.0)},
+        "bad_course_mm": {"rigs": len(courses), **_course_means(courses, [course.errors for course in courses], 1.0)},
         "bad_course_ms": _course_times(courses),
-        "runtime_ms": {name: 1e3 * float(np.median([one.seconds[name] for one in trials])) for name in NAMES},
+        "runtime_ms": {name: 1e3 * float(np.median([trial.seconds[name] for trial in trials])) for name in NAMES},
         "safety": _safety(safeties),
         "no_error": _no_error(goods),
         "trials": [asdict(trial) for trial in trials],
@@ -172,7 +174,7 @@ def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = ME
     """Return of each method the positions (n, 3) of the rig's taxels, metres, NaN where there is no estimate."""
     part, nowhere = bench(), np.full(3, np.nan)
     channels = rig.channels.tolist()
-    found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.boards)
+    found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.model)
     return {
         method.value: np.array([nowhere if one.position is None else one.position for one in estimates.values()])
         for method, estimates in found.items()
@@ -407,21 +409,21 @@ def _mean(numbers: Sequence[float]) -> float:
 
 
 def _means(trials: Sequence[Trial]) -> dict[str, float]:
-    means = {name: _mean([one.pooled[name].mean for one in trials]) for name in NAMES}
+    means = {name: _mean([trial.pooled[name].mean for trial in trials]) for name in NAMES}
     for index, each in enumerate(LANDMARKS):
-        means[f"modules_{7 * each}"] = _mean([one.landmarks[index].errors["modules"].mean for one in trials])
+        means[f"modules_{7 * each}"] = _mean([trial.landmarks[index].errors["modules"].mean for trial in trials])
     return means
 
 
 def _over(spreads: Sequence[ErrorSpread]) -> dict[str, Any]:
-    means = [one.mean for one in spreads]
+    means = [spread.mean for spread in spreads]
     return {
         "mean": _mean(means),
-        "sd": _mean([one.sd for one in spreads]),
-        "largest": float(np.max([one.largest for one in spreads])),
+        "sd": _mean([spread.sd for spread in spreads]),
+        "largest": float(np.max([spread.largest for spread in spreads])),
         "low": float(np.percentile(means, 5)),
         "high": float(np.percentile(means, 95)),
-        "missing": _mean([one.missing for one in spreads]),
+        "missing": _mean([spread.missing for spread in spreads]),
     }
 
 
@@ -441,7 +443,7 @@ def _landmarks(some: Sequence[Corrected]) -> dict[str, Any]:
 def _good_course(goods: Sequence[GoodRig]) -> dict[str, Any]:
     course: dict[str, Any] = {"pokes": list(goods[0].course)}
     for name in NAMES:
-        of = [[one.course[count][name] for one in goods] for count in course["pokes"]]
+        of = [[good.course[count][name] for good in goods] for count in course["pokes"]]
         means = [_mean([one.mean for one in some]) for some in of]
         course[name] = [mean if np.isfinite(mean) else None for mean in means]
         course[f"{name}_missing"] = [_mean([one.missing for one in some]) for some in of]
@@ -450,8 +452,8 @@ def _good_course(goods: Sequence[GoodRig]) -> dict[str, Any]:
 
 def _course_times(courses: Sequence[RigCourse]) -> dict[str, Any]:
     """Return the mean processor times, ms, of the rigs that are timed; None beyond the pokes that are."""
-    timed = [one for one in courses if np.isfinite(one.seconds["free"]).any()]
-    return {"rigs": len(timed), **_course_means(courses, [one.seconds for one in timed], 1e3)}
+    timed = [course for course in courses if np.isfinite(course.seconds["free"]).any()]
+    return {"rigs": len(timed), **_course_means(courses, [course.seconds for course in timed], 1e3)}
 
 
 def _course_means(
@@ -465,18 +467,18 @@ def _course_means(
 def _safety(safeties: Sequence[Safety]) -> dict[str, Any]:
     return {
         "seeds": len(safeties),
-        "before_mm": _mean([one.before for one in safeties]),
-        "after_mm": _mean([one.after for one in safeties]),
-        "after_wrong_mm": _mean([one.after_wrong for one in safeties]),
-        "no_worse_share": _mean([float(one.after <= one.before) for one in safeties]),
-        "no_worse_wrong_share": _mean([float(one.after_wrong <= one.before) for one in safeties]),
-        "wrong_told_share": _mean([float(one.wrong_named) for one in safeties]),
-        "right_told_mean": _mean([one.others_named / 2 for one in safeties]),
+        "before_mm": _mean([safety.before for safety in safeties]),
+        "after_mm": _mean([safety.after for safety in safeties]),
+        "after_wrong_mm": _mean([safety.after_wrong for safety in safeties]),
+        "no_worse_share": _mean([float(safety.after <= safety.before) for safety in safeties]),
+        "no_worse_wrong_share": _mean([float(safety.after_wrong <= safety.before) for safety in safeties]),
+        "wrong_told_share": _mean([float(safety.wrong_named) for safety in safeties]),
+        "right_told_mean": _mean([safety.others_named / 2 for safety in safeties]),
     }
 
 
 def _no_error(goods: Sequence[GoodRig]) -> dict[str, float]:
-    before, after = _mean([one.before for one in goods]), _mean([one.after for one in goods])
+    before, after = _mean([good.before for good in goods]), _mean([good.after for good in goods])
     return {"before_mm": before, "after_mm": after, "ratio": after / before}
 
 

@@ -328,13 +328,13 @@ class Shipped:
         self.cell, self.method = cell, method
         self._seconds: list[float] = []
         self._results: list[dict[int, Estimate]] = []
-        self._boards = cell.bench.boards_on(cell.surface) if method is Method.MODULES else None
+        self._model = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None
         # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
         self._solve(cell.runs[0][:WARM], cell.channels[:WARM])
 
     def _solve(self, contacts: Sequence[Contact], channels: Sequence[int]) -> dict[int, Estimate]:
         noise = self.cell.bench.scene.noise
-        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, model=self._boards)[self.method]
+        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, model=self._model)[self.method]
 
     def run(self) -> dict[int, Estimate]:
         """Measure, and return the first seed's estimates."""
@@ -347,8 +347,8 @@ class Shipped:
         """Return the row of all that was measured; of the surface method also from what a session keeps of its contacts."""
         cell, more = self.cell, dict[str, Any]()
         if self.method is Method.SURFACE:
-            ledger, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
-            again, _ = timed(lambda: estimate_from(ledger, cell.channels, [self.method], noise, cell.surface), cell.repeats)
+            table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
+            again, _ = timed(lambda: estimate_from(table, cell.channels, [self.method], noise, cell.surface), cell.repeats)
             more["from_session_ms"] = Quartiles.of(again).times(1e3).json()
         found = [positions_of(one) for one in self._results]
         return cell.row(self.method.value, Quartiles.of(self._seconds), found, **more)
@@ -363,10 +363,10 @@ def shipped(cell: Cell, method: Method) -> Row:
 
 def per_pose(cell: Cell, method: Method) -> Row:
     """Measure the paper's averaging over arm poses (IV-B)."""
-    boards, noise = cell.bench.boards_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
+    model, noise = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
 
     def solve(contacts: Sequence[Contact]) -> Positions:
-        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=boards))
+        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=model))
 
     seconds, found = cell.each_run(solve, cell.repeats)
     return cell.row(f"{method.value}-per-pose", Quartiles.of(seconds), found)
@@ -527,11 +527,11 @@ def _modules(cell: Cell) -> Iterator[Row]:
 
 
 def _general(cell: Cell) -> Row:
-    boards, found = cell.bench.boards_on(cell.surface), Positions()
-    front, start = timed(lambda: _begin(cell, boards), 1)
+    model, found = cell.bench.modules_on(cell.surface), Positions()
+    front, start = timed(lambda: _begin(cell, model), 1)
 
     def solve(module: int) -> None:
-        found.update(_solved(*start[module], boards, module, cell))
+        found.update(_solved(*start[module], model, module, cell))
 
     measured = cell.slow(
         "modules-general", solve, np.random.default_rng(3).permutation(list(start)).tolist(), "modules", front[0]
@@ -539,7 +539,7 @@ def _general(cell: Cell) -> Row:
     plain, doubting = (
         positions_of(
             estimate_taxels(
-                cell.runs[0], sorted(found), [Method.MODULES], cell.bench.scene.noise, cell.surface, {}, doubts, boards
+                cell.runs[0], sorted(found), [Method.MODULES], cell.bench.scene.noise, cell.surface, {}, doubts, model
             )[Method.MODULES]
         )
         for doubts in (False, True)
@@ -551,32 +551,32 @@ def _general(cell: Cell) -> Row:
     return cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
 
 
-def _begin(cell: Cell, boards: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
+def _begin(cell: Cell, model: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
     """Solve by the surface method, and return the pokes and the start of each module that can be solved."""
-    ledger, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
-    others = [estimate_from(ledger, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
+    table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
+    others = [estimate_from(table, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
     found: dict[int, tuple[Touches, ModulePoses]] = {}
-    for module in boards.modules_of(cell.channels):
-        evidence, pose = ledger.evidence(boards.channels_of([module])), start_of(boards, module, others)
-        touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, noise, [module])
+    for module in model.modules_of(cell.channels):
+        evidence, pose = table.evidence(model.channels_of([module])), start_of(model, module, others)
+        touches = find_touches(evidence, table.totals(evidence.pokes), model, noise, [module])
         if pose is not None and len(touches.of) > 1:
             found[module] = touches, pose
     return found
 
 
-def _solved(touches: Touches, start: ModulePoses, boards: ModuleModel, module: int, cell: Cell) -> Positions:
+def _solved(touches: Touches, start: ModulePoses, model: ModuleModel, module: int, cell: Cell) -> Positions:
     """Return where a general solver puts a module's pads."""
-    flat, of = boards.pads[module], np.zeros(len(boards.pads[module]), dtype=np.int64)
+    flat, of = model.pads[module], np.zeros(len(model.pads[module]), dtype=np.int64)
 
     def laid(move: FloatArray) -> Pads:
-        return boards.ground.laid(boards.ground.moved(start, move[None]).take(of), flat)
+        return model.ground.laid(model.ground.moved(start, move[None]).take(of), flat)
 
     def misses(move: FloatArray) -> FloatArray:
         return whitened(touches, laid(move), cell.bench.scene.noise).misses.ravel()
 
     optimize: Any = import_module("scipy.optimize")
-    move: FloatArray = optimize.least_squares(misses, np.zeros(boards.ground.unknowns), **GENERAL).x
-    return dict(zip(boards.channels_of([module]), laid(move).points, strict=True))
+    move: FloatArray = optimize.least_squares(misses, np.zeros(model.ground.unknowns), **GENERAL).x
+    return dict(zip(model.channels_of([module]), laid(move).points, strict=True))
 
 
 # ---- what the window waits for ----

@@ -323,19 +323,19 @@ class FoundPads:
 class ModuleProblem:
     """A case as the program has it."""
 
-    boards: ModuleModel
-    ledger: ContactTable
+    model: ModuleModel
+    table: ContactTable
     touches: Touches
     start: ModulePoses
     noise: NoiseSettings
 
     def laid(self, pose: ModulePoses) -> Pads:
         """Return where the pads of the module at one pose lie."""
-        return self.boards.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.boards.pads[0])
+        return self.model.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.model.pads[0])
 
     def reached(self, move: FloatArray) -> Pads:
         """Return where the pads lie after a step from the start."""
-        return self.laid(self.boards.ground.moved(self.start, move[None]))
+        return self.laid(self.model.ground.moved(self.start, move[None]))
 
 
 ModuleSolver: TypeAlias = Callable[[ModuleProblem], FoundPads]
@@ -346,24 +346,24 @@ def problem_of(case: ModuleCase, readings: ModuleReadings, surface: Surface | No
     at = case.start
     anchor = Anchor(np.zeros(2), at.points[0], at.x[0], at.normals[0])
     layout = Layout((Module(0, KIND, 0, np.zeros(2), 0.0, case.module.mirror),), PADS + 1)
-    boards = ModuleModel(layout, anchor, surface)
-    ledger = ContactTable(_contacts(readings, np.column_stack([readings.responses, readings.beside])))
-    evidence = ledger.evidence(boards.channels_of([0]))
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, case.noise, [0])
-    start = boards.plan(0)
+    model = ModuleModel(layout, anchor, surface)
+    table = ContactTable(_contacts(readings, np.column_stack([readings.responses, readings.beside])))
+    evidence = table.evidence(model.channels_of([0]))
+    touches = find_touches(evidence, table.totals(evidence.pokes), model, case.noise, [0])
+    start = model.plan(0)
     if start is None:
         raise ValueError(f"{case.name}: the search begins off the mesh")
-    return ModuleProblem(boards, ledger, touches, start, case.noise)
+    return ModuleProblem(model, table, touches, start, case.noise)
 
 
 def shipped_module(one: ModuleProblem) -> FoundPads:
     """Place the module as the program does; every poke counts fully."""
-    said = estimate_modules(one.ledger, one.boards, [0], one.noise, [], {}, doubting=False)
+    said = estimate_modules(one.table, one.model, [0], one.noise, [], {}, doubting=False)
     return FoundPads(_fitted(one).points, np.array([said[channel].position is None for channel in range(PADS)]))
 
 
 def _fitted(one: ModuleProblem) -> Pads:
-    return fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False).pads
+    return fit_modules(one.touches, one.model, one.start, one.noise, doubting=False).pads
 
 
 def judge_module(case: ModuleCase, truth: ModuleTruth, solver: ModuleSolver) -> Record:
@@ -405,13 +405,13 @@ def modules_by_normal_equations(one: ModuleProblem) -> FloatArray:
         rows = whitened(one.touches, one.laid(pose), one.noise)
         a = rows.slopes.reshape(-1, rows.slopes.shape[2])
         right, plain = a.T @ rows.misses.ravel(), a.T @ a
-        matrix = plain - np.sum(bends_of(one.touches, rows, one.boards.ground), axis=0)
+        matrix = plain - np.sum(bends_of(one.touches, rows, one.model.ground), axis=0)
         bent = bool(np.linalg.eigvalsh(matrix + matrix.T)[0] > 0.0)
         step = _solved(matrix if bent else plain, right)
         if not np.isfinite(step).all():
             return np.full((PADS, 3), np.nan)
         step = step / max(1.0, float(np.abs(step).max()) / 0.015)
-        pose = one.boards.ground.moved(pose, step[None])
+        pose = one.model.ground.moved(pose, step[None])
         if float(np.abs(step).max()) < 1e-16:
             break
     return one.laid(pose).points
@@ -431,7 +431,7 @@ def modules_by_differences(one: ModuleProblem) -> FloatArray:
         return np.sum(rows.whiten * off[:, None], axis=2).ravel()
 
     optimize: Any = import_module("scipy.optimize")
-    zero = np.zeros(one.boards.ground.unknowns)
+    zero = np.zeros(one.model.ground.unknowns)
     found = optimize.least_squares(misses, zero, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
     return one.reached(np.asarray(found.x, dtype=np.float64)).points
 
