@@ -225,8 +225,8 @@ def _drift_ratio(kept: Mapping[tuple[str, str, str], list[ErrorCourse]]) -> floa
     drifting = kept["drift 0.25 N", "free", "guided"]
     still = kept[STANDARD, "free", "guided"][: len(drifting)]
     end = drifting[0].pokes[-1]
-    without = [one.mean_at(end) for one in still]
-    return float(np.mean([one.mean[-1] for one in drifting]) / np.mean(without))
+    without = [course.mean_at(end) for course in still]
+    return float(np.mean([course.mean[-1] for course in drifting]) / np.mean(without))
 
 
 def _in_words(row: Mapping[str, Any]) -> str:

@@ -176,7 +176,7 @@ def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = ME
     channels = rig.channels.tolist()
     found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.model)
     return {
-        method.value: np.array([nowhere if one.position is None else one.position for one in estimates.values()])
+        method.value: np.array([nowhere if estimate.position is None else estimate.position for estimate in estimates.values()])
         for method, estimates in found.items()
     }
 
@@ -321,11 +321,11 @@ def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> Ri
     steps = (*(count for count in counts if count < len(mixed)), len(mixed))
     plain = [_spreads(mixed[:count], rig) for count in steps]
     right = [corrected(rig, mixed[:count], known, [Method.MODULES]) for count in steps]
-    errors = {name: tuple(one[name].mean for one in plain) for name in NAMES}
-    errors[CORRECTED] = tuple(one.errors[Method.MODULES.value].mean for one in right)
+    errors = {name: tuple(spreads[name].mean for spreads in plain) for name in NAMES}
+    errors[CORRECTED] = tuple(step.errors[Method.MODULES.value].mean for step in right)
     seconds = {method.value: _seconds(mixed[:timed], together, steps) for method, together in TOGETHER.items()}
     with_them = zip(seconds[Method.MODULES.value], right, strict=True)
-    seconds[CORRECTED] = tuple(until + one.seconds for until, one in with_them)
+    seconds[CORRECTED] = tuple(until + step.seconds for until, step in with_them)
     return RigCourse(steps, errors, seconds)
 
 
@@ -360,14 +360,14 @@ class Safety:
 def run_safety(seed: int, pokes: int = 84) -> Safety:
     """Correct a rig with the paper's errors by 21 landmark pokes, all right and one wrong."""
     rig, rng = _begin(seed, 12, RigErrors.paper())
-    contacts = [one for k, pose in enumerate(TABLE_I) for one in poke_rounds(rig, pose, pokes, rng, 1 + k * pokes)]
+    contacts = [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, pokes, rng, 1 + k * pokes)]
     wrong = np.zeros(len(TABLE_I) * LANDMARKS[0])
     bad = int(rng.integers(len(wrong)))
     wrong[bad] = OFF
     before = _by_modules(contacts, rig)
     clean, mixed = (corrected(rig, contacts, _poke_landmarks(rig, rng, off=off), [Method.MODULES]) for off in (None, wrong))
     others = len(clean.doubted) + len(set(mixed.doubted) - {FIRST_LANDMARK + bad})
-    after, after_wrong = (one.errors["modules"].mean for one in (clean, mixed))
+    after, after_wrong = (answer.errors["modules"].mean for answer in (clean, mixed))
     return Safety(before, after, after_wrong, FIRST_LANDMARK + bad in mixed.doubted, others)
 
 
@@ -389,7 +389,7 @@ def run_good(seed: int, counts: Sequence[int]) -> GoodRig:
     contacts = poke_rounds(rig, "2", max(*counts, GOOD_POKES), rng, 1)
     course = {count: _spreads(contacts[:count], rig) for count in counts}
     each = GOOD_POKES // len(TABLE_I)
-    every = [one for k, pose in enumerate(TABLE_I) for one in poke_rounds(rig, pose, each, rng, 1 + k * each)]
+    every = [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, each, rng, 1 + k * each)]
     before = _by_modules(every, rig)
     after = corrected(rig, every, _poke_landmarks(rig, rng), [Method.MODULES]).errors["modules"].mean
     return GoodRig(course, before, after)
@@ -399,8 +399,8 @@ def run_good(seed: int, counts: Sequence[int]) -> GoodRig:
 
 
 def _in_words(trial: Trial) -> str:
-    pooled = ", ".join(f"{method} {one.mean:.1f}" for method, one in trial.pooled.items())
-    with_them = ", ".join(f"{one.landmarks} landmark pokes {one.errors['modules'].mean:.2f}" for one in trial.landmarks)
+    pooled = ", ".join(f"{method} {errors.mean:.1f}" for method, errors in trial.pooled.items())
+    with_them = ", ".join(f"{rig.landmarks} landmark pokes {rig.errors['modules'].mean:.2f}" for rig in trial.landmarks)
     return f"rig {trial.seed}, {trial.pokes} pokes: {pooled} mm; modules with {with_them} mm"
 
 
@@ -428,13 +428,13 @@ def _over(spreads: Sequence[ErrorSpread]) -> dict[str, Any]:
 
 
 def _landmarks(some: Sequence[Corrected]) -> dict[str, Any]:
-    errors = {name: [one.errors[name].mean for one in some] for name in NAMES}
+    errors = {name: [rig.errors[name].mean for rig in some] for name in NAMES}
     return {
         "landmark_pokes": some[0].landmarks,
-        "used_share": _mean([float(one.used) for one in some]),
-        "held_out_before_mm": _mean([one.held_before for one in some]),
-        "held_out_after_mm": _mean([one.held_after for one in some]),
-        "correction_ms": 1e3 * float(np.median([one.seconds for one in some])),
+        "used_share": _mean([float(rig.used) for rig in some]),
+        "held_out_before_mm": _mean([rig.held_before for rig in some]),
+        "held_out_after_mm": _mean([rig.held_after for rig in some]),
+        "correction_ms": 1e3 * float(np.median([rig.seconds for rig in some])),
         "mean_mm": {name: _mean(own) for name, own in errors.items()},
         "worst_mm": {name: max(own) for name, own in errors.items()},
     }
@@ -444,9 +444,9 @@ def _good_course(goods: Sequence[GoodRig]) -> dict[str, Any]:
     course: dict[str, Any] = {"pokes": list(goods[0].course)}
     for name in NAMES:
         of = [[good.course[count][name] for good in goods] for count in course["pokes"]]
-        means = [_mean([one.mean for one in some]) for some in of]
+        means = [_mean([spread.mean for spread in some]) for some in of]
         course[name] = [mean if np.isfinite(mean) else None for mean in means]
-        course[f"{name}_missing"] = [_mean([one.missing for one in some]) for some in of]
+        course[f"{name}_missing"] = [_mean([spread.missing for spread in some]) for some in of]
     return course
 
 
@@ -459,7 +459,7 @@ def _course_times(courses: Sequence[RigCourse]) -> dict[str, Any]:
 def _course_means(
     courses: Sequence[RigCourse], numbers: Sequence[Mapping[str, tuple[float, ...]]], unit: float
 ) -> dict[str, Any]:
-    means = {name: np.mean([one[name] for one in numbers], axis=0).tolist() for name in COURSES} if numbers else {}
+    means = {name: np.mean([own[name] for own in numbers], axis=0).tolist() for name in COURSES} if numbers else {}
     finite = {name: [unit * value if np.isfinite(value) else None for value in some] for name, some in means.items()}
     return {"pokes": list(courses[0].counts), **finite}
 
@@ -500,7 +500,7 @@ def _bars(result: dict[str, Any], trials: Sequence[Trial]) -> dict[str, dict[str
 def _within(trials: Sequence[Trial], method: str) -> float:
     """Return the share of the poses of all rigs whose mean error lies where the published ones do."""
     low, high = WITHIN[method]
-    means = np.array([one.mean for trial in trials for one in trial.alone[method].values()])
+    means = np.array([spread.mean for trial in trials for spread in trial.alone[method].values()])
     return float(np.mean((means >= low) & (means <= high)))
 
 
@@ -516,9 +516,9 @@ def summary(result: dict[str, Any]) -> list[str]:
         f"averaged as in the paper: {mm(last)}; published 7.2 free, 6.6 surface",
         f"good rig, 252 pokes in one pose: {mm(result['good_rig_mm'])}",
         *(
-            f"{one['landmark_pokes']} landmark pokes: held-out miss {one['held_out_before_mm']:.1f} -> "
-            f"{one['held_out_after_mm']:.1f} mm, {one['correction_ms']:.0f} ms; {mm(one['mean_mm'])}"
-            for one in result["landmarks"]
+            f"{row['landmark_pokes']} landmark pokes: held-out miss {row['held_out_before_mm']:.1f} -> "
+            f"{row['held_out_after_mm']:.1f} mm, {row['correction_ms']:.0f} ms; {mm(row['mean_mm'])}"
+            for row in result["landmarks"]
         ),
         _course_line(result),
         f"{safety['seeds']} more rigs, 21 landmark pokes: {safety['before_mm']:.1f} -> {safety['after_mm']:.2f} mm, "

@@ -243,7 +243,7 @@ class Cell:
         what : they are, in words
         front : s, from contacts to what each of them begins from
         """
-        seconds = sampled((partial(solve, one) for one in order), self.budget_s)
+        seconds = sampled((partial(solve, piece) for piece in order), self.budget_s)
         part = None
         if len(seconds) < len(order):
             part = {what: len(seconds), f"of_{what}": len(order), "seconds": float(np.sum(seconds))}
@@ -311,7 +311,7 @@ def _as_shipped(cell: Cell) -> Iterator[Row]:
 
 def positions_of(estimates: Mapping[int, Estimate]) -> Positions:
     """Return the positions of those that have one."""
-    return {channel: one.position for channel, one in estimates.items() if one.position is not None}
+    return {channel: found.position for channel, found in estimates.items() if found.position is not None}
 
 
 class Shipped:
@@ -346,7 +346,7 @@ class Shipped:
             table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
             again, _ = timed(lambda: estimate_from(table, cell.channels, [self.method], noise, cell.surface), cell.repeats)
             more["from_session_ms"] = Quartiles.of(again).times(1e3).json()
-        found = [positions_of(one) for one in self._results]
+        found = [positions_of(estimates) for estimates in self._results]
         return cell.row(self.method.value, Quartiles.of(self._seconds), found, **more)
 
 
