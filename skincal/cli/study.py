@@ -38,7 +38,7 @@ _studies = typer.Typer(
 
 def add_to(app: typer.Typer) -> None:
     """Add a command for each study."""
-    for name, purpose in STUDIES.items():
+    for name, (_, purpose) in STUDIES.items():
         example = f"Examples: skincal study {name} --quick --out measured; skincal study {name} --json"
         _studies.command(name, help=purpose, epilog=example)(_command(name))
     app.add_typer(_studies, name="study")
@@ -69,7 +69,7 @@ def _say(sentence: str) -> None:
 
 def _load(name: str) -> Study:
     # Only now: the other commands neither draw nor search.
-    module: Any = import_module(f"skincal.studies.{name}")
+    module: Any = import_module(f"skincal.studies.{STUDIES[name][0]}")
     return module
 
 

@@ -125,11 +125,11 @@ class Bench:
         return 0.0 if self.scene.skin.layout is None else self.scene.skin.layout.spacing
 
     @cached_property
-    def boards(self) -> ModuleModel:
+    def model(self) -> ModuleModel:
         """Its modules on its mesh."""
-        return self.boards_on(self.surface)
+        return self.modules_on(self.surface)
 
-    def boards_on(self, surface: Surface) -> ModuleModel:
+    def modules_on(self, surface: Surface) -> ModuleModel:
         """Return its modules on another mesh."""
         skin = self.scene.skin
         if skin.layout is None:

@@ -78,10 +78,10 @@ def simulate_contacts(
     starts = first_poke * CYCLE_S + CYCLE_S * np.arange(len(pokes))
     contacts: list[Contact] = []
     for i, (rows, responses) in enumerate(answers):
-        heard = responses > settings.response_min
-        if not heard.any():
+        answering = responses > settings.response_min
+        if not answering.any():
             continue
-        order = np.argsort(rig.channels[rows[heard]])
+        order = np.argsort(rig.channels[rows[answering]])
         contacts.append(
             Contact(
                 poke=first_poke + i,
@@ -89,9 +89,9 @@ def simulate_contacts(
                 end_s=float(starts[i] + settings.still_s),
                 force=wrenches[i, :3],
                 moment=wrenches[i, 3:],
-                channels=rig.channels[rows[heard]][order],
-                responses=responses[heard][order],
-                link_from_sensor=stance.told,
+                channels=rig.channels[rows[answering]][order],
+                responses=responses[answering][order],
+                link_from_sensor=stance.reported,
                 pose=stance.name,
                 tare_change=float(change[i]),
                 final=True,
@@ -197,7 +197,7 @@ def poke_landmarks(
         pokes = _aimed(rig, wanted, off, rng, habits or LandmarkHabits())
         wrenches, stance = pressed(rig, pokes, rng, pose), rig.stance(pose)
         found += [
-            LandmarkPoke(number + i, one.name, one.place, wrench[:3], wrench[3:], stance.told, stance.name)
+            LandmarkPoke(number + i, one.name, one.place, wrench[:3], wrench[3:], stance.reported, stance.name)
             for i, (one, wrench) in enumerate(zip(wanted, wrenches, strict=True))
         ]
     return found

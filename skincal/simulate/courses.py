@@ -77,7 +77,7 @@ def run_course(part: Bench, way: str, method: Method, conditions: Conditions, se
     """Poke `limit` times, and look at the errors now and then."""
     rig = rig_beside(part, conditions, seed)
     rng = np.random.default_rng([seed, 11])
-    steps = _followed if way in FOLLOWED else _unheard
+    steps = _followed if way in FOLLOWED else _unguided
     at = set(looks(limit).tolist())
     rows: list[tuple[int, float, float, float]] = []
     last: tuple[Session, Guidance | None] | None = None
@@ -132,18 +132,18 @@ def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
 Step = tuple[int, float, Session, Guidance | None]
 
 
-def _unheard(
+def _unguided(
     part: Bench, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as planned before the first poke."""
     wish = WAYS[way](part, conditions, limit, rng)
     contacts, pokes = poked(part, rig, wish, conditions, rng, 1)
-    session, told = _session(part, method), 0
+    session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
     for count in looks(limit).tolist():
-        while told < len(contacts) and contacts[told].poke <= count:
-            session.add(contacts[told])
-            told += 1
+        while added < len(contacts) and contacts[added].poke <= count:
+            session.add(contacts[added])
+            added += 1
         yield count, float(times[count - 1]), session, None
 
 

@@ -268,7 +268,7 @@ class DeviceTimeline:
         return self._from.weight + share[:, None] * (target.weight - self._from.weight)
 
     def _joints(self, times: FloatArray) -> FloatArray:
-        """Return (n, columns) joint angles as told, radians; joints that are no part of the chain are 0."""
+        """Return (n, columns) joint angles as reported, radians; joints that are no part of the chain are 0."""
         arm = self.rig.scene.arm
         if arm is None:
             return np.zeros((len(times), 0))

@@ -110,7 +110,7 @@ class Outlet(Protocol):
         ...
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to whoever listens; never waits."""
+        """Hand bytes to those who listen; never waits."""
         ...
 
     def close(self) -> None:
@@ -198,15 +198,15 @@ class PtyOutlet:
         os.close(slave)
         self._poller = select.poll()
         self._poller.register(self._master, select.POLLIN)
-        self._heard = False
+        self._was_open = False
 
     def poll(self) -> tuple[bool, bytes]:
         """Say whether the port was opened since the last call, and read what was written to it."""
         events = self._poller.poll(0)
         state = events[0][1] if events else 0
         open_now = not state & select.POLLHUP
-        came = open_now and not self._heard
-        self._heard = open_now
+        came = open_now and not self._was_open
+        self._was_open = open_now
         data = b""
         if open_now and state & select.POLLIN:
             with contextlib.suppress(BlockingIOError, OSError):
@@ -215,12 +215,12 @@ class PtyOutlet:
 
     def write(self, data: bytes) -> None:
         """Write what the port takes; the rest is lost, as in a serial port's overrun."""
-        if self._heard:
+        if self._was_open:
             with contextlib.suppress(BlockingIOError, OSError):
                 os.write(self._master, data)
 
     def close(self) -> None:
-        """Pull the plug: whoever has the port open gets an error."""
+        """Pull the plug: who has the port open gets an error."""
         if self._master >= 0:
             os.close(self._master)
             self._master = -1

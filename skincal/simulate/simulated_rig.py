@@ -39,8 +39,8 @@ class Stance:
 
     name: str
     angles: FloatArray
-    """(joints,) float, radians, as told; empty without an arm."""
-    told: FloatArray
+    """(joints,) float, radians, as reported; empty without an arm."""
+    reported: FloatArray
     """(4, 4) float: link_from_sensor by the chain."""
     true: FloatArray
     """(4, 4) float: link_from_sensor as it is."""
@@ -103,16 +103,16 @@ class Rig:
         scale = np.repeat([self.errors.offset_force, self.errors.offset_moment], 3)
         self.offset = scale * rng.standard_normal(6)
 
-    def _stance(self, name: str, angles: FloatArray, told: FloatArray, rng: np.random.Generator) -> Stance:
+    def _stance(self, name: str, angles: FloatArray, reported: FloatArray, rng: np.random.Generator) -> Stance:
         error = np.eye(4)
         error[:3, :3] = _rotation(self.errors.pose_turn * rng.standard_normal(3))
         error[:3, 3] = self.errors.pose_shift * rng.standard_normal(3)
-        true = told @ error
+        true = reported @ error
         middle = self.places.mean(axis=0)
         down = rng.standard_normal(3)
         pull = self.errors.weight * down / np.linalg.norm(down)
         centre = inverse_pose(true)[:3] @ np.append(middle, 1.0)
-        return Stance(name, angles, told, true, np.concatenate([pull, np.cross(centre, pull)]))
+        return Stance(name, angles, reported, true, np.concatenate([pull, np.cross(centre, pull)]))
 
     def row_of(self, channel: int) -> int:
         """Return the index of a channel in `channels`, `places` and `normals`.

@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from skincal.studies.figures import Figure
 
-STUDIES: Mapping[str, str] = {
-    "stability": "Every solver against 80-digit arithmetic on stiff and extreme cases.",
-    "guidance": "Pokes that the guide takes, beside people who are told nothing and a printed recipe.",
-    "paper": "The paper's experiment done again, with rigid modules and landmark pokes beside its two methods.",
-    "runtime": "Error against run time: the two methods, the paper's way, brute force and other honest alternatives.",
+STUDIES: Mapping[str, tuple[str, str]] = {
+    "stability": ("stability", "Every solver against 80-digit arithmetic on stiff and extreme cases."),
+    "guidance": ("guidance_study", "Pokes that the guide takes, beside people on their own and a printed recipe."),
+    "paper": ("paper", "The paper's experiment done again, with rigid modules and landmark pokes beside its two methods."),
+    "runtime": (
+        "runtime",
+        "Error against run time: the two methods, the paper's way, brute force and other honest alternatives.",
+    ),
 }
-"""Name of each study, which is its module's in this package, and what it shows."""
+"""Name of each study, its module in this package, and what it shows."""
 
 
 class Study(Protocol):

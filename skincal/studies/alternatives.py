@@ -17,7 +17,7 @@ solved beside it, and arrays of one component each are what numpy goes through f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module, util
 from typing import Any
@@ -125,10 +125,6 @@ class Problems:
     corners: FloatArray
     """(n, 3, 3) float, metres: of the triangles themselves."""
 
-    def __len__(self) -> int:
-        """Return how many they are."""
-        return len(self.slopes)
-
     def points(self, shares: FloatArray) -> FloatArray:
         """Return the points (n, 3) of `shares` (n, 2), metres."""
         whole = np.concatenate([1.0 - shares.sum(axis=1, keepdims=True), shares], axis=1)
@@ -145,20 +141,10 @@ def problems(corners: FloatArray, roots: FloatArray, offsets: FloatArray) -> Pro
 
 _SIDES = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]])
 _LIMITS = np.array([0.0, 0.0, -1.0])
-
-
 _INWARD = np.array([-1.0, -1.0])
-
-
-def _inside(x: FloatArray) -> float:
-    return 1.0 - x[0] - x[1]
-
-
-def _inward(_: FloatArray) -> FloatArray:
-    return _INWARD
-
-
-_THIRD_SIDE = {"type": "ineq", "fun": _inside, "jac": _inward}
+_THIRD_SIDE: dict[str, str | Callable[[FloatArray], Any]] = {
+    "type": "ineq", "fun": lambda x: 1.0 - x[0] - x[1], "jac": lambda _: _INWARD,
+}  # fmt: skip
 _QUADPROG = "quadprog"
 
 

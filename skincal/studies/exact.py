@@ -58,7 +58,7 @@ _MARGIN = 64 * float(np.finfo(float).eps)
 roundings a row. A triangle that is further from the best than twice that is the best in no draw."""
 _np: Any = np
 """numpy on such arrays; its own types know numbers only."""
-_number = np.vectorize(MP.mpf, otypes=[object])
+_number: Any = _np.frompyfunc(MP.convert, 1, 1)
 
 
 def exactly(values: Any) -> Exact:
@@ -465,7 +465,7 @@ _TRACE = MP.mpf("1e-32")
 _FOUND = MP.mpf("1e-34")
 """m: a step below it leaves 1e-60."""
 _ROUGH = MP.mpf("1e-6")
-"""m: steps of differences that are told to that share."""
+"""m: steps of differences that are known to that share."""
 _FAR = MP.mpf("0.02")
 """m, or rad: of one step."""
 _STEPS_MAX = 60
@@ -523,11 +523,11 @@ def pokes_of(readings: ModuleReadings, noise: NoiseSettings) -> ExactPokes:
     f, m = _carried(readings)
     size = np.sqrt(dot(f, f))
     u = f / size[:, None]
-    heard = readings.responses > 0
+    answering = readings.responses > 0
     # Those that answered first, in their order.
-    answered = np.argsort(~heard, axis=1, kind="stable")[:, : heard.sum(axis=1).max()]
+    answered = np.argsort(~answering, axis=1, kind="stable")[:, : answering.sum(axis=1).max()]
     answers = exactly(np.take_along_axis(readings.responses, answered, axis=1))
-    missed = (exactly(MIDDLE) * exactly(noise.contact)) / exactly(heard.sum(axis=1))
+    missed = (exactly(MIDDLE) * exactly(noise.contact)) / exactly(answering.sum(axis=1))
     beside = _np.where(readings.beside > 0, exactly(ACROSS), MP.zero)
     return ExactPokes(
         answered, answers / answers.sum(axis=1, keepdims=True), u, cross(u, m) / size[:, None], _across(u),
@@ -603,7 +603,7 @@ def find(pokes: ExactPokes, pose: ExactPose) -> tuple[ExactPose, Exact]:
         if size < _FOUND:
             return pose, matrix
         pulled = pull(pokes, pose.pads())
-        # Once its differences are told to a millionth, the matrix serves to the end: each step gains as many digits.
+        # Once its differences are known to a millionth, the matrix serves to the end: each step gains as many digits.
         if last > _ROUGH:
             near = [pull(pokes, pose.moved(way).pads()) for way in exactly(np.eye(len(step))) * _STEP]
             matrix = np.stack([(pulled - there) / _STEP for there in near], axis=1)

@@ -11,9 +11,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import matplotlib as mpl
-from matplotlib import figure as mpl_figure
-
 from skincal.model.errors import InputError
 from skincal.studies.measuring import time_words
 
@@ -22,8 +19,6 @@ Figure: TypeAlias = Any
 Axes: TypeAlias = Any
 """matplotlib.axes.Axes."""
 Measured: TypeAlias = Mapping[str, Any]
-_matplotlib: Any = mpl
-_figures: Any = mpl_figure
 
 BLACK, ORANGE, SKY, GREEN, YELLOW = "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILION, PINK = "#0072B2", "#D55E00", "#CC79A7"
@@ -40,6 +35,7 @@ STYLE: dict[str, Any] = {
     "axes.titlesize": 11,
     "font.size": 9.5,
     "legend.frameon": False,
+    "legend.fontsize": 8.5,
     "grid.color": "#DDDDDD",
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
@@ -63,9 +59,15 @@ def write_figure(draw: Callable[[Figure], None], folder: Path, name: str) -> lis
     InputError
         A file cannot be written.
     """
+    # Only now: a study's processes draw nothing.
+    import matplotlib as mpl
+    from matplotlib import figure as mpl_figure
+
+    matplotlib: Any = mpl
+    figures: Any = mpl_figure
     written: list[Path] = []
-    with _matplotlib.rc_context(STYLE):
-        figure: Figure = _figures.Figure(figsize=INCHES, layout="constrained")
+    with matplotlib.rc_context(STYLE):
+        figure: Figure = figures.Figure(figsize=INCHES, layout="constrained")
         draw(figure)
         for ending, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
             path, data = folder / f"{name}.{ending}", BytesIO()
@@ -89,6 +91,13 @@ def _log(axes: Axes, x: Mapping[float, str] | None = None, y: Mapping[float, str
     axes.grid(visible=True)
 
 
+def _one_legend(figure: Figure, panels: Any, **how: Any) -> None:
+    """Name below the figure, once each, what is drawn in any of the panels."""
+    found = [panel.get_legend_handles_labels() for panel in panels.axes]
+    marks = {label: handle for handles, labels in found for handle, label in zip(handles, labels, strict=True)}
+    figure.legend(marks.values(), marks.keys(), loc="outside lower center", **how)
+
+
 def _plain(numbers: Sequence[float]) -> dict[float, str]:
     return {number: f"{number:,g}" if number < 1e4 else f"{number:,.0f}" for number in numbers}
 
@@ -107,15 +116,13 @@ SHARE_MIN, SHARE_MAX = 1e-4, 1e300
 
 def draw_stability(result: dict[str, Any], figure: Figure) -> None:
     """Draw each case's share of the bar, shipped and other ways, one panel a solver."""
-    solvers = list(dict.fromkeys(one["solver"] for one in result["cases"]))
-    rows = max(sum(one["solver"] == solver for one in result["cases"]) for solver in solvers)
+    solvers = list(dict.fromkeys(case["solver"] for case in result["cases"]))
+    rows = max(sum(case["solver"] == solver for case in result["cases"]) for solver in solvers)
     figure.set_size_inches(22.0, 2.0 + 0.19 * rows)
     for panel, solver in zip(figure.subplots(1, len(solvers), squeeze=False)[0], solvers, strict=True):
-        of = ([one for one in result[kind] if one["solver"] == solver] for kind in ("cases", "alternatives"))
+        of = ([record for record in result[kind] if record["solver"] == solver] for kind in ("cases", "alternatives"))
         _draw_solver(panel, solver, *of)
-    found = [panel.get_legend_handles_labels() for panel in figure.axes]
-    marks = {label: handle for handles, labels in found for handle, label in zip(handles, labels, strict=True)}
-    figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=4)
+    _one_legend(figure, figure, ncols=4)
     figure.suptitle(
         f"Error over the bar. Bar: {result['factor']:g} times what the inputs' last digit does ({result['draws']} draws, "
         f"{result['digits']} digits) + {result['of_size']:g} of the answer. "
@@ -124,27 +131,26 @@ def draw_stability(result: dict[str, Any], figure: Figure) -> None:
 
 
 def _draw_solver(panel: Axes, solver: str, cases: Sequence[Measured], others: Sequence[Measured]) -> None:
-    place = {one["name"]: -row for row, one in enumerate(cases)}
-    numbers = [one["error_over_bound"] for one in (*cases, *others) if one["error_over_bound"] < SHARE_MAX]
-    right = max(10.0, *numbers) * 3.0
+    place = {case["name"]: -row for row, case in enumerate(cases)}
+    every = [record["error_over_bound"] for record in (*cases, *others)]
+    right = max(10.0, *(share for share in every if share < SHARE_MAX)) * 3.0
 
     def put(records: Sequence[Measured], **look: Any) -> None:
-        shares = [min(max(one["error_over_bound"], SHARE_MIN), right) for one in records]
-        panel.scatter(shares, [place[one["name"]] for one in records], **look)
+        shares = [min(max(record["error_over_bound"], SHARE_MIN), right) for record in records]
+        panel.scatter(shares, [place[record["name"]] for record in records], **look)
 
     for method, (mark, colour) in TRY_LOOKS.items():
         look = {"color": colour} if mark == "x" else {"facecolors": "none", "edgecolors": colour}
-        if own := [one for one in others if one["method"] == method]:
+        if own := [record for record in others if record["method"] == method]:
             put(own, s=22, marker=mark, label=method, linewidths=1.0, **look)
     put(cases, s=26, color=BLUE, label="shipped", zorder=3)
     panel.axvline(1.0, color=BLACK, linewidth=1.2)
-    panel.set_xscale("log")
-    panel.set_xlim(SHARE_MIN / 2, right * 2)
     panel.set_yticks(list(place.values()), list(place), fontsize=7.5)
-    panel.set_ylim(-len(cases), 1)
     panel.grid(visible=True)
-    panel.set_title(f"{solver}: {len(cases)} cases")
-    panel.set_xlabel(f"error over the bar\n(least {SHARE_MIN:g}; no number at the right end)")
+    panel.set(
+        xscale="log", xlim=(SHARE_MIN / 2, right * 2), ylim=(-len(cases), 1), title=f"{solver}: {len(cases)} cases",
+        xlabel=f"error over the bar\n(least {SHARE_MIN:g}; no number at the right end)",
+    )  # fmt: skip
 
 
 # ---- guidance ----
@@ -184,11 +190,8 @@ def _draw_courses(axes: Axes, rows: Sequence[Mapping[str, Any]], title: str) -> 
         axes.axhline(error, color=GREY, linewidth=0.8)
     last = max(row["pokes"][-1] for row in rows)
     _log(axes, _plain([at for at in POKES if at <= last]), _plain((0.5, 1, 2, 3, 5, 10, 20, 50)))
-    axes.set_xlim(20, last)
-    axes.set_xlabel("pokes")
-    axes.set_ylabel("mean error (mm); a taxel without estimate counts 60")
-    axes.set_title(title)
-    axes.legend(fontsize=8.5)
+    axes.set(xlim=(20, last), xlabel="pokes", ylabel="mean error (mm); a taxel without estimate counts 60", title=title)
+    axes.legend()
 
 
 def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> None:
@@ -203,27 +206,16 @@ def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> N
         errors = [own[case]["mean_mm"][own[case]["pokes"].index(pokes)] for case in cases if case in own]
         axes.bar(places, errors, width=0.28, color=colour, label=f"{words}, after {pokes} pokes")
     axes.set_xticks(range(len(cases)), cases, rotation=20, ha="right", fontsize=8.5)
-    axes.set_ylabel("mean error (mm)")
-    axes.set_title(f"{method} method in other cases")
     axes.grid(visible=True, axis="y")
     # Room above the bars for the legend.
-    axes.set_ylim(0.0, 1.2 * axes.get_ylim()[1])
-    axes.legend(fontsize=8.5)
+    axes.set(ylabel="mean error (mm)", title=f"{method} method in other cases", ylim=(0.0, 1.2 * axes.get_ylim()[1]))
+    axes.legend()
 
 
 # ---- paper ----
 
-METHOD_LOOKS: dict[str, tuple[str, str]] = {
-    "free": (BLUE, "free"),
-    "surface": (VERMILION, "surface"),
-    "modules": (GREEN, "modules"),
-}
-"""Colour and words of each method."""
-COURSE_LOOKS: dict[str, tuple[str, str, str]] = {
-    **{name: (colour, words, "-") for name, (colour, words) in METHOD_LOOKS.items()},
-    "modules_21": (BLACK, "modules, rig corrected by 21 landmark pokes", "--"),
-}
-"""Colour, words and line of each course."""
+METHOD_COLOURS = {"free": BLUE, "surface": VERMILION, "modules": GREEN}
+CORRECTED_WORDS = "modules, rig corrected by 21 landmark pokes"
 
 
 def draw_paper(result: dict[str, Any], figure: Figure) -> None:
@@ -235,100 +227,96 @@ def draw_paper(result: dict[str, Any], figure: Figure) -> None:
     _draw_averaged(averaged, result)
     _draw_landmarks(landmarks, result)
     _draw_good(good, result)
-    _draw_pokes(pokes, result)
-    _draw_times(times, result)
+    course = result["bad_course_mm"]
+    shown = {name: numbers for name, numbers in course.items() if name not in ("rigs", "pokes")}
+    _lines(pokes, course["pokes"], {name: (course["pokes"], numbers) for name, numbers in shown.items()})
+    pokes.set(xlabel="pokes, of all seven arm poses from the first on", title="As wrong as the paper's: error against pokes")
+    _draw_times(times, shown, result["bad_course_ms"])
 
 
-def _mean_bars(axes: Axes, rows: dict[str, list[dict[str, Any]]], names: list[str]) -> None:
-    for offset, (method, (colour, words)) in enumerate(METHOD_LOOKS.items()):
+def _method_bars(
+    axes: Axes, names: Sequence[str], means: Mapping[str, Sequence[float]], sds: Mapping[str, Sequence[float]] | None = None
+) -> None:
+    """Draw bars of each method beside each other; without deviations their height is written above them."""
+    for offset, (method, colour) in enumerate(METHOD_COLOURS.items()):
         places = [place + (offset - 1) * 0.26 for place in range(len(names))]
-        means, sds = [row["mean"] for row in rows[method]], [row["sd"] for row in rows[method]]
-        axes.bar(places, means, width=0.26, color=colour, label=words)
-        axes.errorbar(places, means, yerr=sds, fmt="none", ecolor=GREY, elinewidth=1.0)
+        error = {} if sds is None else {"yerr": sds[method], "error_kw": {"ecolor": GREY, "elinewidth": 1.0}}
+        bars = axes.bar(places, means[method], width=0.26, color=colour, label=method, **error)
+        if sds is None:
+            axes.bar_label(bars, fmt="%.1f", fontsize=8.5)
     axes.set_xticks(range(len(names)), names)
-    axes.set_ylabel("error of 84 taxels (mm): mean and sd")
     axes.grid(visible=True, axis="y")
+
+
+def _spread_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]]) -> None:
+    means, sds = ({method: [row[key] for row in own] for method, own in rows.items()} for key in ("mean", "sd"))
+    _method_bars(axes, names, means, sds)
+    axes.set_ylabel("error of 84 taxels (mm): mean and sd")
 
 
 def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
-    poses = list(result["minutes"])
-    rows = {method: [result["per_pose_mm"][method][pose] for pose in poses] for method in METHOD_LOOKS}
-    _mean_bars(axes, rows, [f"{pose}\n{result['minutes'][pose]:g} min" for pose in poses])
+    minutes: dict[str, float] = result["minutes"]
+    rows = {method: [poses[pose] for pose in minutes] for method, poses in result["per_pose_mm"].items()}
+    _spread_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows)
     for place, (method, (low, high)) in zip((6.75, 6.95), result["published"]["per_pose_mean_mm"].items(), strict=True):
-        axes.plot([place, place], [low, high], color=METHOD_LOOKS[method][0], linewidth=5.0, solid_capstyle="butt")
+        axes.plot([place, place], [low, high], color=METHOD_COLOURS[method], linewidth=5.0, solid_capstyle="butt")
     axes.text(6.85, -0.02, "paper's\nrange", transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8.5)
     axes.set_title("Each arm pose alone (figure 4)")
     axes.set_ylim(top=24.0)
-    axes.legend(fontsize=8.5, loc="upper left", ncols=3)
+    axes.legend(loc="upper left", ncols=3)
 
 
 def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
-    rows = {method: result["averaged_mm"][method] for method in METHOD_LOOKS}
-    _mean_bars(axes, rows, [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)])
+    _spread_bars(axes, [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)], result["averaged_mm"])
     for method, value in result["published"]["averaged_mean_mm"].items():
-        axes.axhline(value, color=METHOD_LOOKS[method][0], linestyle="--", linewidth=1.2, label=f"paper, {method} {value}")
-    axes.set_xlabel("arm poses averaged one after another")
-    axes.set_title("Averaged (figure 5)")
-    axes.legend(fontsize=8.5, loc="upper right")
+        axes.axhline(value, color=METHOD_COLOURS[method], linestyle="--", linewidth=1.2, label=f"paper, {method} {value}")
+    axes.set(xlabel="arm poses averaged one after another", title="Averaged (figure 5)")
+    axes.legend(loc="upper right")
 
 
 def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
-    counts = [0, *(one["landmark_pokes"] for one in result["landmarks"])]
-    for offset, (method, (colour, words)) in enumerate(METHOD_LOOKS.items()):
-        values = [result["mean_mm"][method], *(one["mean_mm"][method] for one in result["landmarks"])]
-        places = [place + (offset - 1) * 0.26 for place in range(len(counts))]
-        axes.bar(places, values, width=0.26, color=colour, label=words)
-        for place, value in zip(places, values, strict=True):
-            axes.text(place, value, f"{value:.1f}", ha="center", va="bottom", fontsize=8.5)
-    axes.set_xticks(range(len(counts)), [f"{count} landmark pokes" for count in counts])
-    axes.set_ylabel("mean error (mm), all poses pooled")
-    axes.set_title("The rig corrected from pokes at landmarks")
-    axes.grid(visible=True, axis="y")
-    axes.legend(fontsize=8.5)
+    rows: list[Measured] = [{"landmark_pokes": 0, "mean_mm": result["mean_mm"]}, *result["landmarks"]]
+    means: dict[str, list[float]] = {method: [row["mean_mm"][method] for row in rows] for method in METHOD_COLOURS}
+    _method_bars(axes, [f"{row['landmark_pokes']} landmark pokes" for row in rows], means)
+    axes.set(ylabel="mean error (mm), all poses pooled", title="The rig corrected from pokes at landmarks")
+    axes.legend()
 
 
 def _draw_good(axes: Axes, result: dict[str, Any]) -> None:
     course = result["course_mm"]
-    for method, (colour, words) in METHOD_LOOKS.items():
-        known = [(pokes, error) for pokes, error in zip(course["pokes"], course[method], strict=True) if error is not None]
-        axes.plot([pokes for pokes, _ in known], [error for _, error in known], color=colour, marker="o", label=words)
-    _log(axes, _plain(course["pokes"]), _plain((0.2, 0.5, 1, 2, 5, 10)))
-    axes.set_xlabel("pokes in one arm pose, unguided")
-    axes.set_ylabel("mean error (mm) of those with an estimate")
-    times = ", ".join(
-        f"{METHOD_LOOKS[method][1]} {milliseconds:.0f} ms" for method, milliseconds in result["runtime_ms"].items()
-    )
-    axes.set_title(f"A rig that is only noisy\nsolving {result['pokes']:,} pokes: {times}")
-    axes.legend(fontsize=8.5)
+    _lines(axes, course["pokes"], {method: (course["pokes"], course[method]) for method in METHOD_COLOURS}, least=0.2)
+    times = ", ".join(f"{method} {milliseconds:.0f} ms" for method, milliseconds in result["runtime_ms"].items())
+    title = f"A rig that is only noisy\nsolving {result['pokes']:,} pokes: {times}"
+    axes.set(xlabel="pokes in one arm pose, unguided", title=title)
 
 
-def _draw_pokes(axes: Axes, result: dict[str, Any]) -> None:
-    course = result["bad_course_mm"]
-    _lines(axes, course["pokes"], {name: (course["pokes"], course[name]) for name in COURSE_LOOKS})
-    axes.set_xlabel("pokes, of all seven arm poses from the first on")
-    axes.set_title("As wrong as the paper's: error against pokes")
-
-
-def _draw_times(axes: Axes, result: dict[str, Any]) -> None:
-    course, times = result["bad_course_mm"], result["bad_course_ms"]
-    until = {name: ([None if one is None else one / 1e3 for one in times[name]], course[name]) for name in COURSE_LOOKS}
-    every = [one for some, _ in until.values() for one in some if one is not None]
-    ticks = [at for at in (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100) if min(every) / 2 <= at <= 2 * max(every)]
-    _lines(axes, ticks, until)
+def _draw_times(axes: Axes, errors: Mapping[str, Sequence[float | None]], times: dict[str, Any]) -> None:
+    seconds = {name: [None if ms is None else ms / 1e3 for ms in times[name]] for name in errors}
+    known = [number for some in seconds.values() for number in some if number is not None]
+    ticks = [at for at in (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100) if min(known) / 2 <= at <= 2 * max(known)]
+    _lines(axes, ticks, {name: (seconds[name], course) for name, course in errors.items()})
     axes.set_xlabel("processor time (s) of all solves until then, each poke solved as it comes")
     axes.set_title("The same against processor time")
 
 
 def _lines(
-    axes: Axes, ticks: Sequence[float], courses: Mapping[str, tuple[Sequence[float | None], Sequence[float | None]]]
+    axes: Axes,
+    ticks: Sequence[float],
+    courses: Mapping[str, tuple[Sequence[float | None], Sequence[float | None]]],
+    least: float = 0.5,
 ) -> None:
-    """Draw errors, mm, of each of `COURSE_LOOKS`, where both numbers are known."""
-    for name, (colour, words, line) in COURSE_LOOKS.items():
-        known = [(at, error) for at, error in zip(*courses[name], strict=True) if at is not None and error is not None]
-        axes.plot([at for at, _ in known], [error for _, error in known], line, color=colour, marker="o", label=words)
-    _log(axes, _plain(ticks), _plain((0.5, 1, 2, 5, 10, 20)))
+    """Draw errors, mm, against another number where both are known; `least` is the lowest tick, mm, of the errors."""
+    for name, course in courses.items():
+        points = [(at, error) for at, error in zip(*course, strict=True) if at is not None and error is not None]
+        own = (
+            {"color": METHOD_COLOURS[name], "label": name}
+            if name in METHOD_COLOURS
+            else {"color": BLACK, "label": CORRECTED_WORDS, "linestyle": "--"}
+        )
+        axes.plot([at for at, _ in points], [error for _, error in points], marker="o", **own)
+    _log(axes, _plain(ticks), _plain([error for error in (0.2, 0.5, 1, 2, 5, 10, 20) if least <= error <= 40 * least]))
     axes.set_ylabel("mean error (mm) of those with an estimate")
-    axes.legend(fontsize=8.5)
+    axes.legend()
 
 
 # ---- run time ----
@@ -370,32 +358,32 @@ def draw_runtime(result: dict[str, Any], rows: Sequence[Measured], figure: Figur
         _error_against_time(axes, [row for row in rows if row["part"] == part and row["error_mm"] is not None])
     for (name, words), axes in zip(GROWTH_AXES.items(), below.subplots(1, 3), strict=True):
         _growth(axes, result["growth"][name], name, words)
-    handles = {label: handle for axes in above.axes for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, fontsize=8.5)
+    _one_legend(figure, above, ncols=5)
 
 
 def _error_against_time(axes: Axes, rows: Sequence[Measured]) -> None:
     for row in rows:
         mark, colour, words = MARKS[row["method"]]
+        (x, across), (y, along) = _around([row["time_ms"]]), _around([row["error_mm"]])
         axes.errorbar(
-            *_bars_around(row["time_ms"], row["error_mm"]), color=colour, fmt=mark, label=words, linewidth=1.6, capsize=2.5,
+            x, y, along, across, color=colour, fmt=mark, label=words, linewidth=1.6, capsize=2.5,
             markersize=16 if mark == "*" else 8, markerfacecolor="white" if row["extrapolated_from"] is not None else colour,
         )  # fmt: skip
     times = [row["time_ms"]["median"] for row in rows]
     _log(axes, {at: time_words(at) for at in TIMES_MS if min(times) / 5 <= at <= max(times) * 5})
     axes.yaxis.set_minor_formatter(_minor_tick)
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("time to solve all taxels from their contacts")
-    axes.set_ylabel("mean error against the truth (mm)")
-    first = rows[0]
-    size = f"{first['taxels']:,} taxels, {first['triangles']:,} triangles, {first['pokes_per_taxel']} pokes a taxel"
-    axes.set_title(f"{PARTS.get(first['part'], first['part'])}: {size}")
+    size = "{taxels:,} taxels, {triangles:,} triangles, {pokes_per_taxel} pokes a taxel".format_map(rows[0])
+    axes.set(
+        xlabel="time to solve all taxels from their contacts", ylabel="mean error against the truth (mm)",
+        title=f"{PARTS.get(rows[0]['part'], rows[0]['part'])}: {size}",
+    )  # fmt: skip
 
 
-def _bars_around(*spreads: Mapping[str, float]) -> tuple[Any, ...]:
-    """Return x, y and how far down and up the quartiles of y and of x lie, as `errorbar` takes them."""
-    x, y = ([[one["median"] - one["q1"]], [one["q3"] - one["median"]]] for one in spreads)
-    return (*(one["median"] for one in spreads), y, x)
+def _around(spreads: Sequence[Mapping[str, float]]) -> tuple[list[float], list[list[float]]]:
+    """Return medians, and how far down and up their quartiles lie, as `errorbar` takes them."""
+    ways = [[spread["median"] - spread["q1"] for spread in spreads], [spread["q3"] - spread["median"] for spread in spreads]]
+    return [spread["median"] for spread in spreads], ways
 
 
 def _minor_tick(value: float, _: int) -> str:
@@ -409,19 +397,16 @@ def _growth(axes: Axes, points: Sequence[Measured], name: str, words: str) -> No
         series.setdefault((point["part"], point["method"]), []).append(point)
     for (part, method), own in series.items():
         mark, colour, _ = MARKS[method]
-        cost = [point["us_per_taxel"] for point in own]
         if len(own) > 1:
+            costs, ways = _around([point["us_per_taxel"] for point in own])
             axes.errorbar(
-                [point[name] for point in own], [one["median"] for one in cost],
-                yerr=[[one["median"] - one["q1"] for one in cost], [one["q3"] - one["median"] for one in cost]],
-                color=colour, marker=mark, markersize=9 if mark == "*" else 4.5, linewidth=1.4, capsize=2,
-                linestyle="--" if part == "icub-forearm" else "-",
+                [point[name] for point in own], costs, ways, color=colour, marker=mark, markersize=9 if mark == "*" else 4.5,
+                linewidth=1.4, capsize=2, linestyle="--" if part == "icub-forearm" else "-",
             )  # fmt: skip
     _log(axes)
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.yaxis.set_major_formatter(_cost_tick)
-    axes.set_xlabel(words)
-    axes.set_ylabel("time per taxel")
+    axes.set(xlabel=words, ylabel="time per taxel")
     axes.set_title(f"Cost of a taxel against {words}", fontsize=10)
 
 

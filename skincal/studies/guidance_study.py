@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +17,9 @@ from skincal.geometry.arrays import FloatArray
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import FOLLOWED, ErrorCourse, run_course
 from skincal.simulate.ways import WAYS, Conditions
+from skincal.studies.figures import draw_guidance
 from skincal.studies.measuring import bar_lines, bars_of, processes
 from skincal.taxels.result import Method
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 STANDARD = "standard"
 TO_5_MAX, TO_3_MAX = 90.0, 200.0
@@ -161,20 +159,20 @@ def _row(task: CourseTask, courses: Sequence[ErrorCourse]) -> dict[str, Any]:
         "way": task.way,
         "seeds": len(courses),
         "limit": task.limit,
-        **{name: _interval([one.pokes_to(*wanted) for one in courses]) for name, wanted in thresholds.items()},
-        "seconds_to_5mm": _interval([_seconds_to(one, 0.005) for one in courses]),
+        **{name: _interval([course.pokes_to(*wanted) for course in courses]) for name, wanted in thresholds.items()},
+        "seconds_to_5mm": _interval([_seconds_to(course, 0.005) for course in courses]),
         "pokes": courses[0].pokes.tolist(),
         "mean_mm": (1e3 * _over(courses, "mean")).round(4).tolist(),
         "p95_mm": (1e3 * _over(courses, "p95")).round(4).tolist(),
-        "pokes_to_enough": _interval([one.enough for one in courses]),
-        "given_up": float(np.mean([one.given_up for one in courses])),
-        "done": float(np.mean([one.done for one in courses])),
-        "falsely_done_share": float(np.sum([one.falsely for one in courses]) / (len(courses) * _TAXELS)),
+        "pokes_to_enough": _interval([course.enough for course in courses]),
+        "given_up": float(np.mean([course.given_up for course in courses])),
+        "done": float(np.mean([course.done for course in courses])),
+        "falsely_done_share": float(np.sum([course.falsely for course in courses]) / (len(courses) * _TAXELS)),
     }
 
 
 def _over(courses: Sequence[ErrorCourse], name: str) -> FloatArray:
-    return np.mean([getattr(one, name) for one in courses], axis=0)
+    return np.mean([getattr(course, name) for course in courses], axis=0)
 
 
 def _seconds_to(course: ErrorCourse, error: float) -> float:
@@ -227,8 +225,8 @@ def _drift_ratio(kept: Mapping[tuple[str, str, str], list[ErrorCourse]]) -> floa
     drifting = kept["drift 0.25 N", "free", "guided"]
     still = kept[STANDARD, "free", "guided"][: len(drifting)]
     end = drifting[0].pokes[-1]
-    without = [one.mean_at(end) for one in still]
-    return float(np.mean([one.mean[-1] for one in drifting]) / np.mean(without))
+    without = [course.mean_at(end) for course in still]
+    return float(np.mean([course.mean[-1] for course in drifting]) / np.mean(without))
 
 
 def _in_words(row: Mapping[str, Any]) -> str:
@@ -248,8 +246,4 @@ def summary(result: dict[str, Any]) -> list[str]:
     return [*map(_in_words, result["table"]), *bar_lines(result["bars"])]
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw error against pokes of every way, all methods."""
-    from skincal.studies.figures import draw_guidance
-
-    draw_guidance(result, figure)
+draw = draw_guidance

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +27,9 @@ from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
+from skincal.studies.figures import draw_paper
 from skincal.studies.measuring import at_rest, bar_lines, bars_of, clock, processes
 from skincal.taxels.result import Method
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 METHODS = tuple(Method)
 LANDMARKS = (3, 10)
@@ -124,16 +122,18 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "pokes": trials[0].pokes,
         "minutes": dict(TABLE_I),
         "mean_mm": _means(trials),
-        "good_rig_mm": {name: _mean([one.course[GOOD_POKES][name].mean for one in goods]) for name in NAMES},
-        "per_pose_mm": {name: {pose: _over([one.alone[name][pose] for one in trials]) for pose in TABLE_I} for name in NAMES},
-        "averaged_mm": {
-            name: [_over([one.averaged[name][step] for one in trials]) for step in range(len(TABLE_I))] for name in NAMES
+        "good_rig_mm": {name: _mean([good.course[GOOD_POKES][name].mean for good in goods]) for name in NAMES},
+        "per_pose_mm": {
+            name: {pose: _over([trial.alone[name][pose] for trial in trials]) for pose in TABLE_I} for name in NAMES
         },
-        "landmarks": [_landmarks([one.landmarks[index] for one in trials]) for index in range(len(LANDMARKS))],
+        "averaged_mm": {
+            name: [_over([trial.averaged[name][step] for trial in trials]) for step in range(len(TABLE_I))] for name in NAMES
+        },
+        "landmarks": [_landmarks([trial.landmarks[index] for trial in trials]) for index in range(len(LANDMARKS))],
         "course_mm": _good_course(goods),
-        "bad_course_mm": {"rigs": len(courses), **_course_means(courses, [one.errors for one in courses], 1.0)},
+        "bad_course_mm": {"rigs": len(courses), **_course_means(courses, [course.errors for course in courses], 1.0)},
         "bad_course_ms": _course_times(courses),
-        "runtime_ms": {name: 1e3 * float(np.median([one.seconds[name] for one in trials])) for name in NAMES},
+        "runtime_ms": {name: 1e3 * float(np.median([trial.seconds[name] for trial in trials])) for name in NAMES},
         "safety": _safety(safeties),
         "no_error": _no_error(goods),
         "trials": [asdict(trial) for trial in trials],
@@ -174,9 +174,9 @@ def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = ME
     """Return of each method the positions (n, 3) of the rig's taxels, metres, NaN where there is no estimate."""
     part, nowhere = bench(), np.full(3, np.nan)
     channels = rig.channels.tolist()
-    found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.boards)
+    found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.model)
     return {
-        method.value: np.array([nowhere if one.position is None else one.position for one in estimates.values()])
+        method.value: np.array([nowhere if estimate.position is None else estimate.position for estimate in estimates.values()])
         for method, estimates in found.items()
     }
 
@@ -321,11 +321,11 @@ def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> Ri
     steps = (*(count for count in counts if count < len(mixed)), len(mixed))
     plain = [_spreads(mixed[:count], rig) for count in steps]
     right = [corrected(rig, mixed[:count], known, [Method.MODULES]) for count in steps]
-    errors = {name: tuple(one[name].mean for one in plain) for name in NAMES}
-    errors[CORRECTED] = tuple(one.errors[Method.MODULES.value].mean for one in right)
+    errors = {name: tuple(spreads[name].mean for spreads in plain) for name in NAMES}
+    errors[CORRECTED] = tuple(step.errors[Method.MODULES.value].mean for step in right)
     seconds = {method.value: _seconds(mixed[:timed], together, steps) for method, together in TOGETHER.items()}
     with_them = zip(seconds[Method.MODULES.value], right, strict=True)
-    seconds[CORRECTED] = tuple(until + one.seconds for until, one in with_them)
+    seconds[CORRECTED] = tuple(until + step.seconds for until, step in with_them)
     return RigCourse(steps, errors, seconds)
 
 
@@ -360,14 +360,14 @@ class Safety:
 def run_safety(seed: int, pokes: int = 84) -> Safety:
     """Correct a rig with the paper's errors by 21 landmark pokes, all right and one wrong."""
     rig, rng = _begin(seed, 12, RigErrors.paper())
-    contacts = [one for k, pose in enumerate(TABLE_I) for one in poke_rounds(rig, pose, pokes, rng, 1 + k * pokes)]
+    contacts = [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, pokes, rng, 1 + k * pokes)]
     wrong = np.zeros(len(TABLE_I) * LANDMARKS[0])
     bad = int(rng.integers(len(wrong)))
     wrong[bad] = OFF
     before = _by_modules(contacts, rig)
     clean, mixed = (corrected(rig, contacts, _poke_landmarks(rig, rng, off=off), [Method.MODULES]) for off in (None, wrong))
     others = len(clean.doubted) + len(set(mixed.doubted) - {FIRST_LANDMARK + bad})
-    after, after_wrong = (one.errors["modules"].mean for one in (clean, mixed))
+    after, after_wrong = (answer.errors["modules"].mean for answer in (clean, mixed))
     return Safety(before, after, after_wrong, FIRST_LANDMARK + bad in mixed.doubted, others)
 
 
@@ -389,7 +389,7 @@ def run_good(seed: int, counts: Sequence[int]) -> GoodRig:
     contacts = poke_rounds(rig, "2", max(*counts, GOOD_POKES), rng, 1)
     course = {count: _spreads(contacts[:count], rig) for count in counts}
     each = GOOD_POKES // len(TABLE_I)
-    every = [one for k, pose in enumerate(TABLE_I) for one in poke_rounds(rig, pose, each, rng, 1 + k * each)]
+    every = [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, each, rng, 1 + k * each)]
     before = _by_modules(every, rig)
     after = corrected(rig, every, _poke_landmarks(rig, rng), [Method.MODULES]).errors["modules"].mean
     return GoodRig(course, before, after)
@@ -399,8 +399,8 @@ def run_good(seed: int, counts: Sequence[int]) -> GoodRig:
 
 
 def _in_words(trial: Trial) -> str:
-    pooled = ", ".join(f"{method} {one.mean:.1f}" for method, one in trial.pooled.items())
-    with_them = ", ".join(f"{one.landmarks} landmark pokes {one.errors['modules'].mean:.2f}" for one in trial.landmarks)
+    pooled = ", ".join(f"{method} {errors.mean:.1f}" for method, errors in trial.pooled.items())
+    with_them = ", ".join(f"{rig.landmarks} landmark pokes {rig.errors['modules'].mean:.2f}" for rig in trial.landmarks)
     return f"rig {trial.seed}, {trial.pokes} pokes: {pooled} mm; modules with {with_them} mm"
 
 
@@ -409,32 +409,32 @@ def _mean(numbers: Sequence[float]) -> float:
 
 
 def _means(trials: Sequence[Trial]) -> dict[str, float]:
-    means = {name: _mean([one.pooled[name].mean for one in trials]) for name in NAMES}
+    means = {name: _mean([trial.pooled[name].mean for trial in trials]) for name in NAMES}
     for index, each in enumerate(LANDMARKS):
-        means[f"modules_{7 * each}"] = _mean([one.landmarks[index].errors["modules"].mean for one in trials])
+        means[f"modules_{7 * each}"] = _mean([trial.landmarks[index].errors["modules"].mean for trial in trials])
     return means
 
 
 def _over(spreads: Sequence[ErrorSpread]) -> dict[str, Any]:
-    means = [one.mean for one in spreads]
+    means = [spread.mean for spread in spreads]
     return {
         "mean": _mean(means),
-        "sd": _mean([one.sd for one in spreads]),
-        "largest": float(np.max([one.largest for one in spreads])),
+        "sd": _mean([spread.sd for spread in spreads]),
+        "largest": float(np.max([spread.largest for spread in spreads])),
         "low": float(np.percentile(means, 5)),
         "high": float(np.percentile(means, 95)),
-        "missing": _mean([one.missing for one in spreads]),
+        "missing": _mean([spread.missing for spread in spreads]),
     }
 
 
 def _landmarks(some: Sequence[Corrected]) -> dict[str, Any]:
-    errors = {name: [one.errors[name].mean for one in some] for name in NAMES}
+    errors = {name: [rig.errors[name].mean for rig in some] for name in NAMES}
     return {
         "landmark_pokes": some[0].landmarks,
-        "used_share": _mean([float(one.used) for one in some]),
-        "held_out_before_mm": _mean([one.held_before for one in some]),
-        "held_out_after_mm": _mean([one.held_after for one in some]),
-        "correction_ms": 1e3 * float(np.median([one.seconds for one in some])),
+        "used_share": _mean([float(rig.used) for rig in some]),
+        "held_out_before_mm": _mean([rig.held_before for rig in some]),
+        "held_out_after_mm": _mean([rig.held_after for rig in some]),
+        "correction_ms": 1e3 * float(np.median([rig.seconds for rig in some])),
         "mean_mm": {name: _mean(own) for name, own in errors.items()},
         "worst_mm": {name: max(own) for name, own in errors.items()},
     }
@@ -443,23 +443,23 @@ def _landmarks(some: Sequence[Corrected]) -> dict[str, Any]:
 def _good_course(goods: Sequence[GoodRig]) -> dict[str, Any]:
     course: dict[str, Any] = {"pokes": list(goods[0].course)}
     for name in NAMES:
-        of = [[one.course[count][name] for one in goods] for count in course["pokes"]]
-        means = [_mean([one.mean for one in some]) for some in of]
+        of = [[good.course[count][name] for good in goods] for count in course["pokes"]]
+        means = [_mean([spread.mean for spread in some]) for some in of]
         course[name] = [mean if np.isfinite(mean) else None for mean in means]
-        course[f"{name}_missing"] = [_mean([one.missing for one in some]) for some in of]
+        course[f"{name}_missing"] = [_mean([spread.missing for spread in some]) for some in of]
     return course
 
 
 def _course_times(courses: Sequence[RigCourse]) -> dict[str, Any]:
     """Return the mean processor times, ms, of the rigs that are timed; None beyond the pokes that are."""
-    timed = [one for one in courses if np.isfinite(one.seconds["free"]).any()]
-    return {"rigs": len(timed), **_course_means(courses, [one.seconds for one in timed], 1e3)}
+    timed = [course for course in courses if np.isfinite(course.seconds["free"]).any()]
+    return {"rigs": len(timed), **_course_means(courses, [course.seconds for course in timed], 1e3)}
 
 
 def _course_means(
     courses: Sequence[RigCourse], numbers: Sequence[Mapping[str, tuple[float, ...]]], unit: float
 ) -> dict[str, Any]:
-    means = {name: np.mean([one[name] for one in numbers], axis=0).tolist() for name in COURSES} if numbers else {}
+    means = {name: np.mean([own[name] for own in numbers], axis=0).tolist() for name in COURSES} if numbers else {}
     finite = {name: [unit * value if np.isfinite(value) else None for value in some] for name, some in means.items()}
     return {"pokes": list(courses[0].counts), **finite}
 
@@ -467,18 +467,18 @@ def _course_means(
 def _safety(safeties: Sequence[Safety]) -> dict[str, Any]:
     return {
         "seeds": len(safeties),
-        "before_mm": _mean([one.before for one in safeties]),
-        "after_mm": _mean([one.after for one in safeties]),
-        "after_wrong_mm": _mean([one.after_wrong for one in safeties]),
-        "no_worse_share": _mean([float(one.after <= one.before) for one in safeties]),
-        "no_worse_wrong_share": _mean([float(one.after_wrong <= one.before) for one in safeties]),
-        "wrong_told_share": _mean([float(one.wrong_named) for one in safeties]),
-        "right_told_mean": _mean([one.others_named / 2 for one in safeties]),
+        "before_mm": _mean([safety.before for safety in safeties]),
+        "after_mm": _mean([safety.after for safety in safeties]),
+        "after_wrong_mm": _mean([safety.after_wrong for safety in safeties]),
+        "no_worse_share": _mean([float(safety.after <= safety.before) for safety in safeties]),
+        "no_worse_wrong_share": _mean([float(safety.after_wrong <= safety.before) for safety in safeties]),
+        "wrong_told_share": _mean([float(safety.wrong_named) for safety in safeties]),
+        "right_told_mean": _mean([safety.others_named / 2 for safety in safeties]),
     }
 
 
 def _no_error(goods: Sequence[GoodRig]) -> dict[str, float]:
-    before, after = _mean([one.before for one in goods]), _mean([one.after for one in goods])
+    before, after = _mean([good.before for good in goods]), _mean([good.after for good in goods])
     return {"before_mm": before, "after_mm": after, "ratio": after / before}
 
 
@@ -500,7 +500,7 @@ def _bars(result: dict[str, Any], trials: Sequence[Trial]) -> dict[str, dict[str
 def _within(trials: Sequence[Trial], method: str) -> float:
     """Return the share of the poses of all rigs whose mean error lies where the published ones do."""
     low, high = WITHIN[method]
-    means = np.array([one.mean for trial in trials for one in trial.alone[method].values()])
+    means = np.array([spread.mean for trial in trials for spread in trial.alone[method].values()])
     return float(np.mean((means >= low) & (means <= high)))
 
 
@@ -516,9 +516,9 @@ def summary(result: dict[str, Any]) -> list[str]:
         f"averaged as in the paper: {mm(last)}; published 7.2 free, 6.6 surface",
         f"good rig, 252 pokes in one pose: {mm(result['good_rig_mm'])}",
         *(
-            f"{one['landmark_pokes']} landmark pokes: held-out miss {one['held_out_before_mm']:.1f} -> "
-            f"{one['held_out_after_mm']:.1f} mm, {one['correction_ms']:.0f} ms; {mm(one['mean_mm'])}"
-            for one in result["landmarks"]
+            f"{row['landmark_pokes']} landmark pokes: held-out miss {row['held_out_before_mm']:.1f} -> "
+            f"{row['held_out_after_mm']:.1f} mm, {row['correction_ms']:.0f} ms; {mm(row['mean_mm'])}"
+            for row in result["landmarks"]
         ),
         _course_line(result),
         f"{safety['seeds']} more rigs, 21 landmark pokes: {safety['before_mm']:.1f} -> {safety['after_mm']:.2f} mm, "
@@ -535,8 +535,4 @@ def _course_line(result: dict[str, Any]) -> str:
     return f"each of {errors['pokes'][last]} pokes solved as it came, of all poses: " + ", ".join(found)
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw the paper's figures 4 and 5, and what came since."""
-    from skincal.studies.figures import draw_paper
-
-    draw_paper(result, figure)
+draw = draw_paper

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -37,12 +37,10 @@ from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.studies import alternatives
 from skincal.studies.alternatives import Problems, Systems, problems
+from skincal.studies.figures import Figure, draw_runtime
 from skincal.studies.measuring import CLOCK, Quartiles, at_rest, bar_lines, bars_of, clock, sampled, time_words, timed
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 LABELS = {
     "surface": "surface, as shipped",
@@ -163,6 +161,7 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
         "memory": memory(small, sizes.memory_pokes),
     }
     ratios = ratios_of(rows, large.name, sizes.per_taxel)
+    fresh = {bench.name: make_surface(bench.surface.vertices, bench.surface.triangles) for bench in (small, large)}
     return {
         "study": "runtime",
         "quick": quick,
@@ -171,17 +170,12 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
         "growth": growth_of(rows, sizes.per_taxel),
         "agreement_m": off,
         **lively,
-        "tree_build_ms": {bench.name: _tree_build_ms(bench.surface) for bench in (small, large)},
+        "tree_build_ms": {name: 1e3 * timed(partial(build_tree, mesh), 1)[0][0] for name, mesh in fresh.items()},
         "ratios": ratios,
         "bars": runtime_bars(ratios, off, lively),
         "left_out": left_out,
         "seconds": time.perf_counter() - began,
     }
-
-
-def _tree_build_ms(surface: Surface) -> float:
-    fresh = make_surface(surface.vertices, surface.triangles)
-    return 1e3 * timed(lambda: build_tree(fresh), 1)[0][0]
 
 
 def _machine() -> dict[str, Any]:
@@ -249,7 +243,7 @@ class Cell:
         what : they are, in words
         front : s, from contacts to what each of them begins from
         """
-        seconds = sampled((partial(solve, one) for one in order), self.budget_s)
+        seconds = sampled((partial(solve, piece) for piece in order), self.budget_s)
         part = None
         if len(seconds) < len(order):
             part = {what: len(seconds), f"of_{what}": len(order), "seconds": float(np.sum(seconds))}
@@ -317,7 +311,7 @@ def _as_shipped(cell: Cell) -> Iterator[Row]:
 
 def positions_of(estimates: Mapping[int, Estimate]) -> Positions:
     """Return the positions of those that have one."""
-    return {channel: one.position for channel, one in estimates.items() if one.position is not None}
+    return {channel: found.position for channel, found in estimates.items() if found.position is not None}
 
 
 class Shipped:
@@ -330,13 +324,13 @@ class Shipped:
         self.cell, self.method = cell, method
         self._seconds: list[float] = []
         self._results: list[dict[int, Estimate]] = []
-        self._boards = cell.bench.boards_on(cell.surface) if method is Method.MODULES else None
+        self._model = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None
         # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
         self._solve(cell.runs[0][:WARM], cell.channels[:WARM])
 
     def _solve(self, contacts: Sequence[Contact], channels: Sequence[int]) -> dict[int, Estimate]:
         noise = self.cell.bench.scene.noise
-        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, model=self._boards)[self.method]
+        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, model=self._model)[self.method]
 
     def run(self) -> dict[int, Estimate]:
         """Measure, and return the first seed's estimates."""
@@ -349,10 +343,10 @@ class Shipped:
         """Return the row of all that was measured; of the surface method also from what a session keeps of its contacts."""
         cell, more = self.cell, dict[str, Any]()
         if self.method is Method.SURFACE:
-            ledger, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
-            again, _ = timed(lambda: estimate_from(ledger, cell.channels, [self.method], noise, cell.surface), cell.repeats)
+            table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
+            again, _ = timed(lambda: estimate_from(table, cell.channels, [self.method], noise, cell.surface), cell.repeats)
             more["from_session_ms"] = Quartiles.of(again).times(1e3).json()
-        found = [positions_of(one) for one in self._results]
+        found = [positions_of(estimates) for estimates in self._results]
         return cell.row(self.method.value, Quartiles.of(self._seconds), found, **more)
 
 
@@ -365,10 +359,10 @@ def shipped(cell: Cell, method: Method) -> Row:
 
 def per_pose(cell: Cell, method: Method) -> Row:
     """Measure the paper's averaging over arm poses (IV-B)."""
-    boards, noise = cell.bench.boards_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
+    model, noise = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
 
     def solve(contacts: Sequence[Contact]) -> Positions:
-        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=boards))
+        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=model))
 
     seconds, found = cell.each_run(solve, cell.repeats)
     return cell.row(f"{method.value}-per-pose", Quartiles.of(seconds), found)
@@ -529,11 +523,11 @@ def _modules(cell: Cell) -> Iterator[Row]:
 
 
 def _general(cell: Cell) -> Row:
-    boards, found = cell.bench.boards_on(cell.surface), Positions()
-    front, start = timed(lambda: _begin(cell, boards), 1)
+    model, found = cell.bench.modules_on(cell.surface), Positions()
+    front, start = timed(lambda: _begin(cell, model), 1)
 
     def solve(module: int) -> None:
-        found.update(_solved(*start[module], boards, module, cell))
+        found.update(_solved(*start[module], model, module, cell))
 
     measured = cell.slow(
         "modules-general", solve, np.random.default_rng(3).permutation(list(start)).tolist(), "modules", front[0]
@@ -541,7 +535,7 @@ def _general(cell: Cell) -> Row:
     plain, doubting = (
         positions_of(
             estimate_taxels(
-                cell.runs[0], sorted(found), [Method.MODULES], cell.bench.scene.noise, cell.surface, {}, doubts, boards
+                cell.runs[0], sorted(found), [Method.MODULES], cell.bench.scene.noise, cell.surface, {}, doubts, model
             )[Method.MODULES]
         )
         for doubts in (False, True)
@@ -553,32 +547,32 @@ def _general(cell: Cell) -> Row:
     return cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
 
 
-def _begin(cell: Cell, boards: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
+def _begin(cell: Cell, model: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
     """Solve by the surface method, and return the pokes and the start of each module that can be solved."""
-    ledger, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
-    others = [estimate_from(ledger, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
+    table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
+    others = [estimate_from(table, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
     found: dict[int, tuple[Touches, ModulePoses]] = {}
-    for module in boards.modules_of(cell.channels):
-        evidence, pose = ledger.evidence(boards.channels_of([module])), start_of(boards, module, others)
-        touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, noise, [module])
+    for module in model.modules_of(cell.channels):
+        evidence, pose = table.evidence(model.channels_of([module])), start_of(model, module, others)
+        touches = find_touches(evidence, table.totals(evidence.pokes), model, noise, [module])
         if pose is not None and len(touches.of) > 1:
             found[module] = touches, pose
     return found
 
 
-def _solved(touches: Touches, start: ModulePoses, boards: ModuleModel, module: int, cell: Cell) -> Positions:
+def _solved(touches: Touches, start: ModulePoses, model: ModuleModel, module: int, cell: Cell) -> Positions:
     """Return where a general solver puts a module's pads."""
-    flat, of = boards.pads[module], np.zeros(len(boards.pads[module]), dtype=np.int64)
+    flat, of = model.pads[module], np.zeros(len(model.pads[module]), dtype=np.int64)
 
     def laid(move: FloatArray) -> Pads:
-        return boards.ground.laid(boards.ground.moved(start, move[None]).take(of), flat)
+        return model.ground.laid(model.ground.moved(start, move[None]).take(of), flat)
 
     def misses(move: FloatArray) -> FloatArray:
         return whitened(touches, laid(move), cell.bench.scene.noise).misses.ravel()
 
     optimize: Any = import_module("scipy.optimize")
-    move: FloatArray = optimize.least_squares(misses, np.zeros(boards.ground.unknowns), **GENERAL).x
-    return dict(zip(boards.channels_of([module]), laid(move).points, strict=True))
+    move: FloatArray = optimize.least_squares(misses, np.zeros(model.ground.unknowns), **GENERAL).x
+    return dict(zip(model.channels_of([module]), laid(move).points, strict=True))
 
 
 # ---- what the window waits for ----
@@ -773,6 +767,4 @@ def _size(row: Row) -> tuple[Any, ...]:
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw error against run time on both parts, and what a taxel costs as the problem grows."""
-    from skincal.studies.figures import draw_runtime
-
     draw_runtime(result, main_rows(result), figure)

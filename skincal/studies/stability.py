@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from itertools import chain, count
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from skincal.modules.pose import ModuleModel, ModulePoses, Pads
 from skincal.modules.pose_fit import Touches, bends_of, find_touches, fit_modules, whitened
 from skincal.studies import exact
 from skincal.studies.exact import NO_NUMBER, ModuleTruth, Truth, distance, distance_to
+from skincal.studies.figures import draw_stability
 from skincal.studies.measuring import processes
 from skincal.studies.stability_cases import (
     FULL,
@@ -54,9 +55,6 @@ from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.least_squares import factor
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
-
-if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
 
 FACTOR = 10.0
 """The error may be that many times what the inputs' last digit does."""
@@ -89,7 +87,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: CaseSizes | None = 
             progress(f"{cases[-1]['name']}: {cases[-1]['error_over_bound']:.2g} of the bar")
     return {
         "study": "stability", "quick": quick, "digits": exact.DIGITS, "draws": sizes.draws, "factor": FACTOR,
-        "of_size": OF_SIZE, "held": sum(one["holds"] for one in cases), "cases": cases, "alternatives": alternatives,
+        "of_size": OF_SIZE, "held": sum(case["holds"] for case in cases), "cases": cases, "alternatives": alternatives,
     }  # fmt: skip
 
 
@@ -187,20 +185,21 @@ def shipped(contacts: Sequence[Contact], surface: Surface | None) -> FoundTaxel:
 
 
 def judge(case: Case, truth: Truth, solver: Solver) -> list[Record]:
-    """Return the records of a case: of the position, and of the blind direction where there is one."""
+    """Return the records of a case: of the position, and of the blind direction where there is answer."""
     readings, surface = case.readings, _surface(case.mesh)
-    # Channel 0 is the taxel, channel 1 the one that answered most.
+    # Channel 0 is the taxel, channel 1 the answer that answered most.
     others = np.where(readings.responses == readings.strongest, 0.0, readings.strongest)
     contacts = _contacts(readings, np.stack([readings.responses, others], axis=1))
     found = [solver([contacts[int(place)] for place in order], surface) for order in _taxel_orders(case)]
-    same = all(np.array_equal(one.point, found[0].point, equal_nan=True) for one in found)
-    error, size = max(distance_to(one.point, truth.answer) for one in found), distance(truth.answer)
+    same = all(np.array_equal(answer.point, found[0].point, equal_nan=True) for answer in found)
+    error, size = max(distance_to(answer.point, truth.answer) for answer in found), distance(truth.answer)
     how = {"draws_by": "derivative" if case.many else "digits"}
     records = [_record(case.name, case, error, bar(truth.change, size), size, same, **how)]
     if truth.blind is not None:
         blind = truth.blind
         angle = max(
-            NO_NUMBER if one.rank != 2 or one.blind is None else exact.between(exact.exactly(one.blind), blind) for one in found
+            NO_NUMBER if answer.rank != 2 or answer.blind is None else exact.between(exact.exactly(answer.blind), blind)
+            for answer in found
         )
         records.append(_record(f"{case.name}: blind direction", case, angle, bar(truth.turn, 1.0), 1.0, same, **how))
     return records
@@ -325,19 +324,19 @@ class FoundPads:
 class ModuleProblem:
     """A case as the program has it."""
 
-    boards: ModuleModel
-    ledger: ContactTable
+    model: ModuleModel
+    table: ContactTable
     touches: Touches
     start: ModulePoses
     noise: NoiseSettings
 
     def laid(self, pose: ModulePoses) -> Pads:
         """Return where the pads of the module at one pose lie."""
-        return self.boards.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.boards.pads[0])
+        return self.model.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.model.pads[0])
 
     def reached(self, move: FloatArray) -> Pads:
         """Return where the pads lie after a step from the start."""
-        return self.laid(self.boards.ground.moved(self.start, move[None]))
+        return self.laid(self.model.ground.moved(self.start, move[None]))
 
 
 ModuleSolver: TypeAlias = Callable[[ModuleProblem], FoundPads]
@@ -348,24 +347,24 @@ def problem_of(case: ModuleCase, readings: ModuleReadings, surface: Surface | No
     at = case.start
     anchor = Anchor(np.zeros(2), at.points[0], at.x[0], at.normals[0])
     layout = Layout((Module(0, KIND, 0, np.zeros(2), 0.0, case.module.mirror),), PADS + 1)
-    boards = ModuleModel(layout, anchor, surface)
-    ledger = ContactTable(_contacts(readings, np.column_stack([readings.responses, readings.beside])))
-    evidence = ledger.evidence(boards.channels_of([0]))
-    touches = find_touches(evidence, ledger.totals(evidence.pokes), boards, case.noise, [0])
-    start = boards.plan(0)
+    model = ModuleModel(layout, anchor, surface)
+    table = ContactTable(_contacts(readings, np.column_stack([readings.responses, readings.beside])))
+    evidence = table.evidence(model.channels_of([0]))
+    touches = find_touches(evidence, table.totals(evidence.pokes), model, case.noise, [0])
+    start = model.plan(0)
     if start is None:
         raise ValueError(f"{case.name}: the search begins off the mesh")
-    return ModuleProblem(boards, ledger, touches, start, case.noise)
+    return ModuleProblem(model, table, touches, start, case.noise)
 
 
-def shipped_module(one: ModuleProblem) -> FoundPads:
+def shipped_module(problem: ModuleProblem) -> FoundPads:
     """Place the module as the program does; every poke counts fully."""
-    said = estimate_modules(one.ledger, one.boards, [0], one.noise, [], {}, doubting=False)
-    return FoundPads(_fitted(one).points, np.array([said[channel].position is None for channel in range(PADS)]))
+    said = estimate_modules(problem.table, problem.model, [0], problem.noise, [], {}, doubting=False)
+    return FoundPads(_fitted(problem).points, np.array([said[channel].position is None for channel in range(PADS)]))
 
 
-def _fitted(one: ModuleProblem) -> Pads:
-    return fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False).pads
+def _fitted(problem: ModuleProblem) -> Pads:
+    return fit_modules(problem.touches, problem.model, problem.start, problem.noise, doubting=False).pads
 
 
 def judge_module(case: ModuleCase, truth: ModuleTruth, solver: ModuleSolver) -> Record:
@@ -373,9 +372,9 @@ def judge_module(case: ModuleCase, truth: ModuleTruth, solver: ModuleSolver) -> 
     surface = _surface(case.module.mesh)
     orders = _orders(case.readings, case.copies)
     found = [solver(problem_of(case, case.readings.ordered(order), surface)) for order in orders]
-    same = all(np.array_equal(one.pads, found[0].pads, equal_nan=True) for one in found)
-    right = all(np.array_equal(one.blind, np.array(truth.blind)) for one in found)
-    error, bound, size = _worst(case, truth, [one.pads for one in found])
+    same = all(np.array_equal(answer.pads, found[0].pads, equal_nan=True) for answer in found)
+    right = all(np.array_equal(answer.blind, np.array(truth.blind)) for answer in found)
+    error, bound, size = _worst(case, truth, [answer.pads for answer in found])
     compared = 0 if case.lost else sum(truth.determined)
     more = {"draws_by": "step", "blind_right": right, "compared": compared}
     return _record(case.name, case, error if right else NO_NUMBER, bound, size, same, **more)
@@ -387,7 +386,7 @@ def _worst(case: ModuleCase, truth: ModuleTruth, found: list[FloatArray]) -> tup
     worst = 0.0, bar(0.0, min(sizes)), min(sizes)
     for pad in [] if case.lost else np.flatnonzero(truth.determined).tolist():
         error = max(distance_to(pads[pad], truth.pads[pad]) for pads in found)
-        worst = max(worst, (error, bar(truth.changes[pad], sizes[pad]), sizes[pad]), key=lambda one: one[0] / one[1])
+        worst = max(worst, (error, bar(truth.changes[pad], sizes[pad]), sizes[pad]), key=lambda found: found[0] / found[1])
     return worst
 
 
@@ -395,47 +394,47 @@ def compare_module(case: ModuleCase, truth: ModuleTruth) -> list[Record]:
     """Return how other ways do on the case, if the pokes determine every pad: none of them says what is blind."""
     if case.lost or not all(truth.determined):
         return []
-    one = problem_of(case, case.readings.ordered(next(_orders(case.readings, case.copies))), _surface(case.module.mesh))
+    problem = problem_of(case, case.readings.ordered(next(_orders(case.readings, case.copies))), _surface(case.module.mesh))
     ways = MODULE_ALTERNATIVES.items()
-    return [_alternative(case, name, *_worst(case, truth, [way(one)])[:2]) for name, way in ways]
+    return [_alternative(case, name, *_worst(case, truth, [way(problem)])[:2]) for name, way in ways]
 
 
-def modules_by_normal_equations(one: ModuleProblem) -> FloatArray:
+def modules_by_normal_equations(problem: ModuleProblem) -> FloatArray:
     """Take the program's own steps from its own rows, by A'A - B and A'b."""
-    pose = one.start
+    pose = problem.start
     for _ in range(STEPS):
-        rows = whitened(one.touches, one.laid(pose), one.noise)
+        rows = whitened(problem.touches, problem.laid(pose), problem.noise)
         a = rows.slopes.reshape(-1, rows.slopes.shape[2])
         right, plain = a.T @ rows.misses.ravel(), a.T @ a
-        matrix = plain - np.sum(bends_of(one.touches, rows, one.boards.ground), axis=0)
+        matrix = plain - np.sum(bends_of(problem.touches, rows, problem.model.ground), axis=0)
         bent = bool(np.linalg.eigvalsh(matrix + matrix.T)[0] > 0.0)
         step = _solved(matrix if bent else plain, right)
         if not np.isfinite(step).all():
             return np.full((PADS, 3), np.nan)
         step = step / max(1.0, float(np.abs(step).max()) / 0.015)
-        pose = one.boards.ground.moved(pose, step[None])
+        pose = problem.model.ground.moved(pose, step[None])
         if float(np.abs(step).max()) < 1e-16:
             break
-    return one.laid(pose).points
+    return problem.laid(pose).points
 
 
-def modules_by_differences(one: ModuleProblem) -> FloatArray:
+def modules_by_differences(problem: ModuleProblem) -> FloatArray:
     """Minimise by `scipy.optimize.least_squares` with its differenced Jacobian.
 
     The noise is held as it is at the answer, so that the minimum is where the program looks for it.
     """
-    rows = whitened(one.touches, _fitted(one), one.noise)
-    at, pairs = one.touches.rows, one.touches.evidence.pairs[one.touches.rows]
+    rows = whitened(problem.touches, _fitted(problem), problem.noise)
+    at, pairs = problem.touches.rows, problem.touches.evidence.pairs[problem.touches.rows]
 
     def misses(move: FloatArray) -> FloatArray:
-        places = one.touches.middles(one.reached(move))[0]
-        off = np.sum(pairs * (one.touches.evidence.nearest[at] - places)[:, None], axis=2)
+        places = problem.touches.middles(problem.reached(move))[0]
+        off = np.sum(pairs * (problem.touches.evidence.nearest[at] - places)[:, None], axis=2)
         return np.sum(rows.whiten * off[:, None], axis=2).ravel()
 
     optimize: Any = import_module("scipy.optimize")
-    zero = np.zeros(one.boards.ground.unknowns)
+    zero = np.zeros(problem.model.ground.unknowns)
     found = optimize.least_squares(misses, zero, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    return one.reached(np.asarray(found.x, dtype=np.float64)).points
+    return problem.reached(np.asarray(found.x, dtype=np.float64)).points
 
 
 MODULE_ALTERNATIVES: dict[str, Callable[[ModuleProblem], FloatArray]] = {
@@ -455,30 +454,26 @@ def summary(result: dict[str, Any]) -> list[str]:
         f"({result['draws']} draws, {result['digits']} digits) plus {OF_SIZE:g} of the answer; the same bits in every order."
     ]
     for solver in SOLVERS:
-        own = [one for one in cases if one["solver"] == solver]
-        worst = max(own, key=lambda one: one["error_over_bound"])
+        own = [record for record in cases if record["solver"] == solver]
+        worst = max(own, key=lambda record: record["error_over_bound"])
         lines.append(f"{solver}: at worst {worst['error_over_bound']:.2g} of the bar ({worst['name']}), {len(own)} cases")
     lines += [
-        f"MISSES: {one['name']} ({one['solver']}): error {one['error']:.2g}, bar {one['bound']:.2g}"
-        + ("" if one["same_bits"] else "; the order of the contacts matters")
-        for one in cases
-        if not one["holds"]
+        f"MISSES: {record['name']} ({record['solver']}): error {record['error']:.2g}, bar {record['bound']:.2g}"
+        + ("" if record["same_bits"] else "; the order of the contacts matters")
+        for record in cases
+        if not record["holds"]
     ]
     for whose, ways in (("", ALTERNATIVES), ("modules, ", MODULE_ALTERNATIVES)):
-        of = [one for one in result["alternatives"] if (one["solver"] == "modules") == bool(whose)]
-        lines += [whose + _of_alternative(method, [one for one in of if one["method"] == method]) for method in ways]
+        of = [record for record in result["alternatives"] if (record["solver"] == "modules") == bool(whose)]
+        lines += [whose + _of_alternative(method, [record for record in of if record["method"] == method]) for method in ways]
     return lines
 
 
 def _of_alternative(method: str, own: list[Record]) -> str:
-    misses = [one for one in own if one["error_over_bound"] > 1]
-    worst = max(own, key=lambda one: one["error_over_bound"])
+    misses = [record for record in own if record["error_over_bound"] > 1]
+    worst = max(own, key=lambda record: record["error_over_bound"])
     far = "no number" if worst["error"] >= NO_NUMBER else f"{worst['error_over_bound']:.1g} times the bar"
     return f"{method}: misses {len(misses)} of {len(own)}, at worst {far} ({worst['name']})"
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw each case's share of the bar, shipped and other ways, one panel a solver."""
-    from skincal.studies.figures import draw_stability
-
-    draw_stability(result, figure)
+draw = draw_stability

@@ -42,7 +42,7 @@ class SensorReadings:
 
     def ordered(self, order: IntArray) -> Self:
         """Return the contacts in another order; one named twice is there twice."""
-        return replace(self, **{one.name: getattr(self, one.name)[order] for one in fields(self) if one.name != "poses"})
+        return replace(self, **{own.name: getattr(self, own.name)[order] for own in fields(self) if own.name != "poses"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +71,7 @@ class ModuleReadings(SensorReadings):
     def moved(self, rng: np.random.Generator) -> ModuleReadings:
         """Return the readings with every number moved by one unit in its last place, up or down."""
         poses = _moved_poses(self.poses, rng)
-        forces, moments, responses = (moved(one, rng) for one in (self.forces, self.moments, self.responses))
+        forces, moments, responses = (moved(numbers, rng) for numbers in (self.forces, self.moments, self.responses))
         return ModuleReadings(forces, moments, responses, poses, self.pose_of, moved(self.beside, rng))
 
 
@@ -339,7 +339,7 @@ def sheet(rng: np.random.Generator, squares: int, bend: float = 20.0, side: floa
     side : m
     """
     steps = np.linspace(-side / 2, side / 2, squares + 1)
-    x, y = (one.ravel() for one in np.meshgrid(steps, steps, indexing="ij"))
+    x, y = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
     local = np.stack([x, y, -bend * (x * x + 0.5 * y * y)], axis=1)
     i = (np.arange(squares)[:, None] * (squares + 1) + np.arange(squares)).ravel()
     lower = np.stack([i, i + squares + 1, i + 1], axis=1)
@@ -627,18 +627,19 @@ def _module_parallel(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
 
 def _module_few(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
     n, modules = sizes.contacts, {"module": in_space(rng), "module on a sheet": on_sheet(rng, sizes)}
-    for name, one in modules.items():
-        yield _case(rng, f"{name}, one poke", one, press_module(rng, one, 1, touched=((4,),)))
-        yield _case(rng, f"{name}, two pokes", one, press_module(rng, one, 2, touched=((4,), (8, 9)), scatter=0.0001))
-        yield _case(rng, f"{name}, three pokes", one, press_module(rng, one, 3, touched=((0,), (5,), (9,)), scatter=0.0001))
+    for name, module in modules.items():
+        yield _case(rng, f"{name}, one poke", module, press_module(rng, module, 1, touched=((4,),)))
+        yield _case(rng, f"{name}, two pokes", module, press_module(rng, module, 2, touched=((4,), (8, 9)), scatter=0.0001))
+        three = press_module(rng, module, 3, touched=((0,), (5,), (9,)), scatter=0.0001)
+        yield _case(rng, f"{name}, three pokes", module, three)
         # Without noise of the skin: its direction is that of a module whose tilt the pokes do not tell.
-        single = press_module(rng, one, n, touched=((4,),))
-        yield _case(rng, f"{name}, one pad poked", one, single, noise=NoiseSettings(contact=0.0))
+        single = press_module(rng, module, n, touched=((4,),))
+        yield _case(rng, f"{name}, one pad poked", module, single, noise=NoiseSettings(contact=0.0))
         answers = np.zeros((n, PADS))
         answers[:, 4] = 120.0
         answers[np.arange(n), np.array([3, 5, 6])[np.arange(n) % 3]] = 0.012
-        near = press_module(rng, one, n, answers=answers, scatter=0.0)
-        yield _case(rng, f"{name}, one pad poked, neighbours answer by 1e-4", one, near, noise=NoiseSettings(contact=1e-7))
+        near = press_module(rng, module, n, answers=answers, scatter=0.0)
+        yield _case(rng, f"{name}, one pad poked, neighbours answer by 1e-4", module, near, noise=NoiseSettings(contact=1e-7))
 
 
 def _module_stiff(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:

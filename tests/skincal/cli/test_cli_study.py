@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 
@@ -133,6 +134,18 @@ def test_help_has_an_example_for_each_study(run, name):
     assert code == 0
     assert f"skincal study {name} --quick" in " ".join(out.split())
     assert "--quick" in out
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_each_study_is_found_by_its_name(run, tmp_path, monkeypatch, name):
+    study = import_module(f"skincal.studies.{STUDIES[name][0]}")
+    monkeypatch.setattr(study, "run", lambda quick, _: {"study": name, "quick": quick})
+    monkeypatch.setattr(study, "summary", lambda result: [f"measured {result['study']}"])
+    monkeypatch.setattr(study, "draw", lambda _, figure: figure.add_subplot().plot([0, 1]))
+    code, out, _ = run(name, "--quick", "--out", tmp_path)
+    assert code == 0
+    assert f"measured {name}" in out
+    assert {path.name for path in tmp_path.iterdir()} == {f"{name}.{ending}" for ending in ("json", "svg", "png")}
 
 
 def test_the_studies_are_listed_without_being_loaded():

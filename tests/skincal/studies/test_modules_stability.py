@@ -29,8 +29,8 @@ def problem(case):
     return problem_of(case, case.readings, None if mesh is None else make_surface(mesh.vertices, mesh.triangles))
 
 
-def laid(board):
-    return board.ground.laid(board.at.take(np.zeros(PADS, dtype=np.int64)), board.flat).points
+def laid(module):
+    return module.ground.laid(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).points
 
 
 @pytest.mark.parametrize(
@@ -102,50 +102,50 @@ def test_at_the_exact_pose_no_small_motion_lessens_the_misfit(name):
 def test_ways_over_a_flat_sheet_are_straight_and_over_a_bent_one_those_that_unfold_it():
     rng = np.random.default_rng(4)
     for bend, limit in ((0.0, 1e-15), (8.0, 1e-16)):
-        board = on_sheet(rng, TINY, bend)
-        pads = exact.floats(OnMesh.begin(board.at, board.flat, board.mesh).pads().points)
-        plane = exact.floats(InPlane.begin(board.at, board.flat).pads().points)
-        crossed = np.unique(board.ground.laid(board.at.take(np.zeros(PADS, dtype=np.int64)), board.flat).triangles)
+        module = on_sheet(rng, TINY, bend)
+        pads = exact.floats(OnMesh.begin(module.at, module.flat, module.mesh).pads().points)
+        plane = exact.floats(InPlane.begin(module.at, module.flat).pads().points)
+        crossed = np.unique(module.ground.laid(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).triangles)
         assert len(crossed) > 3
-        np.testing.assert_allclose(pads, laid(board), rtol=0, atol=1e-16)
+        np.testing.assert_allclose(pads, laid(module), rtol=0, atol=1e-16)
         if bend == 0:
             np.testing.assert_allclose(pads, plane, rtol=0, atol=limit)
 
 
 def test_a_walk_from_past_the_rim_and_one_through_a_vertex_come_to_an_end():
-    board = on_sheet(np.random.default_rng(1), TINY, aside=0.06)
-    ground, walks = board.ground, ground_walks(board)
+    module = on_sheet(np.random.default_rng(1), TINY, aside=0.06)
+    ground, walks = module.ground, ground_walks(module)
     assert 0 < walks.past.sum() < PADS
-    beyond = ground.moved(board.at, np.array([[0.01, 0.003, 0.0]]))
-    np.testing.assert_allclose(np.linalg.norm(beyond.points - board.at.points), np.hypot(0.01, 0.003), rtol=1e-12)
-    corner = ground.surface.vertices[ground.surface.triangles[board.at.triangles[0], 0]]
-    way = corner - board.at.points[0]
-    y = np.cross(board.at.normals[0], board.at.x[0])
-    through = ground.moved(board.at, 1.5 * np.array([[way @ board.at.x[0], way @ y, 0.0]]))
-    np.testing.assert_allclose(through.points[0], board.at.points[0] + 1.5 * way, rtol=0, atol=1e-10)
+    beyond = ground.moved(module.at, np.array([[0.01, 0.003, 0.0]]))
+    np.testing.assert_allclose(np.linalg.norm(beyond.points - module.at.points), np.hypot(0.01, 0.003), rtol=1e-12)
+    corner = ground.surface.vertices[ground.surface.triangles[module.at.triangles[0], 0]]
+    way = corner - module.at.points[0]
+    y = np.cross(module.at.normals[0], module.at.x[0])
+    through = ground.moved(module.at, 1.5 * np.array([[way @ module.at.x[0], way @ y, 0.0]]))
+    np.testing.assert_allclose(through.points[0], module.at.points[0] + 1.5 * way, rtol=0, atol=1e-10)
 
 
-def ground_walks(board):
-    """The walks to a board's pads; none may take long, wherever it begins."""
-    footing = Footing(board.at.triangles, board.at.points, board.at.x).take(np.zeros(PADS, dtype=np.int64))
-    return geodesics_of(board.ground.surface).walk(footing, board.flat)
+def ground_walks(module):
+    """The walks to a module's pads; none may take long, wherever it begins."""
+    footing = Footing(module.at.triangles, module.at.points, module.at.x).take(np.zeros(PADS, dtype=np.int64))
+    return geodesics_of(module.ground.surface).walk(footing, module.flat)
 
 
 def test_the_bends_are_how_the_slopes_times_misses_change_beside_the_slopes_themselves():
     for name in ("module, 7 arm poses", "module on a sheet, 7 arm poses"):
         one = problem(CASES[name])
-        pose = pose_fit.fit_modules(one.touches, one.boards, one.start, one.noise, doubting=False).poses
-        ground = one.boards.ground
+        pose = pose_fit.fit_modules(one.touches, one.model, one.start, one.noise, doubting=False).poses
+        ground = one.model.ground
 
         def pull(move, one=one, ground=ground, pose=pose):
             rows = whitened(one.touches, one.laid(ground.moved(pose, move[None])), one.noise)
             return np.einsum("mid,mi->d", rows.slopes, rows.misses)
 
         rows = whitened(one.touches, one.laid(pose), one.noise)
-        told_so = np.sum(bends_of(one.touches, rows, ground), axis=0) - np.einsum("mid,mie->de", rows.slopes, rows.slopes)
+        predicted = np.sum(bends_of(one.touches, rows, ground), axis=0) - np.einsum("mid,mie->de", rows.slopes, rows.slopes)
         step = 1e-7 * np.eye(ground.unknowns)
         measured = np.stack([(pull(way) - pull(-way)) / 2e-7 for way in step], axis=1)
-        np.testing.assert_allclose(told_so, measured, rtol=0, atol=1e-6 * np.abs(measured).max())
+        np.testing.assert_allclose(predicted, measured, rtol=0, atol=1e-6 * np.abs(measured).max())
         without = -np.einsum("mid,mie->de", rows.slopes, rows.slopes)
         assert np.abs(without - measured).max() > 1e-4 * np.abs(measured).max(), "the bends matter"
 
@@ -189,6 +189,16 @@ def test_what_pokes_do_not_determine_is_told():
     assert sum(truth.blind) == PADS - 1
     assert not any(truth_of("module, two pokes", 1).determined)
     assert all(truth_of("module, newton millimetres by mistake", 1).blind)
+
+
+def test_an_unknown_that_only_rounding_speaks_of_is_zero():
+    """Where no poke says anything of an unknown, rounding leaves a curvature of 1e-50, which would give a step of 1e50 m."""
+    rows = exact.exactly([[3.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+    rows[2, 2] = exact.MP.mpf("1e-50")
+    found = exact.solved(rows, exact.exactly([5.0, 5.0, 1.0]))
+    np.testing.assert_array_equal(exact.floats(found), [1.0, 2.0, 0.0])
+    # Not so where every pivot is asked to count, as for the variance of what is not determined.
+    assert float(exact.solved(rows, exact.exactly([5.0, 5.0, 1.0]), exact.MP.zero)[2]) == pytest.approx(1e50)
 
 
 NAME = "module on a sheet, 7 arm poses"
@@ -251,6 +261,6 @@ def test_a_search_from_anywhere_near_ends_at_the_same_place():
 
 def test_cases_lie_in_general_directions():
     rng = np.random.default_rng(6)
-    board, flat = in_space(rng), on_sheet(rng, TINY)
-    assert np.abs(board.at.normals).min() > 0.01
+    module, flat = in_space(rng), on_sheet(rng, TINY)
+    assert np.abs(module.at.normals).min() > 0.01
     assert np.abs(make_surface(flat.mesh.vertices, flat.mesh.triangles).normals).min() > 0.01
