@@ -40,7 +40,7 @@ class SessionLandmarks:
         self._named: dict[int, str] = {}
 
     def named(self, outcome: Callable[[int], Outcome | None]) -> Mapping[int, str]:
-        """Return the number of each poke that was at a landmark and tells its axis, and the landmark's name.
+        """Return the number of each poke that was at a landmark and has an axis, and the landmark's name.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class LandmarkFinder:
     def find(self, new: Iterable[Outcome], landmarks: Iterable[Landmark]) -> list[FoundAtLandmark]:
         """Return which of `new` pokes were at the landmark that is asked for.
 
-        They began `REACTION_S` after it was asked for at least, tell their axis, and no taxel far from it answered.
+        They began `REACTION_S` after it was asked for at least, have an axis, and no taxel far from it answered.
         """
         landmark = next((landmark for landmark in landmarks if landmark.name == self.asked), None)
         if landmark is None:

@@ -140,7 +140,7 @@ class LeadingColumns:
 
 
 class FrameRows:
-    """FrameRows of one frame, until the blank line that ends it."""
+    """Rows of one frame, until the blank line that ends it."""
 
     def __init__(self, collector: Collector | None) -> None:
         self._collector = collector

@@ -1,4 +1,4 @@
-"""SKB/1: binary records of makers' boards.
+"""SKB/1: binary records of makers' devices.
 
 A frame is COBS(body + CRC) and a 0. The body is little-endian: u8 type, u8 source, u16 seq, u32 t_us, payload, at most
 1024 bytes; the CRC-16/CCITT-FALSE of the body follows as u16. Types: 1 skin u16[n], 2 wrench float32[6] and u32 status

@@ -1,4 +1,4 @@
-"""SKT/1: text records of makers' boards.
+"""SKT/1: text records of makers' devices.
 
 One record a line, LF or CRLF, at most 4096 bytes, each ending with `*` and four upper-case hex digits, the
 CRC-16/CCITT-FALSE of every byte before the `*`; lines that start with `#` are comments:
@@ -7,7 +7,7 @@ CRC-16/CCITT-FALSE of every byte before the `*`; lines that start with `#` are c
     T,<seq>,<t_us>,<v0>,...,<v(n-1)>                    skin, `nan` where a taxel is dead
     F,<seq>,<t_us>,<fx>,<fy>,<fz>,<tx>,<ty>,<tz>,<status>   wrench, N and N m; status bit 0 saturated, bit 1 invalid
     J,<seq>,<t_us>,<a0>,...                             joint angles, degrees
-    E,<code>,<text>                                     an error of the board
+    E,<code>,<text>                                     an error of the device
 
 Other records are skipped. `seq` counts each letter alone.
 """

@@ -40,7 +40,7 @@ _NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
 
 
 class BottleError(ValueError):
-    """TextDecoder is not a bottle: a list or a string has no end."""
+    """Text is no bottle: a list or a string has no end."""
 
 
 def parse_bottle(text: str) -> list[Item]:
@@ -167,7 +167,7 @@ def split_line(line: bytes, stamps: int) -> LogLine | None:
 
 
 def is_header(line: bytes) -> bool:
-    """Tell whether a line holds no record: it is blank, or says what now stands in `info.log`."""
+    """Return whether a line holds no record: it is blank, or says what now stands in `info.log`."""
     return not line.strip() or line.lstrip().startswith(HEADER_WORDS)
 
 
