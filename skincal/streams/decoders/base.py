@@ -143,7 +143,7 @@ class Collector:
         ----------
         seq : unwrapped number, or `NO_SEQ`
         device_s : device's clock, seconds, or NaN
-        values : one reading, in the units of `skincal.model.readings`
+        values : one reading, in the units of `skincal.model.readings`, but joint angles in degrees
         status : `SATURATED_BIT` and `INVALID_BIT`
         """
         pending = self._pending.get(stream)
@@ -178,7 +178,7 @@ class Collector:
         if stream is Stream.SKIN:
             return SkinBatch(seq, device_s, np.where(finite, values, np.nan))
         if stream is Stream.JOINTS:
-            return JointsBatch(seq, device_s, values)
+            return JointsBatch(seq, device_s, np.radians(values))  # every format has degrees
         for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
             if flags.any():
                 self._counts[loss] += int(np.count_nonzero(flags))

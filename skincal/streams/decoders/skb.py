@@ -96,9 +96,7 @@ class SkbDecoder(PieceDecoder):
             return Loss.BAD_WIDTH
         values = np.frombuffer(body, dtype, offset=HEAD.size)
         self.good += 1
-        return self._collector.add(
-            stream, seq, device_s, np.radians(values, dtype=np.float64) if stream is Stream.JOINTS else values
-        )
+        return self._collector.add(stream, seq, device_s, values)
 
     def _header(self, body: bytes) -> Loss | None:
         try:

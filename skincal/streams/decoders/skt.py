@@ -15,7 +15,6 @@ Other records are skipped. `seq` counts each letter alone.
 from __future__ import annotations
 
 import binascii
-import math
 from typing import ClassVar
 
 from skincal.model.readings import Loss, Stream
@@ -90,6 +89,4 @@ class SktDecoder(PieceDecoder):
         seq, missing = self._sequences[stream].step(raw_seq, device_s)
         if missing:
             self.counts[Loss.MISSING] += missing
-        if stream is Stream.JOINTS:
-            values = [math.radians(value) for value in values]
         return self._collector.add(stream, seq, device_s, values, status)

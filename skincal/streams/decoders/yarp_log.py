@@ -11,7 +11,7 @@ from its serialiser (12 lists, 10 in older versions), not observed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite, radians
+from math import isfinite
 from typing import TypeAlias
 
 from skincal.model.errors import InputError
@@ -225,8 +225,6 @@ class YarpDecoder(PieceDecoder):
         if not values:
             return Loss.BAD_WIDTH
         self.good += 1
-        if self._stream is Stream.JOINTS:
-            values = [radians(value) for value in values]
         return self._collector.add(self._stream, line.seq, line.stamps[self.made], values)
 
     def _numbers(self, payload: bytes) -> list[float]:
