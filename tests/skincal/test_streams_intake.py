@@ -191,18 +191,18 @@ def test_joint_angles_are_the_last_at_or_before_the_frame():
 def test_ring_keeps_the_newest_in_order_however_it_is_filled():
     rng = np.random.default_rng(0)
     ring = WrenchRing(50)
-    told = np.zeros(0)
+    fed = np.zeros(0)
     for _ in range(200):
-        host_s = (told[-1] if len(told) else 0.0) + 0.1 + np.arange(rng.integers(1, 70))
+        host_s = (fed[-1] if len(fed) else 0.0) + 0.1 + np.arange(rng.integers(1, 70))
         n = len(host_s)
         ring.append(host_s, np.outer(host_s, np.ones(6)), np.ones(n, bool), np.zeros(n, bool))
-        told = np.append(told, host_s)
+        fed = np.append(fed, host_s)
         found, wrench = ring.since(-np.inf)
-        assert 50 <= len(found) <= 100 or len(found) == len(told)
-        np.testing.assert_array_equal(found, told[-len(found) :])
+        assert 50 <= len(found) <= 100 or len(found) == len(fed)
+        np.testing.assert_array_equal(found, fed[-len(found) :])
         np.testing.assert_array_equal(wrench[:, 3], found)
-        assert ring.newest_s == told[-1]
-        assert ring.forgot(told[0] - 1) == (len(found) < len(told))
+        assert ring.newest_s == fed[-1]
+        assert ring.forgot(fed[0] - 1) == (len(found) < len(fed))
 
 
 # ------------------------------------------------------------------ the facade
