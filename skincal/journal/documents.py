@@ -1,13 +1,12 @@
-"""Messages of a session as ROS 2 writes them: CDR, little-endian, made by hand.
-
-Each message begins with four bytes that say how it is encoded; every number is aligned to its size, counted from behind
-these four bytes. Source: OMG DDS-XTypes 1.3, 7.4.3 (plain CDR), and ROS 2's message definitions, which travel in the file.
-
-What a session is without its bytes, as JSON documents that come back bit for bit.
+"""What a session's files hold: JSON documents that come back bit for bit, and messages as ROS 2 writes them.
 
 *Events* are what happened: a segment begins, a link opens or goes, the operator acts, the session is put down. *Notes* are
 what was made of the bytes: outcomes of pokes, dead channels, counts of readings. Floats are written by their shortest exact
 decimals; NaN is null, and what is infinite is a word.
+
+Bytes and decoded readings are messages in CDR, little-endian, made by hand. Each begins with four bytes that say how it is
+encoded; every number is aligned to its size, counted from behind these four bytes. Source: OMG DDS-XTypes 1.3, 7.4.3 (plain
+CDR), and ROS 2's message definitions, which travel in the file.
 """
 
 from __future__ import annotations
@@ -33,6 +32,13 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
 from skincal.streams.links import LinkSpec
 
+FORMAT = 3
+"""Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments."""
+FORMAT_WITH_NOTES = 2
+_INTEGERS = ("channels",)
+"""Arrays of whole numbers; all others are float."""
+_MISSING = ("still", "link_from_sensor", "after", "force", "moment")
+"""What may be missing; elsewhere null is a float that is none."""
 _PREFIX = b"\x00\x01\x00\x00"
 _SEPARATOR = "=" * 80
 _HEADER = (
@@ -52,73 +58,6 @@ SCHEMAS: dict[str, str] = {
     ),
 }
 """Definition of each message in `ros2msg`, by its name."""
-
-
-def encode_chunk(host_ns: int, data: bytes) -> bytes:
-    """Return a `skincal_msgs/msg/Chunk`: when bytes arrived (host's monotonic clock, ns), and the bytes."""
-    return _PREFIX + struct.pack("<QI", host_ns, len(data)) + data
-
-
-def decode_chunk(message: bytes) -> tuple[int, bytes]:
-    """Return arrival (ns) and bytes of a `skincal_msgs/msg/Chunk`.
-
-    Raises
-    ------
-    InputError
-        It is not one.
-    """
-    if len(message) < 16 or message[:4] != _PREFIX:
-        raise InputError("A chunk in the session is not encoded as expected; the session was written by another program.")
-    host_ns, size = struct.unpack_from("<QI", message, 4)
-    if len(message) != 16 + size:
-        raise InputError(f"A chunk in the session has {len(message) - 16} bytes; expected {size}.")
-    return int(host_ns), message[16:]
-
-
-def encode_wrench(unix_ns: int, frame: str, wrench: FloatArray) -> bytes:
-    """Return a `geometry_msgs/msg/WrenchStamped` of a (6,) wrench, N and N m."""
-    body = _stamped(unix_ns, frame)
-    return _PREFIX + body + bytes(-len(body) % 8) + np.ascontiguousarray(wrench, dtype="<f8").tobytes()
-
-
-def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: FloatArray) -> bytes:
-    """Return a `skincal_msgs/msg/Taxels` of (channels,) raw values."""
-    body = _stamped(unix_ns, frame)
-    body += bytes(-len(body) % 4) + struct.pack("<I", seq & 0xFFFFFFFF)
-    body += bytes(-len(body) % 8) + struct.pack("<QI", device_us, len(values))
-    return _PREFIX + body + np.ascontiguousarray(values, dtype="<f4").tobytes()
-
-
-def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: FloatArray) -> bytes:
-    """Return a `sensor_msgs/msg/JointState` of (joints,) angles, radians, without velocities and efforts."""
-    body = _stamped(unix_ns, frame)
-    body += bytes(-len(body) % 4) + struct.pack("<I", len(names))
-    for name in names:
-        body += bytes(-len(body) % 4) + _text(name)
-    body += bytes(-len(body) % 4) + struct.pack("<I", len(angles))
-    if len(angles):
-        body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
-    return _PREFIX + body + struct.pack("<II", 0, 0)
-
-
-def _stamped(unix_ns: int, frame: str) -> bytes:
-    seconds, rest = divmod(unix_ns, 1_000_000_000)
-    # The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording.
-    return struct.pack("<iI", min(seconds, 0x7FFFFFFF), rest) + _text(frame)
-
-
-def _text(text: str) -> bytes:
-    raw = text.encode() + b"\x00"
-    return struct.pack("<I", len(raw)) + raw
-
-
-FORMAT = 3
-"""Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments."""
-FORMAT_WITH_NOTES = 2
-_INTEGERS = ("channels",)
-"""Arrays of whole numbers; all others are float."""
-_MISSING = ("still", "link_from_sensor", "after", "force", "moment")
-"""What may be missing; elsewhere null is a float that is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -407,3 +346,61 @@ def totals_from_json(document: Mapping[str, Any]) -> Totals:
 
 
 _NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": taken_from_json, "totals": totals_from_json}
+
+
+def encode_chunk(host_ns: int, data: bytes) -> bytes:
+    """Return a `skincal_msgs/msg/Chunk`: when bytes arrived (host's monotonic clock, ns), and the bytes."""
+    return _PREFIX + struct.pack("<QI", host_ns, len(data)) + data
+
+
+def decode_chunk(message: bytes) -> tuple[int, bytes]:
+    """Return arrival (ns) and bytes of a `skincal_msgs/msg/Chunk`.
+
+    Raises
+    ------
+    InputError
+        It is not one.
+    """
+    if len(message) < 16 or message[:4] != _PREFIX:
+        raise InputError("A chunk in the session is not encoded as expected; the session was written by another program.")
+    host_ns, size = struct.unpack_from("<QI", message, 4)
+    if len(message) != 16 + size:
+        raise InputError(f"A chunk in the session has {len(message) - 16} bytes; expected {size}.")
+    return int(host_ns), message[16:]
+
+
+def encode_wrench(unix_ns: int, frame: str, wrench: FloatArray) -> bytes:
+    """Return a `geometry_msgs/msg/WrenchStamped` of a (6,) wrench, N and N m."""
+    body = _stamped(unix_ns, frame)
+    return _PREFIX + body + bytes(-len(body) % 8) + np.ascontiguousarray(wrench, dtype="<f8").tobytes()
+
+
+def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: FloatArray) -> bytes:
+    """Return a `skincal_msgs/msg/Taxels` of (channels,) raw values."""
+    body = _stamped(unix_ns, frame)
+    body += bytes(-len(body) % 4) + struct.pack("<I", seq & 0xFFFFFFFF)
+    body += bytes(-len(body) % 8) + struct.pack("<QI", device_us, len(values))
+    return _PREFIX + body + np.ascontiguousarray(values, dtype="<f4").tobytes()
+
+
+def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: FloatArray) -> bytes:
+    """Return a `sensor_msgs/msg/JointState` of (joints,) angles, radians, without velocities and efforts."""
+    body = _stamped(unix_ns, frame)
+    body += bytes(-len(body) % 4) + struct.pack("<I", len(names))
+    for name in names:
+        body += bytes(-len(body) % 4) + _text(name)
+    body += bytes(-len(body) % 4) + struct.pack("<I", len(angles))
+    if len(angles):
+        body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
+    return _PREFIX + body + struct.pack("<II", 0, 0)
+
+
+def _stamped(unix_ns: int, frame: str) -> bytes:
+    seconds, rest = divmod(unix_ns, 1_000_000_000)
+    # The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording.
+    return struct.pack("<iI", min(seconds, 0x7FFFFFFF), rest) + _text(frame)
+
+
+def _text(text: str) -> bytes:
+    raw = text.encode() + b"\x00"
+    return struct.pack("<I", len(raw)) + raw

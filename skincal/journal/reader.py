@@ -80,7 +80,7 @@ class SessionLog:
         self.scene_changed = self._differs(first)
         """The scene in the folder is not the one that was recorded with: what was made of the bytes no longer holds."""
         self.has_notes = first.format >= FORMAT_WITH_NOTES
-        """Every segment read so far tells the session without the bytes."""
+        """Every segment read so far holds the session without the bytes."""
         self.written_by = "" if own else writer_of(folder)
         """Who records it at the moment, in words; empty where nobody does."""
         if self.written_by:
@@ -104,7 +104,7 @@ class SessionLog:
                     yield item
 
     def state(self) -> Iterator[LogState]:
-        """Yield what tells the session without the bytes, in order: actions, and what was taken from the detector.
+        """Yield what the session is without the bytes, in order: actions, and what was taken from the detector.
 
         What was read last says in `has_notes` and `scene_changed` whether that is enough. Damage of the bytes stays unseen.
         """
@@ -139,7 +139,7 @@ class SessionLog:
                 return
 
     def _differs(self, mark: SegmentMark) -> bool:
-        """Tell whether the scene is another one now."""
+        """Return whether the scene is another one now."""
         if mark.digest is not None:
             return mark.digest != self._digest
         return bool(mark.scene) and _without_paths(mark.scene) != _without_paths(self.scene.text)
@@ -295,14 +295,14 @@ class McapFile:
 
     def documents(self) -> Iterator[dict[str, Any]]:
         """Yield events and notes."""
-        for count, message in enumerate(self._told()):
+        for count, message in enumerate(self._document_messages()):
             document = json.loads(message.data)
             # Without notes nothing counts the events alone; such a segment is played from its bytes in the end.
             if document.get("n", count) != count:
                 raise DamagedError(f"note {count} is missing")
             yield document
 
-    def _told(self) -> Iterator[Message]:
+    def _document_messages(self) -> Iterator[Message]:
         topics = (EVENT_TOPIC, NOTE_TOPIC)
         found: list[Message] = []
         if is_closed(self._path):
@@ -314,12 +314,12 @@ class McapFile:
 
 
 def is_item(topic: str) -> bool:
-    """Tell whether the messages of a topic are items, which are numbered."""
+    """Return whether the messages of a topic are items, which are numbered."""
     return topic == EVENT_TOPIC or topic.startswith(RAW_TOPIC)
 
 
 def is_closed(path: Path) -> bool:
-    """Tell whether an MCAP file ends with an index; what comes before is not looked at."""
+    """Return whether an MCAP file ends with an index; what comes before is not looked at."""
     try:
         with path.open("rb") as file:
             return make_reader(file).get_summary() is not None
@@ -328,7 +328,7 @@ def is_closed(path: Path) -> bool:
 
 
 def tells_all(path: Path) -> bool:
-    """Tell whether an MCAP file was closed and none of its events and notes is missing."""
+    """Return whether an MCAP file was closed and none of its events and notes is missing."""
     try:
         return is_closed(path) and sum(1 for _ in McapFile(path).documents()) > 0
     except DamagedError:

@@ -92,7 +92,7 @@ def _demand_empty(folder: Path) -> None:
     if any(folder.glob("segment-*.mcap*")):
         raise InputError(f"{folder}: holds a session already; name another folder, or open this one to go on.")
     if (folder / SCENE_FOLDER).exists():
-        raise InputError(f"{folder}: there is a folder {folder / 'scene'} already; name an empty or new folder.")
+        raise InputError(f"{folder}: there is a folder {folder / SCENE_FOLDER} already; name an empty or new folder.")
 
 
 def open_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock) -> JournalWriter:

@@ -1,7 +1,7 @@
 """A flat layout laid on the part: where its maker's plan says that each taxel is.
 
-A board bends with the surface and does not stretch, so a point of the layout at distance d and angle a from the anchor
-lies at the end of the straight geodesic that leaves the anchor at angle a and is d long (`geodesics.py`). Boards stretch on a
+A module bends with the surface and does not stretch, so a point of the layout at distance d and angle a from the anchor
+lies at the end of the straight geodesic that leaves the anchor at angle a and is d long (`geodesics.py`). Modules stretch on a
 doubly curved part; that is left out.
 """
 

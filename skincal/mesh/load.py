@@ -10,8 +10,8 @@ different ones. A component of that double cover is one consistent choice.
 Which choice is outward then follows from the heights h = n.(c - o) of its triangles' planes over the component's centroid
 o, with the normals n and centroids c: their mean over the area is positive for a closed part (three times its volume
 over its area) and for every open shell seen from its convex side. s = mean(h)/sqrt(mean(h^2)) is about 0.8 for an arc
-however shallow, and about 0 for a sheet that is flat, wavy or rough. A component that does not tell by its own centroid
-is judged about the centroid of the whole part; if that does not tell either, the file's winding holds. A consistently
+however shallow, and about 0 for a sheet that is flat, wavy or rough. A component that does not show it by its own centroid
+is judged about the centroid of the whole part; if that does not show it either, the file's winding holds. A consistently
 wound component that lies inside the box of a larger one is the inner wall of a cover and keeps the file's winding.
 """
 
@@ -40,7 +40,7 @@ MERGE_DISTANCE = 1e-6
 ZERO_HEIGHT = 1e-7
 """m. A triangle flatter than this has no direction: a 32-bit file in millimetres rounds 0.5 m to 3e-8 m."""
 SIDE_MIN = 0.1
-"""Smallest |s| that tells inside from outside: chance reaches it on a rough flat sheet of 100 triangles."""
+"""Smallest |s| that separates inside from outside: chance reaches it on a rough flat sheet of 100 triangles."""
 FLAT_HEIGHT = 1e-6
 """m. A component whose heights are below this (rms) is flat: it is the distance at which vertices are one."""
 _SWEEP = np.array([0.4472135954999579, 0.5773502691896258, 0.6831300510639733])
@@ -340,7 +340,7 @@ def _consistent(triangles: IntArray) -> tuple[IntArray, NDArray[np.bool_], NDArr
 
 
 def _side(vertices: FloatArray, triangles: IntArray, component: IntArray) -> FloatArray:
-    """Return for each component 1 where it is wound outward, -1 inward, 0 where its shape does not tell."""
+    """Return for each component 1 where it is wound outward, -1 inward, 0 where its shape does not show it."""
     corners = vertices[triangles]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     size = np.linalg.norm(area, axis=1)
@@ -354,7 +354,7 @@ def _side(vertices: FloatArray, triangles: IntArray, component: IntArray) -> Flo
         flux = (area * (middle - origin)).sum(axis=1)
         through, square = np.bincount(component, flux), np.bincount(component, flux**2 / size)
         spread = np.sqrt(square * total)
-        # Of a closed component the sign of the volume tells, however thin its walls are.
+        # Of a closed component the sign of the volume decides, however thin its walls are.
         clear = (np.abs(through) > SIDE_MIN * spread) | ~is_open
         return np.where(clear & (square > FLAT_HEIGHT**2 * total), np.sign(through), 0.0)
 

@@ -37,7 +37,7 @@ def read_mesh(path: Path, data: bytes) -> Mesh:
 
     Parameters
     ----------
-    path : the file's name; its suffix tells the format
+    path : the file's name; its suffix names the format
     data : the file's content
 
     Returns

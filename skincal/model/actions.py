@@ -88,7 +88,7 @@ class AskLandmark:
 
 @dataclass(frozen=True, slots=True)
 class Correct:
-    """Use a correction of what the rig tells, in place of one of its kind; the numbers travel with it, SI units."""
+    """Use a correction of what the rig reports, in place of one of its kind; the numbers travel with it, SI units."""
 
     of: str
     """`FRAME` or `RIG` of `skincal.rig.correction`, where the rest is described, too."""

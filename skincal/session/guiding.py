@@ -297,7 +297,7 @@ class ModulesEnough:
         streaming : the devices are read
         """
         asked = guidance is not None and guidance.phase is not GuidePhase.ENOUGH
-        # An operator who saw it by that method need not be told again.
+        # Seen by that method, it is no news any more.
         self._noticed |= method is Method.MODULES and not asked and guidance is not None
         if self._noticed or not asked or method is Method.MODULES or not streaming or revision == self._seen:
             return False

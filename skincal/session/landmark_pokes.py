@@ -11,7 +11,7 @@ import numpy as np
 from skincal.contacts.outcome import Outcome, Reason, Rejection
 from skincal.geometry.arrays import FloatArray
 from skincal.guide.landmark_targets import was_there
-from skincal.model.actions import AddLandmark, AskLandmark, AtLandmark, FoundAtLandmark
+from skincal.model.actions import AddLandmark, AtLandmark, FoundAtLandmark
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark
 from skincal.model.tables import LENGTH_MAX
@@ -40,15 +40,14 @@ class SessionLandmarks:
         self._named: dict[int, str] = {}
 
     def named(self, outcome: Callable[[int], Outcome | None]) -> Mapping[int, str]:
-        """Return the number of each poke that was at a landmark and tells its axis, and the landmark's name.
+        """Return the number of each poke that was at a landmark and has an axis, and the landmark's name.
 
         Parameters
         ----------
         outcome : gives what a poke ended as, by its number
         """
-        places = {landmark.name: landmark for landmark in self.landmarks}
-        ended = ((poke, name, outcome(poke)) for poke, name in self._named.items() if name in places)
-        return {poke: name for poke, name, end in ended if end is not None and poke_at(end, places[name]) is not None}
+        known = (found for found in map(outcome, self._named) if found is not None)
+        return {poke.poke: poke.name for poke in self.pokes(known)}
 
     def add(self, action: AddLandmark) -> Step:
         """Take another landmark; return how it is taken back.
@@ -79,7 +78,7 @@ class SessionLandmarks:
         InputError
             There is no such landmark or poke, or nothing is known of the poke's axis.
         """
-        self._check_name(action.name)
+        self.check_name(action.name)
         if action.name and (outcome is None or poke_at(outcome, self.landmarks[0]) is None):
             raise InputError(
                 f"Poke {action.poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered."
@@ -94,17 +93,8 @@ class SessionLandmarks:
 
         return Step(f"poke {action.poke} at {action.name or 'no landmark'}", take_back)
 
-    def check_ask(self, action: AskLandmark) -> None:
-        """Refuse to ask for a landmark that is not there.
-
-        Raises
-        ------
-        InputError
-            There is no such landmark.
-        """
-        self._check_name(action.name)
-
-    def _check_name(self, name: str) -> None:
+    def check_name(self, name: str) -> None:
+        """Refuse a landmark that is not there with an InputError; an empty name is none."""
         if name and all(name != landmark.name for landmark in self.landmarks):
             known = ", ".join(landmark.name for landmark in self.landmarks) or "none: the scene has no landmarks"
             raise InputError(f"There is no landmark {name!r}; expected one of {known}.")
@@ -135,7 +125,7 @@ class LandmarkFinder:
     def find(self, new: Iterable[Outcome], landmarks: Iterable[Landmark]) -> list[FoundAtLandmark]:
         """Return which of `new` pokes were at the landmark that is asked for.
 
-        They began `REACTION_S` after it was asked for at least, tell their axis, and no taxel far from it answered.
+        They began `REACTION_S` after it was asked for at least, have an axis, and no taxel far from it answered.
         """
         landmark = next((landmark for landmark in landmarks if landmark.name == self.asked), None)
         if landmark is None:

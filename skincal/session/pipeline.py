@@ -304,7 +304,7 @@ class Pipeline:
         return due
 
     def _breaks(self, event: LinkEvent) -> bool:
-        """Tell whether an event interrupts the samples: a needed link vanished, or the last of a recording ended."""
+        """Return whether an event interrupts the samples: a needed link vanished, or the last of a recording ended."""
         needed = {link.name for link in self.links if {Stream.WRENCH, Stream.SKIN} & set(link.carries)}
         if event.link not in needed:
             return False

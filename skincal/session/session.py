@@ -207,7 +207,7 @@ class Session:
         """
         if isinstance(action, AskLandmark):
             # What is asked for changes nothing of what is known, and is not taken back.
-            self._known.check_ask(action)
+            self._known.check_name(action.name)
             return
         if isinstance(action, Undo):
             self._undo()

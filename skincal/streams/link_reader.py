@@ -37,8 +37,8 @@ class Reader:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader {spec.name}", daemon=True)
         self._opened = False
-        self._told = ""
-        """The sentence that the operator has."""
+        self._reported = ""
+        """The sentence that was reported last."""
         self._reason, self._reason_since_s = "", 0.0
         """Another reason that is not reported yet, and since when it holds."""
 
@@ -97,13 +97,13 @@ class Reader:
                 self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data))
 
     def _could_not_open(self, failure: LinkFailure) -> None:
-        """Tell why the link does not open: at once the first time, later only what is new and lasts."""
+        """Report why the link does not open: at once the first time, later only what is new and lasts."""
         sentence = str(failure)
-        if not self._told:
+        if not self._reported:
             self._say(LinkState.FAILED, sentence)
             return
         expected = self._opened and failure.kind in EXPECTED_WHILE_LOST
-        if expected or sentence == self._told:
+        if expected or sentence == self._reported:
             self._reason = ""
             return
         now_s = time.monotonic()
@@ -113,5 +113,5 @@ class Reader:
             self._say(LinkState.LOST if self._opened else LinkState.FAILED, sentence)
 
     def _say(self, state: LinkState, sentence: str = "") -> None:
-        self._told, self._reason = sentence, ""
+        self._reported, self._reason = sentence, ""
         self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), state, sentence))

@@ -32,7 +32,7 @@ SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
 KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, or a file"
-BOARD = "board"
+SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
 """Most bytes of one read: more than a second of any serial port."""
@@ -137,7 +137,7 @@ def describe_links(addresses: Mapping[Stream, str | None]) -> tuple[LinkSpec, ..
     for address in carried:
         parse_address(address)
     return tuple(
-        LinkSpec(streams[0].value if len(streams) == 1 else BOARD, address, tuple(streams))
+        LinkSpec(streams[0].value if len(streams) == 1 else SHARED_LINK, address, tuple(streams))
         for address, streams in carried.items()
     )
 
@@ -357,7 +357,7 @@ class PlaybackLink:
     """
 
     def __init__(self, path: Path, spec: LinkSpec, baud: int) -> None:
-        # Only now: whoever describes links decodes nothing.
+        # Only now: decoders are not needed to describe links.
         from skincal.streams.decoders.detect import LinkDecoder
 
         self._path = path

@@ -1,4 +1,4 @@
-"""What decoders share: bytes cut at a mark, counters and clocks that wrap, a board's header, readings put into batches."""
+"""What decoders share: bytes cut at a mark, counters and clocks that wrap, a device's header, readings put into batches."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ PERIOD_WEIGHT = 1 / 16
 """Weight of the newest interval in the mean interval of a record: settles within some 16 records."""
 GAP_SLACK = 2.0
 GAP_SLACK_SHARE = 0.25
-"""A gap of s numbers fits a time of s intervals to within `GAP_SLACK + GAP_SLACK_SHARE * s`: boards keep no exact pace.
-Numbers and time that do not fit mean that the board started anew, and then nothing is known to be missing."""
+"""A gap of s numbers fits a time of s intervals to within `GAP_SLACK + GAP_SLACK_SHARE * s`: devices keep no exact pace.
+Numbers and time that do not fit mean that the device started anew, and then nothing is known to be missing."""
 _MEND = {
     Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
     Stream.WRENCH: "a wrench is fx fy fz mx my mz",
@@ -37,7 +37,7 @@ _MEND = {
 
 
 class DeviceTime:
-    """Unwraps a 32-bit clock of microseconds, shared by all records of one board.
+    """Unwraps a 32-bit clock of microseconds, shared by all records of one device.
 
     A record may be stamped a little earlier than the one before it (a skin frame is stamped when its scan begins), so
     the step from one stamp to the next is taken as the nearer way round the circle.
@@ -48,7 +48,7 @@ class DeviceTime:
         self._total_us = 0
 
     def unwrap(self, raw_us: int) -> float:
-        """Return the device's clock, seconds; NaN from a board without a clock, which sends 0 always."""
+        """Return the device's clock, seconds; NaN from a device without a clock, which sends 0 always."""
         last = self._raw
         self._raw = raw_us
         if last is None:
@@ -124,7 +124,7 @@ class Collector:
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...], counts: Counter[Loss]) -> None:
         self.note = ""
-        """What was last wrong with the board's records, a sentence; empty if nothing was."""
+        """What was last wrong with the device's records, a sentence; empty if nothing was."""
         self._counts = counts
         widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None}
         self._pending = {stream: _Pending(widths[stream]) for stream in Stream if stream in carries}
@@ -143,7 +143,7 @@ class Collector:
         ----------
         seq : unwrapped number, or `NO_SEQ`
         device_s : device's clock, seconds, or NaN
-        values : one reading, in the units of `skincal.model.readings`
+        values : one reading, in the units of `skincal.model.readings`, but joint angles in degrees
         status : `SATURATED_BIT` and `INVALID_BIT`
         """
         pending = self._pending.get(stream)
@@ -178,7 +178,7 @@ class Collector:
         if stream is Stream.SKIN:
             return SkinBatch(seq, device_s, np.where(finite, values, np.nan))
         if stream is Stream.JOINTS:
-            return JointsBatch(seq, device_s, values)
+            return JointsBatch(seq, device_s, np.radians(values))  # every format has degrees
         for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
             if flags.any():
                 self._counts[loss] += int(np.count_nonzero(flags))
@@ -239,7 +239,7 @@ class PieceDecoder(ABC):
 
     @property
     def note(self) -> str:
-        """What the board got wrong or said last, a sentence; empty if nothing."""
+        """What the device got wrong or said last, a sentence; empty if nothing."""
         return self._collector.note
 
     def feed(self, data: bytes) -> list[Batch]:
@@ -263,7 +263,7 @@ def parse_header(text: str) -> dict[str, str]:
 
 
 def header_problem(header: dict[str, str], channels: int | None) -> str:
-    """Return the sentence for a board whose width is not that of the scene; empty if they agree or one is unknown."""
+    """Return the sentence for a device whose width is not that of the scene; empty if they agree or one is unknown."""
     n = header.get("n", "")
     if channels is None or not n.isdigit() or int(n) == channels or header.get("kind") == "ft":
         return ""

@@ -74,10 +74,7 @@ class TextDecoder(PieceDecoder):
         seq, device_s, missing = self._columns.read(numbers[:lead])
         if missing:
             self.counts[Loss.MISSING] += missing
-        values = numbers[lead:]
-        if stream is Stream.JOINTS:
-            values = [math.radians(value) for value in values]
-        return self._collector.add(stream, seq, device_s, values)
+        return self._collector.add(stream, seq, device_s, numbers[lead:])
 
     def _stream_of(self, count: int) -> Stream | None:
         """Say what a line of this many values is, by the widths known and then by one unknown."""
@@ -140,7 +137,7 @@ class LeadingColumns:
 
 
 class FrameRows:
-    """FrameRows of one frame, until the blank line that ends it."""
+    """Rows of one frame, until the blank line that ends it."""
 
     def __init__(self, collector: Collector | None) -> None:
         self._collector = collector

@@ -2,7 +2,7 @@
 
 That is found from the bytes and the host's stamps of its chunks alone, so that a replay decides alike.
 SKB/1 and SKT/1 prove themselves: one record with a good checksum decides. Until then both are tried side by side, and
-delimited text with them; 300 ms after the first bytes the readings of the text are let through. A board that sends words
+delimited text with them; 300 ms after the first bytes the readings of the text are let through. A device that sends words
 first and records later is still found: text is final only when it has given a reading.
 """
 
@@ -75,7 +75,7 @@ class LinkDecoder:
 
     @property
     def note(self) -> str:
-        """What the board got wrong or said last, a sentence; empty if nothing."""
+        """What the device got wrong or said last, a sentence; empty if nothing."""
         return "" if self._chosen is None else self._chosen.note
 
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:

@@ -1,4 +1,4 @@
-"""SKB/1: binary records of makers' boards.
+"""SKB/1: binary records of makers' devices.
 
 A frame is COBS(body + CRC) and a 0. The body is little-endian: u8 type, u8 source, u16 seq, u32 t_us, payload, at most
 1024 bytes; the CRC-16/CCITT-FALSE of the body follows as u16. Types: 1 skin u16[n], 2 wrench float32[6] and u32 status
@@ -96,9 +96,7 @@ class SkbDecoder(PieceDecoder):
             return Loss.BAD_WIDTH
         values = np.frombuffer(body, dtype, offset=HEAD.size)
         self.good += 1
-        return self._collector.add(
-            stream, seq, device_s, np.radians(values, dtype=np.float64) if stream is Stream.JOINTS else values
-        )
+        return self._collector.add(stream, seq, device_s, values)
 
     def _header(self, body: bytes) -> Loss | None:
         try:

@@ -1,4 +1,4 @@
-"""SKT/1: text records of makers' boards.
+"""SKT/1: text records of makers' devices.
 
 One record a line, LF or CRLF, at most 4096 bytes, each ending with `*` and four upper-case hex digits, the
 CRC-16/CCITT-FALSE of every byte before the `*`; lines that start with `#` are comments:
@@ -7,7 +7,7 @@ CRC-16/CCITT-FALSE of every byte before the `*`; lines that start with `#` are c
     T,<seq>,<t_us>,<v0>,...,<v(n-1)>                    skin, `nan` where a taxel is dead
     F,<seq>,<t_us>,<fx>,<fy>,<fz>,<tx>,<ty>,<tz>,<status>   wrench, N and N m; status bit 0 saturated, bit 1 invalid
     J,<seq>,<t_us>,<a0>,...                             joint angles, degrees
-    E,<code>,<text>                                     an error of the board
+    E,<code>,<text>                                     an error of the device
 
 Other records are skipped. `seq` counts each letter alone.
 """
@@ -15,7 +15,6 @@ Other records are skipped. `seq` counts each letter alone.
 from __future__ import annotations
 
 import binascii
-import math
 from typing import ClassVar
 
 from skincal.model.readings import Loss, Stream
@@ -90,6 +89,4 @@ class SktDecoder(PieceDecoder):
         seq, missing = self._sequences[stream].step(raw_seq, device_s)
         if missing:
             self.counts[Loss.MISSING] += missing
-        if stream is Stream.JOINTS:
-            values = [math.radians(value) for value in values]
         return self._collector.add(stream, seq, device_s, values, status)

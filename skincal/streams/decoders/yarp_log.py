@@ -11,7 +11,7 @@ from its serialiser (12 lists, 10 in older versions), not observed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite, radians
+from math import isfinite
 from typing import TypeAlias
 
 from skincal.model.errors import InputError
@@ -40,7 +40,7 @@ _NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
 
 
 class BottleError(ValueError):
-    """TextDecoder is not a bottle: a list or a string has no end."""
+    """Text is no bottle: a list or a string has no end."""
 
 
 def parse_bottle(text: str) -> list[Item]:
@@ -167,7 +167,7 @@ def split_line(line: bytes, stamps: int) -> LogLine | None:
 
 
 def is_header(line: bytes) -> bool:
-    """Tell whether a line holds no record: it is blank, or says what now stands in `info.log`."""
+    """Return whether a line holds no record: it is blank, or says what now stands in `info.log`."""
     return not line.strip() or line.lstrip().startswith(HEADER_WORDS)
 
 
@@ -225,8 +225,6 @@ class YarpDecoder(PieceDecoder):
         if not values:
             return Loss.BAD_WIDTH
         self.good += 1
-        if self._stream is Stream.JOINTS:
-            values = [radians(value) for value in values]
         return self._collector.add(self._stream, line.seq, line.stamps[self.made], values)
 
     def _numbers(self, payload: bytes) -> list[float]:

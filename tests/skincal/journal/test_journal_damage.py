@@ -131,8 +131,8 @@ def test_a_torn_session_is_recovered_and_goes_on(recorded, tmp_path):
     again, findings = read_all(folder)
     assert again[: len(before)] == before
     assert findings == ()
-    assert [outcome_key(one.outcome) for one in replay(folder).snapshot().pokes] == [
-        outcome_key(one.outcome) for one in pipeline.snapshot().pokes
+    assert [outcome_key(record.outcome) for record in replay(folder).snapshot().pokes] == [
+        outcome_key(record.outcome) for record in pipeline.snapshot().pokes
     ]
 
 
@@ -236,7 +236,7 @@ print("begin", flush=True)
 for count, item in enumerate(items):
     pipeline.feed(item)
     if count % 20 == 0:
-        print(count, sum(one.outcome.final for one in pipeline.snapshot().pokes), flush=True)
+        print(count, sum(record.outcome.final for record in pipeline.snapshot().pokes), flush=True)
 """
 
 
@@ -328,7 +328,7 @@ def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
         pipeline.feed(item)
     assert "No space left" in pipeline.journal_failure
     assert pipeline.journal is None
-    assert sum(isinstance(one.outcome, Contact) for one in pipeline.snapshot().pokes) == 2
+    assert sum(isinstance(record.outcome, Contact) for record in pipeline.snapshot().pokes) == 2
     monkeypatch.undo()
     with pytest.raises(InputError, match="open the session again"):
         pipeline.begin_segment(LINKS, next_segment(tmp_path / "s", scene, LINKS))

@@ -138,12 +138,12 @@ def test_a_damaged_line_is_not_believed(scene, tmp_path):
     live.close()
     path = lines_path(path_of(tmp_path / "s"))
     whole = path.read_bytes()
-    told = read_lines(path_of(tmp_path / "s")).documents
+    written = read_lines(path_of(tmp_path / "s")).documents
     for at in range(0, len(whole), 37):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 16]) + whole[at + 1 :])
         back = read_lines(path_of(tmp_path / "s"))
         assert back is None or (not back.closed and back.lost)
-        assert back is None or len(back.documents) <= len(told)
+        assert back is None or len(back.documents) <= len(written)
     assert_same(load(tmp_path / "s"), live)
 
 
@@ -199,8 +199,8 @@ def test_other_programs_read_the_lines_and_the_notes(scene, tmp_path):
     assert [line[1] for line in lines] == sorted(line[1] for line in lines)
     with path_of(tmp_path / "s").open("rb") as file:
         messages = list(make_reader(file, validate_crcs=True).iter_messages(topics=["/session", "/events"]))
-    told = [line[3] for line in lines if len(line) == 4]
-    assert told == sorted((json.loads(message.data) for _, _, message in messages), key=lambda document: document["n"])
+    written = [line[3] for line in lines if len(line) == 4]
+    assert written == sorted((json.loads(message.data) for _, _, message in messages), key=lambda document: document["n"])
 
 
 def test_lines_outlive_a_damaged_index(scene, tmp_path):
@@ -208,12 +208,12 @@ def test_lines_outlive_a_damaged_index(scene, tmp_path):
     live = record(scene, tmp_path / "s", some_pokes(scene, 3))
     live.close()
     path = path_of(tmp_path / "s")
-    told = read_lines(path)
+    written = read_lines(path)
     path.write_bytes(path.read_bytes()[:-400])
     again = resume(tmp_path / "s")
     assert "nothing is lost" in again.findings[0]
     again.close()
-    assert read_lines(path) == told
+    assert read_lines(path) == written
     with path.open("rb") as file:
         assert make_reader(file, validate_crcs=True).get_summary().statistics.message_count > 0
     shutil.rmtree(tmp_path / "source")
@@ -221,7 +221,7 @@ def test_lines_outlive_a_damaged_index(scene, tmp_path):
 
 
 def test_only_a_second_outcome_of_the_same_kind_takes_the_place_of_the_first(tmp_path):
-    """What was a contact and is none any more leaves the steps of undo, so both are told."""
+    """What was a contact and is none any more leaves the steps of undo, so both are kept."""
     contact, other = some_pokes(small_scene(), 1).run()
     rejection = Rejection(1, 0.0, 1.0, Reason.SLID, 1.0, 0.5, "", np.empty(0, dtype=np.int64), final=True)
     writer = LineWriter(tmp_path / "x.jsonl")

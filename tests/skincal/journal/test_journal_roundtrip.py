@@ -41,8 +41,8 @@ def record(scene, folder, pokes=4, actions=(), seed=5):
 
 def assert_same(first, second):
     a, b = first.snapshot(), second.snapshot()
-    assert [outcome_key(one.outcome) for one in a.pokes] == [outcome_key(one.outcome) for one in b.pokes]
-    assert [one.excluded for one in a.pokes] == [one.excluded for one in b.pokes]
+    assert [outcome_key(record.outcome) for record in a.pokes] == [outcome_key(record.outcome) for record in b.pokes]
+    assert [record.excluded for record in a.pokes] == [record.excluded for record in b.pokes]
     assert a.dead == b.dead
     assert a.can_undo == b.can_undo
     assert same_estimates(a, b)
@@ -144,7 +144,7 @@ def test_resume_goes_on_in_a_new_segment(scene, tmp_path):
         second.feed(item)
     second.act(Exclude(2), 1)
     second.close()
-    assert [one.outcome.poke for one in second.snapshot().pokes] == [1, 2, 3, 4, 5]
+    assert [record.outcome.poke for record in second.snapshot().pokes] == [1, 2, 3, 4, 5]
     assert sorted(path.name for path in folder.glob("*.mcap")) == ["segment-0001.mcap", "segment-0002.mcap"]
     third = resume(folder)
     third.close()
@@ -262,7 +262,7 @@ def test_alignment_holds_for_every_length_of_a_name(frame):
 def test_metadata_says_what_the_file_is(scene, tmp_path):
     create_session(tmp_path / "s", scene, LINKS).close()
     with (tmp_path / "s" / "segment-0001.mcap").open("rb") as file:
-        (metadata,) = [one for one in make_reader(file).iter_metadata() if one.name == "skincal"]
+        (metadata,) = [metadata for metadata in make_reader(file).iter_metadata() if metadata.name == "skincal"]
     assert metadata.metadata["scene"] == scene.text
     assert [link["name"] for link in json.loads(metadata.metadata["links"])] == ["wrench", "skin"]
     assert abs(int(metadata.metadata["unix_ns"]) - time.time_ns()) < 60e9

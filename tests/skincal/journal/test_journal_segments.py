@@ -52,8 +52,10 @@ def recorded(scene, folder, actions=(), pokes=4):
 def assert_same(*pipelines):
     first, *others = (pipeline.snapshot() for pipeline in pipelines)
     for other in others:
-        assert [outcome_key(one.outcome) for one in first.pokes] == [outcome_key(one.outcome) for one in other.pokes]
-        assert [one.excluded for one in first.pokes] == [one.excluded for one in other.pokes]
+        assert [outcome_key(record.outcome) for record in first.pokes] == [
+            outcome_key(record.outcome) for record in other.pokes
+        ]
+        assert [record.excluded for record in first.pokes] == [record.excluded for record in other.pokes]
         assert first.dead == other.dead
         assert first.can_undo == other.can_undo
         assert same_estimates(first, other)
@@ -104,13 +106,13 @@ def test_a_kill_at_any_moment_leaves_a_session_that_goes_on(scene, tmp_path, see
         pipeline.feed(item)
         if k in moments:
             shutil.copytree(tmp_path / "s", tmp_path / f"killed-{k}")
-            final[k] = [outcome_key(one.outcome) for one in pipeline.snapshot().pokes if one.outcome.final]
+            final[k] = [outcome_key(record.outcome) for record in pipeline.snapshot().pokes if record.outcome.final]
     pipeline.close()
     for k in moments:
         folder = tmp_path / f"killed-{k}"
         loaded, played = load(folder), replay(folder)
         assert_same(loaded, played)
-        assert [outcome_key(one.outcome) for one in loaded.snapshot().pokes][: len(final[k])] == final[k]
+        assert [outcome_key(record.outcome) for record in loaded.snapshot().pokes][: len(final[k])] == final[k]
         again = resume(folder)
         for item in as_chunks(some_pokes(scene, 1, seed=8).samples):
             again.feed(item)
@@ -230,9 +232,9 @@ def test_at_a_contact_both_files_are_forced_onto_the_medium_the_bytes_first(tmp_
     synced = []
     monkeypatch.setattr(os, "fsync", lambda file: synced.append((names[os.fstat(file).st_ino], os.fstat(file).st_size)))
     for item in as_chunks(some_pokes(scene, 1).samples):
-        before, known = len(synced), [one.outcome for one in pipeline.snapshot().pokes]
+        before, known = len(synced), [record.outcome for record in pipeline.snapshot().pokes]
         pipeline.feed(item)
-        if [one.outcome for one in pipeline.snapshot().pokes] != known:
+        if [record.outcome for record in pipeline.snapshot().pokes] != known:
             new = synced[before:]
             assert [suffix for suffix, _ in new] == [".mcap", ".jsonl"]
             assert new[1][1] == len(lines_path(tmp_path / "s" / "segment-0001.mcap").read_bytes())

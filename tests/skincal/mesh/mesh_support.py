@@ -45,7 +45,7 @@ def soup(rng, count=300) -> Surface:
 
 
 def random_roots(rng, count, kind):
-    """Roots (count, 3, 3): of full rank, graded, of nearly parallel axes, of rank 2 and 1, of one axis, of nought."""
+    """Roots (count, 3, 3): of full rank, graded, of nearly parallel axes, of rank 2 and 1, of one axis, of zeros."""
     roots = rng.normal(size=(count, 3, 3))
     axes = rng.normal(size=(count, 3, 1))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -59,12 +59,12 @@ def random_roots(rng, count, kind):
         roots[:, 1:] = 0.0
     if kind == "one axis":
         roots = np.eye(3) - axes @ axes.transpose(0, 2, 1)
-    if kind == "nought":
+    if kind == "zero":
         roots[:] = 0.0
     return roots
 
 
-KINDS = ["full rank", "graded", "near-parallel", "rank 2", "rank 1", "one axis", "nought"]
+KINDS = ["full rank", "graded", "near-parallel", "rank 2", "rank 1", "one axis", "zero"]
 
 
 def random_metrics(rng, surface, count, kind):

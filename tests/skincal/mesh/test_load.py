@@ -345,14 +345,14 @@ def test_a_hundred_thousand_triangles_load_in_about_a_second(tmp_path, suffix):
 
 def test_a_mesh_is_read_without_scipy_or_a_mesh_library():
     """Their import costs every command about as much as a solve does (docs/decisions/mesh-readers.md)."""
-    told = (
+    script = (
         "import sys\n"
         "from skincal.mesh.load import load_surface\n"
         "from skincal.model.scene import load_scene, resource\n"
         "load_surface(load_scene(resource('scenes/icub-forearm/scene.toml')).surface)\n"
         "print(sorted({'scipy', 'trimesh', 'vtkmodules'} & set(sys.modules)))\n"
     )
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "[]\n"
 
 

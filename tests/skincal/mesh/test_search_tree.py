@@ -68,7 +68,7 @@ def test_the_tree_leaves_nothing_out_to_the_last_bit(kind, shape):
         "apart": lambda: pair(part, 400.0),
         "far apart": lambda: pair(part, 4000.0),
     }[shape]()
-    count = 4 if kind == "nought" else 40
+    count = 4 if kind == "zero" else 40
     roots, offsets, pushes = random_metrics(rng, surface, count, kind)
     if "apart" in shape:
         targets = surface.vertices[rng.integers(len(surface.vertices), size=count)] + rng.normal(0, 1e-5, (count, 3))
@@ -179,7 +179,7 @@ def test_a_search_is_hundreds_of_times_quicker_than_every_triangle():
     assert took(lambda: nearest_to_rows(surface, *asked)) / 400 < every / 100
 
 
-def test_a_root_of_nought_for_every_taxel_does_not_fill_the_memory():
+def test_a_root_of_zeros_for_every_taxel_does_not_fill_the_memory():
     """All triangles are equally near, to each of many metrics: what one keeps is given back before the next."""
     surface = tube(60, 50)
     solver_copy(surface)

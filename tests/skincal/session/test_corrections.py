@@ -84,14 +84,14 @@ def mean_error(session, rig, method=Method.MODULES):
 def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad):
     session, rig = bad
     before, error = session.snapshot(), mean_error(session, rig)
-    told = [record.outcome for record in before.pokes if not record.excluded]
+    reported = [record.outcome for record in before.pokes if not record.excluded]
     action = found_in(session)
     session.act(action)
     now = session.snapshot()
     assert now.can_undo == "correction of the rig"
     assert mean_error(session, rig) < 0.5 * error
     correction = now.corrections[RIG].correction
-    contacts = [correction.corrected(one) for one in told if isinstance(one, Contact)]
+    contacts = [correction.corrected(one) for one in reported if isinstance(one, Contact)]
     solved = estimate_taxels(
         contacts,
         session.channels,
@@ -113,15 +113,15 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
 def test_a_poke_that_comes_later_is_corrected_too(bad):
     session, _ = bad
     session.act(found_in(session))
-    told = session.outcome(7)
-    session.add(replace(told, poke=6000))
+    reported = session.outcome(7)
+    session.add(replace(reported, poke=6000))
     first, last = (next(r.outcome for r in session.snapshot().pokes if r.outcome.poke == n) for n in (7, 6000))
     assert np.array_equal(first.force, last.force)
-    assert not np.array_equal(last.force, told.force)
-    assert session.outcome(6000).force is told.force
+    assert not np.array_equal(last.force, reported.force)
+    assert session.outcome(6000).force is reported.force
     session.act(Exclude(6000))
     session.act(Uncorrect(RIG))
-    assert np.array_equal(session.snapshot().pokes[-1].outcome.force, told.force)
+    assert np.array_equal(session.snapshot().pokes[-1].outcome.force, reported.force)
     with pytest.raises(InputError, match="No correction of 'rig' is in use"):
         session.act(Uncorrect(RIG))
 
@@ -145,7 +145,7 @@ def test_another_frame_drops_what_was_found_under_the_one_before(bad):
 
 
 def test_a_frame_that_is_named_wrong_is_put_right():
-    """Axes turned by 90 degrees and newton millimetres: what the doctor offers makes the axes pass the landmarks again."""
+    """Axes turned by 90 degrees and newton millimetres: the offer makes the axes pass the landmarks again."""
     rig, rng = make_rig(RigErrors()), np.random.default_rng(3)
     session = Session(rig.scene, rig.surface)
     for poke in poke_landmarks(rig, rig.scene.landmarks, 6, rng)[:6]:
@@ -182,10 +182,10 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
     matrix, motion = np.eye(6) + 0.02 * rng.standard_normal((6, 6)), np.eye(4)
     motion[:3, 3] = 1e-3, -2e-3, 1 / 3
     pose = pipeline.snapshot().pokes[0].outcome.pose
-    told = pipeline.snapshot()
+    reported = pipeline.snapshot()
     pipeline.act(AddLandmark("head", *POINT.tolist()), last + 1)
     pipeline.act(correct_action(RIG, Correction(matrix, motions={pose: motion}), 0.007, 0.001, 21), last + 2)
-    assert not same_estimates(pipeline.snapshot(), told)
+    assert not same_estimates(pipeline.snapshot(), reported)
     pipeline.close()
     other = again(tmp_path / "s")
     assert same_estimates(other.snapshot(), pipeline.snapshot())
@@ -218,23 +218,23 @@ def test_what_is_no_correction_is_refused(change):
 
 
 def test_what_is_felt_now_is_corrected_as_its_poke_will_be(bad):
-    """A poke in progress, told in the link frame, is the poke that comes of it; a moment along the force it does not carry."""
+    """A poke in progress, reported in the link frame, is the poke that comes of it, but for a moment along the force."""
     session, _ = bad
     session.act(found_in(session))
-    told = session.outcome(7)
-    told = replace(told, moment=np.cross(axis_point(told.force, told.moment), told.force))
-    session.add(told)
-    force, moment = move_wrench(told.link_from_sensor, told.force, told.moment)
+    reported = session.outcome(7)
+    reported = replace(reported, moment=np.cross(axis_point(reported.force, reported.moment), reported.force))
+    session.add(reported)
+    force, moment = move_wrench(reported.link_from_sensor, reported.force, reported.moment)
     nobody = np.empty(0)
     felt = Progress(PressPhase.PRESSING, force, axis_point(force, moment), nobody.astype(np.int64), nobody, 0.0)
-    true = session.corrected_progress(felt, told.link_from_sensor, told.pose)
+    true = session.corrected_progress(felt, reported.link_from_sensor, reported.pose)
     poke = next(one.outcome for one in session.snapshot().pokes if one.outcome.poke == 7)
     force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
     np.testing.assert_allclose(true.force, force, atol=1e-12)
     np.testing.assert_allclose(true.axis_point, axis_point(force, moment), atol=1e-9)
     assert session.corrected_progress(felt, None, "") is felt
     session.act(Undo())
-    assert session.corrected_progress(felt, told.link_from_sensor, told.pose) is felt
+    assert session.corrected_progress(felt, reported.link_from_sensor, reported.pose) is felt
 
 
 def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
@@ -243,7 +243,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     sentences = write_calibration(session.calibration(), "json", tmp_path / "c.json", Method.MODULES)
     assert any("held-out ones pass their landmarks at" in one for one in sentences)
     file = read_json(tmp_path / "c.json")
-    assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig told it"
+    assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig reported it"
     solved = estimate_taxels(
         file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.module_model
     )
@@ -267,8 +267,8 @@ def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp
     file = read_json(tmp_path / "c.json")
     assert file.landmark_check == LandmarkCheck(21, found.before, found.after, True)
     assert len(file.landmark_pokes) == 21
-    told = session.outcome(file.landmark_pokes[0].poke)
-    assert np.array_equal(file.landmark_pokes[0].force, told.force), "as the rig told it"
+    reported = session.outcome(file.landmark_pokes[0].poke)
+    assert np.array_equal(file.landmark_pokes[0].force, reported.force), "as the rig reported it"
 
     contacts = [one for one in file.contacts if one.poke not in file.excluded]
     again = correct_rig(RigRequest(session.scene, session.surface, contacts, file.landmark_pokes, file.dead))
@@ -316,12 +316,12 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     plain = json.loads(capsys.readouterr().out)
     assert plain["rig"]["corrections"] == []
     assert main(["solve", str(recorded), "--correct", "--json", "--out", str(tmp_path)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    (used,) = told["rig"]["corrections"]
+    reported = json.loads(capsys.readouterr().out)
+    (used,) = reported["rig"]["corrections"]
     assert used["of"] == "rig"
     assert used["after_mm"] < used["before_mm"]
     assert "modules-corrected" in plain["methods"]
-    assert "modules-corrected" not in told["methods"]
+    assert "modules-corrected" not in reported["methods"]
     file = read_json(tmp_path / "calibration.json")
     assert len(file.corrections) == 1
     assert file.landmark_check.worth_using

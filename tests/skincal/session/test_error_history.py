@@ -80,18 +80,18 @@ def test_the_newest_point_is_what_the_report_says(sample):
     assert series.counts.tolist() == list(range(1, POKES + 1))
     assert (series.stride, series.missing) == (1, 0)
     for method in (Method.FREE, Method.SURFACE):
-        told = error_summary(session.snapshot().estimates[method], truth.places)
+        summary = error_summary(session.snapshot().estimates[method], truth.places)
         last = series.spreads[method][-1, 0]
-        assert last[TAXELS] == told.taxels
-        assert last[[MEAN, P95, MAX]] == pytest.approx([told.mean, told.p95, told.max], rel=1e-12)
+        assert last[TAXELS] == summary.taxels
+        assert last[[MEAN, P95, MAX]] == pytest.approx([summary.mean, summary.p95, summary.max], rel=1e-12)
 
 
 def test_each_point_of_the_past_is_a_session_that_ended_there(sample):
     pipeline, truth, contacts = sample
     series = error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places)
     for count in (1, 5, 9):
-        told = error_summary(poked(pipeline, contacts[:count]).snapshot().estimates[Method.SURFACE], truth.places)
-        assert series.spreads[Method.SURFACE][count - 1, 0, [TAXELS, MEAN]] == pytest.approx([told.taxels, told.mean])
+        summary = error_summary(poked(pipeline, contacts[:count]).snapshot().estimates[Method.SURFACE], truth.places)
+        assert series.spreads[Method.SURFACE][count - 1, 0, [TAXELS, MEAN]] == pytest.approx([summary.taxels, summary.mean])
         assert series.pokes[count - 1] == contacts[count - 1].poke
 
 
@@ -232,10 +232,10 @@ def test_modules_are_told_apart(sample):
     layout = pipeline.scene.skin.layout
     for row, module in enumerate(layout.modules, start=1):
         inside = [e for e in session.snapshot().estimates[Method.SURFACE] if e.channel in module.channels]
-        told = error_summary(inside, truth.places)
+        summary = error_summary(inside, truth.places)
         last = series.spreads[Method.SURFACE][-1, row]
-        assert last[TAXELS] == (0 if told is None else told.taxels)
-        assert told is None or last[MEAN] == pytest.approx(told.mean)
+        assert last[TAXELS] == (0 if summary is None else summary.taxels)
+        assert summary is None or last[MEAN] == pytest.approx(summary.mean)
 
 
 def test_a_session_without_pokes_has_an_empty_course(sample):

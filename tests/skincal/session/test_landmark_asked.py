@@ -27,7 +27,7 @@ HEAD, TAIL = Landmark("head", POINT, None), Landmark("tail", POINT + 0.01, None)
 
 
 def bytes_of(scene, answers=({}, {3: 80.0}, {})):
-    """Pokes at one point, each answered as told."""
+    """Pokes at one point, each answered as asked."""
     script = Script(scene).quiet()
     for answer in answers:
         script.press(FORCE, POINT, answer).quiet()

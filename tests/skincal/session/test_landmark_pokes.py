@@ -1,4 +1,4 @@
-"""Pokes at landmarks: kept by the session, taken back, journalled and played again, and told to the rig's correction."""
+"""Pokes at landmarks: kept by the session, taken back, journalled and played again, and handed to the rig's correction."""
 
 import json
 from dataclasses import replace
@@ -26,7 +26,7 @@ HEAD = Landmark("head", POINT, None)
 
 
 def bytes_of(scene, answers):
-    """Pokes at one point, each answered as told."""
+    """Pokes at one point, each answered as asked."""
     script = Script(scene).quiet()
     for answer in answers:
         script.press(FORCE, POINT, answer).quiet()
@@ -50,11 +50,11 @@ def test_a_poke_that_no_taxel_answered_may_be_at_a_landmark():
     assert session.landmark_pokes == ()
     for poke in (first.poke, second.poke):
         session.act(AtLandmark(poke, "head"))
-    told = session.landmark_pokes
-    assert [one.poke for one in told] == [1, 2]
-    np.testing.assert_allclose(told[0].force, FORCE, atol=2e-6)
-    np.testing.assert_allclose(told[0].moment, np.cross(POINT, FORCE), atol=2e-6)
-    assert (told[0].place == POINT).all()
+    reported = session.landmark_pokes
+    assert [one.poke for one in reported] == [1, 2]
+    np.testing.assert_allclose(reported[0].force, FORCE, atol=2e-6)
+    np.testing.assert_allclose(reported[0].moment, np.cross(POINT, FORCE), atol=2e-6)
+    assert (reported[0].place == POINT).all()
     assert session.snapshot().at_landmarks == {1: "head", 2: "head"}
     assert session.snapshot().can_undo == "poke 2 at head"
     session.act(Undo())
@@ -160,6 +160,6 @@ def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
     assert rig["used"] is False
     assert rig["frame"]["right"]
     assert main(["solve", str(tmp_path / "s")]) == 0
-    told = capsys.readouterr().out
-    assert "frame looks right" in told
-    assert "it needs 6 pokes at landmarks, 4 different ones; 3 pokes at 1 are there" in told
+    reported = capsys.readouterr().out
+    assert "frame looks right" in reported
+    assert "it needs 6 pokes at landmarks, 4 different ones; 3 pokes at 1 are there" in reported

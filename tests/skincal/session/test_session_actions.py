@@ -59,15 +59,15 @@ def test_the_second_outcome_of_a_poke_replaces_the_first(outcomes):
     session = session_of(outcomes)
     assert len(session.contacts) == 9
     assert all(contact.final for contact in session.contacts)
-    assert same_estimates(session.snapshot(), session_of([one for one in outcomes if one.final]).snapshot())
+    assert same_estimates(session.snapshot(), session_of([outcome for outcome in outcomes if outcome.final]).snapshot())
 
 
 def test_estimates_are_those_of_the_contacts(outcomes):
     snapshot = session_of(outcomes).snapshot()
-    estimates = {one.channel: one for one in snapshot.estimates[Method.FREE]}
+    estimates = {estimate.channel: estimate for estimate in snapshot.estimates[Method.FREE]}
     assert len(estimates) == 24
-    touched = {int(c) for one in outcomes for c in one.channels}
-    assert {c for c, one in estimates.items() if one.state is not State.UNSEEN} == touched
+    touched = {int(c) for outcome in outcomes for c in outcome.channels}
+    assert {c for c, estimate in estimates.items() if estimate.state is not State.UNSEEN} == touched
     assert estimates[7].contacts == 6
     assert Method.SURFACE not in snapshot.estimates
 
@@ -76,7 +76,7 @@ def test_an_excluded_poke_leaves_no_trace(outcomes):
     session = session_of(outcomes)
     session.snapshot()
     session.act(Exclude(4))
-    never = session_of([one for one in outcomes if one.poke != 4])
+    never = session_of([outcome for outcome in outcomes if outcome.poke != 4])
     assert same_estimates(session.snapshot(), never.snapshot())
     assert [contact.poke for contact in session.contacts] == [1, 2, 3, 5, 6, 7, 8, 9]
     assert session.snapshot().pokes[3].excluded
@@ -101,7 +101,7 @@ MOVES = st.lists(
 @given(moves=MOVES, layout=st.booleans(), kept=st.sets(NUMBERS))
 def test_whatever_was_added_and_taken_away_leaves_no_trace(outcomes, moves, layout, kept):
     """After any sequence of moves a session is made to hold some pokes; it is the one that never held anything else."""
-    final = {one.poke: one for one in outcomes if one.final}
+    final = {outcome.poke: outcome for outcome in outcomes if outcome.final}
     session = Session(small_scene(layout=layout), None)
     for move, number in moves:
         play(session, move, number, outcomes)
@@ -114,7 +114,7 @@ def test_whatever_was_added_and_taken_away_leaves_no_trace(outcomes, moves, layo
     never = Session(small_scene(layout=layout), None)
     for number in sorted(kept):
         never.add(final[number])
-    assert [outcome_key(one) for one in session.contacts] == [outcome_key(one) for one in never.contacts]
+    assert [outcome_key(outcome) for outcome in session.contacts] == [outcome_key(outcome) for outcome in never.contacts]
     assert session.channels == never.channels
     assert same_estimates(session.snapshot(), never.snapshot())
 
@@ -125,7 +125,7 @@ def play(session, move, number, outcomes):
     channel = SOME_CHANNELS[number % len(SOME_CHANNELS)]
     try:
         if move in ("add", "release"):
-            session.add(next(one for one in outcomes if one.poke == number and one.final == (move == "add")))
+            session.add(next(outcome for outcome in outcomes if outcome.poke == number and outcome.final == (move == "add")))
         elif move == "reject":
             session.add(Rejection(number, 0.0, 1.0, Reason.SLID, 1.0, 0.5, "", empty, final=True))
         elif move == "look":
@@ -144,7 +144,9 @@ def test_without_a_layout_the_taxels_are_those_that_answered():
     assert session.channels == (1, 2, 3, 7, 8)
     session.act(Exclude(3))
     assert session.channels == (1, 2, 3, 7)
-    assert same_estimates(session.snapshot(), session_of([one for one in outcomes if one.poke != 3], scene).snapshot())
+    assert same_estimates(
+        session.snapshot(), session_of([outcome for outcome in outcomes if outcome.poke != 3], scene).snapshot()
+    )
     session.act(Undo())
     assert session.channels == (1, 2, 3, 7, 8)
 

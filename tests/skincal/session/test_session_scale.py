@@ -98,14 +98,14 @@ def test_a_session_is_opened_in_little_more_than_its_notes_take_to_parse(tmp_pat
     assert least(lambda: load(tmp_path / "s")) < 3.0 * parsing
 
 
-def without_solver(_ledger, channels, methods, *_):
+def without_solver(_table, channels, methods, *_):
     """Stands for the solver, whose work grows with the answers of a taxel."""
     return {method: {channel: Estimate(channel, method, State.UNSEEN, 0) for channel in channels} for method in methods}
 
 
-def without_boards(ledger, boards, modules, *_):
+def without_module_fit(table, model, modules, *_):
     """Stands for the fit of boards, whose work grows with the pokes of a module."""
-    return without_solver(ledger, boards.channels_of(modules), [Method.MODULES])[Method.MODULES]
+    return without_solver(table, model.channels_of(modules), [Method.MODULES])[Method.MODULES]
 
 
 def filled(layout, pokes):
@@ -119,7 +119,7 @@ def filled(layout, pokes):
 @pytest.mark.parametrize("layout", [True, False], ids=["layout", "no layout"])
 def test_a_poke_costs_the_same_after_four_thousand_as_after_four_hundred(monkeypatch, layout):
     monkeypatch.setattr(solving_module, "estimate_from", without_solver)
-    monkeypatch.setattr(solving_module, "estimate_modules", without_boards)
+    monkeypatch.setattr(solving_module, "estimate_modules", without_module_fit)
     pokes = contacts(4200)
     sessions = {300: filled(layout, pokes[:300]), 3900: filled(layout, pokes[:3900])}
     spent = {before: [] for before in sessions}

@@ -136,7 +136,7 @@ def test_what_is_asked_meanwhile_is_of_the_snapshot_that_is_shown(rig, contacts,
     assert session.unsolved
     meanwhile = session.evidence(channels)
     assert contacts[-1].poke not in meanwhile.pokes.tolist()
-    assert np.array_equal(meanwhile.columns, before.columns), "as the rig told it: the estimates that are shown are of that"
+    assert np.array_equal(meanwhile.columns, before.columns), "as the rig reported it: the estimates that are shown are of that"
     steps_to_the_end(session)
     after = session.evidence(channels)
     assert contacts[-1].poke in after.pokes.tolist()
