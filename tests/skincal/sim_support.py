@@ -1,12 +1,17 @@
 """Scenes and rigs that the tests of the simulator share."""
 
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
+from skincal.journal.reader import SessionLog
+from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
+from skincal.session.pipeline import Pipeline
+from skincal.session.replay import step
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 
@@ -19,3 +24,13 @@ def scene_and_surface(name: str = "icub-forearm") -> tuple[Scene, Surface | None
 
 def make_rig(errors: RigErrors, seed: int = 1, name: str = "icub-forearm") -> Rig:
     return Rig(*scene_and_surface(name), errors, np.random.default_rng(seed))
+
+
+def recorded_anew(folder: Path, into: Path) -> Path:
+    """Record a session's bytes with its scene as it says now, so that it is opened without playing them again."""
+    log = SessionLog(folder)
+    pipeline = Pipeline(log.scene, log.links, load_surface(log.scene.surface)[0], create_session(into, log.scene, log.links))
+    for item in log.items():
+        step(pipeline, item)
+    pipeline.close()
+    return into

@@ -15,6 +15,7 @@ from skincal.model.scene import resource
 from skincal.model.skin import load_layout
 from tests.app.panels.test_compare_panel import Queue, anchored, at, judged_and_shown, known, make_panel, open_compare
 from tests.app.whole_window import OPEN_MS, Bench
+from tests.skincal.sim_support import recorded_anew
 
 
 def test_the_corrected_layout_can_be_saved_only_while_there_is_one(qtbot):
@@ -41,14 +42,21 @@ def test_the_corrected_layout_can_be_saved_only_while_there_is_one(qtbot):
     assert panel.findChildren(QPushButton) == []
 
 
-@pytest.fixture
-def mirrored_pokes(tmp_path):
-    """The sample session, which has a poke on each taxel, with its first module mirrored in the layout."""
-    folder = shutil.copytree(resource("sessions/sample"), tmp_path / "session")
+@pytest.fixture(scope="module")
+def mirrored_once(tmp_path_factory):
+    """The sample session, which has a poke on each taxel, recorded with its first module mirrored in the layout."""
+    made = tmp_path_factory.mktemp("mirrored")
+    folder = shutil.copytree(resource("sessions/sample"), made / "sample")
     layout = folder / "scene" / "modules.toml"
     text = layout.read_text(encoding="utf-8")
     layout.write_text(text.replace("mirror = false", "mirror = true  # so", 1), encoding="utf-8")
-    return folder
+    return recorded_anew(folder, made / "session")
+
+
+@pytest.fixture
+def mirrored_pokes(mirrored_once, tmp_path):
+    """That session, this test's own."""
+    return shutil.copytree(mirrored_once, tmp_path / "session")
 
 
 def until_offered(bench: Bench, folder) -> ComparePanel:

@@ -17,6 +17,7 @@ from skincal.model.scene import load_scene, resource
 from skincal.model.skin import load_layout
 from skincal.taxels.result import Method
 from tests.skincal.cli.test_cli_health import sample
+from tests.skincal.sim_support import recorded_anew
 
 SAMPLE = resource("sessions/sample")
 TRUTH = SAMPLE / "truth.json"
@@ -49,6 +50,7 @@ def damaged(tmp_path_factory):
         assert text.count(old) == 1
         text = text.replace(old, new)
     path.write_text(text, encoding="utf-8")
+    folder = recorded_anew(folder, made / "recorded")
     out, said = made / "corrected.modules.toml", io.StringIO()
     with redirect_stdout(said):
         assert main(["solve", str(folder), "--layout-out", str(out)]) == 0

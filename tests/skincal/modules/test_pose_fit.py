@@ -145,7 +145,7 @@ def test_rows_fall_with_the_step_that_their_slopes_tell(rng):
     evidence = table.evidence(model.channels_of([1]))
     touches = find_touches(evidence, table.totals(evidence.pokes), model, NOISE, [1])
     start = model.plan(1)
-    step = 1e-5 * rng.standard_normal((1, 6))
+    step = 1e-6 * rng.standard_normal((1, 6))
     before, after = (whitened(touches, laid(model, 1, model.ground.moved(start, s * step)), NOISE) for s in (0.0, 1.0))
     # In metres: the noise's size changes with the lever, which is not part of the step.
     off = np.linalg.solve(before.whiten, before.misses[..., None]) - np.linalg.solve(after.whiten, after.misses[..., None])
