@@ -23,6 +23,7 @@ from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
 from app.state.view_state import LinkLook
 from app.text.message import Message
+from app.text.outcomes import link_lines
 from app.theme import Choice
 from app.workers.device_process import DeviceProcess, parse_links
 from skincal.journal.lock import SessionLock
@@ -285,8 +286,9 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     bench.open(OpenRequest(session=tmp_path / "strange"))
     assert bench.controller.running is Running.OFFLINE
     bench.controller.go_on()
-    bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in bench.window.desk.frame.links))
-    assert {link.look for link in bench.window.desk.frame.links} == {LinkLook.LOST}
+    view = bench.window.session_view
+    bench.until(lambda: all("does not open what begins with spy:" in link.detail for link in link_lines(view.state)))
+    assert {link.look for link in link_lines(view.state)} == {LinkLook.LOST}
     assert kept.read_text() == "a thesis"
 
 
