@@ -321,6 +321,7 @@ class Window(QMainWindow):
         self._settings.setValue("window/geometry", self.saveGeometry())
         self._settings.setValue("window/sounds", self._player.on)
         self._settings.setValue("window/speech", self._player.speaks)
+        # Hidden first: closing may take as long as a read, and a window that stands still looks broken.
         self.hide()
         self.pedals.stop()
         self.messages.stop()

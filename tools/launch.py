@@ -35,7 +35,7 @@ CHECKS = {
     **{f"pytest as on {caps}": (*PYTEST, "-m", "pixels", PIXELS) for caps in PROCESSORS},
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
-"""Name of each check, and what Python is words to run it: long ones first, so that two cores are done at about the same time."""
+"""Name of each check, and the arguments for Python: long ones first, so that two cores are done at about the same time."""
 AT_ONCE = 2
 """Checks that run beside each other: each takes one core, and more would lengthen what some tests measure."""
 QUIET = {"pytest of what is measured": (*PYTEST, "-m", "quiet", "tests/app")}

@@ -101,11 +101,13 @@ class AxisDiversityPlot(Painted):
         pixels[..., :3] = colour.red(), colour.green(), colour.blue()
         pixels[..., 3] = np.round(SHADE_MOST * share)
         height, width = shade.shape
+        # The picture keeps a copy of its own: the bytes go with this function.
         return QImage(pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
 
     def _draw_dot(self, painter: QPainter, at: QPointF, *, own: bool, trust: float) -> None:
         size = DOT_PX * (DOUBT_LEAST + (1.0 - DOUBT_LEAST) * trust)
         text = QColor(self._colours.text)
+        # Full for its own, a ring for its neighbours': the shape says it without a colour.
         painter.setPen(QPen(QColor(self._colours.window), 1.0) if own else QPen(text, 1.4))
         painter.setBrush(text if own else QColor(self._colours.window))
         painter.drawEllipse(at, size, size)
@@ -121,6 +123,7 @@ class AxisDiversityPlot(Painted):
         reach = 8.0
         corners = [at + QPointF(x * reach, y * reach) for x, y in ((0, -1), (1, 0), (0, 1), (-1, 0))]
         painter.setBrush(Qt.BrushStyle.NoBrush)
+        # White within black stands out in both themes, whatever lies below.
         for width, colour in ((4.5, Qt.GlobalColor.black), (1.8, Qt.GlobalColor.white)):
             painter.setPen(QPen(QColor(colour), width))
             painter.drawPolygon(QPolygonF(corners))

@@ -201,6 +201,7 @@ class ComparePanel(QScrollArea):
 
     def _show_sources(self, state: ViewState) -> None:
         sources = sources_of(self._methods, state.review, laid=self._places.laid)
+        # A box that is filled anew closes its list under the operator's hand.
         if sources != self._sources:
             self._sources = sources
             for box in self.boxes:

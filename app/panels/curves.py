@@ -55,6 +55,7 @@ def envelope(times: FloatArray, values: FloatArray, columns: int, span: float) -
     width = span / columns
     column = np.floor(times / width)
     starts = np.flatnonzero(np.diff(column, prepend=column[0] - 1.0))
+    # These pass over NaN: one bad reading makes no gap in its column.
     low = np.fmin.reduceat(values, starts, axis=0)
     high = np.fmax.reduceat(values, starts, axis=0)
     reduced = np.empty((2 * len(starts), values.shape[1]))
@@ -181,6 +182,7 @@ class CurvesPanel(QWidget):
     def show_state(self, state: ViewState) -> None:
         """Draw the newest readings; nothing where there are no newer ones."""
         times, wrench = state.live.wrench_s, state.live.wrench
+        # Time that went back is another session's, and is drawn at once.
         if not len(times) or 0.0 <= times[-1] - self._newest_s < CURVES_S:
             return
         self._newest_s = float(times[-1])

@@ -96,6 +96,7 @@ class LinkCard(QFrame):
         put(self.rate, words.rate)
         carried = ", ".join(stream.value for stream in health.carries)
         about = [health.format or "format not known yet", self._address]
+        # What a link carries is said only where its name does not say it.
         if carried != words.name:
             about.insert(0, carried)
         self.about.setText(f"last bytes {words.age}  \N{MIDDLE DOT}  " + "  \N{MIDDLE DOT}  ".join(filter(None, about)))
@@ -155,6 +156,7 @@ class DevicesPanel(QScrollArea):
             card = LinkCard(self._addresses.get(name, ""))
             card.set_colours(self._colours)
             self.cards[name] = card
+            # Above the line of unpaired frames and the stretch.
             self._column.insertWidget(len(self.cards) - 1, card)
         return self.cards[name]
 
@@ -186,6 +188,7 @@ class LinkChips(QWidget):
         self._show_behind(state.behind_s)
         links = link_lines(state)
         looks = tuple((words.name, words.look) for words in links)
+        # The foot of the window is seen from the corner of the eye: once a second is enough.
         if looks == self._looks and state.now_s - self._shown_s < 4 * REFRESH_S:
             return
         self._looks, self._shown_s = looks, state.now_s

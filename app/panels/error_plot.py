@@ -126,6 +126,7 @@ class ErrorPlot(QWidget):
         known = np.isfinite(newest[:, MEAN]) & (newest[:, MEAN] > 0.0)
         at, newest = np.flatnonzero(known) + SHIFT[method], newest[known]
         marks = np.log10(newest)
+        # At each module a line from the mean up to the maximum, and a mark across it at p95.
         self.curves[method, MAX].setData(np.repeat(at, 2), marks[:, [MEAN, MAX]].ravel(), connect="pairs")
         ends = (at[:, None] + [-TICK, TICK]).ravel()
         self.curves[method, P95].setData(ends, np.repeat(marks[:, P95], 2), connect="pairs")

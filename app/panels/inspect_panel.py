@@ -135,6 +135,7 @@ class InspectPanel(QScrollArea):
         shown = (state.revision, state.method, state.guidance is None, state.selected)
         if shown == self._shown:
             return
+        # Another selection changes the details, not the list of the worst.
         changed_worst = shown[:-1] != self._shown[:-1]
         self._shown = shown
         if changed_worst:

@@ -45,6 +45,7 @@ class MessageBar(QFrame):
 
     def tell(self, message: Message) -> None:
         """Show a message; the same one twice in a row is shown once."""
+        # A device that comes and goes says the same many times.
         if self._waiting and self._waiting[-1] == message:
             return
         self._waiting.append(message)

@@ -201,6 +201,7 @@ class Sign(Painted):
         pen = QPen(colour, 5)
         pen.setCapStyle(Qt.PenCapStyle.FlatCap)
         painter.setPen(pen)
+        # Qt counts sixteenths of a degree, from three o'clock and against the clock.
         painter.drawArc(ring, 90 * 16, -round(share * 360 * 16))
         painter.translate(SIGN_PX / 2, SIGN_PX / 2)
         pen = QPen(colour, 4)
@@ -235,6 +236,7 @@ class ForceGauge(Painted):
     def paint(self, painter: QPainter) -> None:
         """Paint the number, the scale, the window and the bar."""
         low, high = self._window
+        # Room beyond the window, so that too much force is seen to grow.
         full = high * 1.25
         metrics = QFontMetrics(painter.font())
         bar = QRectF(1, self.height() - metrics.height() - 13, self.width() - 2, 10)

@@ -55,6 +55,7 @@ class PlotPanel(QWidget):
         self._state = state
         if self.ready:
             self.draw_state(state)
+        # It was imported while the panel was hidden.
         elif self.isVisible() and self._imported:
             self._make()
         elif self.isVisible() and self._threads is None:

@@ -62,6 +62,7 @@ class PokeTable(QAbstractTableModel):
         self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
         self._doubting = doubting(estimates.values())
         old, added = self._records, len(records) - len(self._records)
+        # Pokes come at the end alone; anything else, as after an undo, is another list.
         if added < 0 or any(a.outcome.poke != b.outcome.poke for a, b in zip(old[-1:], records[len(old) - 1 :], strict=False)):
             self.beginResetModel()
             self._records = records

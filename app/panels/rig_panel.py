@@ -159,6 +159,7 @@ class RigPanel(QScrollArea):
             self.arm.show_state(state)
         snapshot, guidance = state.snapshot, state.guidance
         shown = (state.revision, snapshot.pose, snapshot.landmarks, state.review, state.offers, guidance, state.method)
+        # By identity: a change makes a new object, and `==` would compare arrays.
         if len(shown) == len(self._shown) and all(new is old for new, old in zip(shown, self._shown, strict=True)):
             return
         self._shown = shown
@@ -167,6 +168,7 @@ class RigPanel(QScrollArea):
         self.asked.setVisible(bool(self.asked.text()))
         put(self.said, _words(state))
         self._offer = state.offers[0] if state.offers else None
+        # The newest one goes first: it was found under the others.
         self._used = next(reversed(tuple(state.snapshot.corrections)), "")
         offer = "" if self._offer is None else f"{offer_text(self._offer)}  (C)"
         for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):

@@ -114,6 +114,7 @@ def plan_map(layout: Layout | None, channels: IntArray) -> MapPlan:
     channels : (n,) channels that are taxels
     """
     if layout is None:
+        # Wider than high, as is the place of the map.
         columns = max(1, math.ceil(math.sqrt(len(channels) * 1.6)))
         row, column = np.divmod(np.arange(len(channels)), columns)
         return MapPlan(channels, np.stack([column, -row], axis=1).astype(float), 1.0, (), ())
@@ -414,6 +415,7 @@ class TaxelMap(Painted):
         away = self._places - np.array([start.x(), start.y()])
         along = away @ np.array(step)
         across = np.abs(away @ np.array([-step[1], step[0]]))
+        # Sideways counts twice: an arrow keeps to its row where it can.
         cost = np.where(along > 1.0, along + 2.0 * across, math.inf)
         best = int(np.argmin(cost))
         return int(self._plan.channels[best]) if math.isfinite(cost[best]) else None
@@ -431,6 +433,7 @@ class TaxelMap(Painted):
         self._draw_target(painter)
 
     def _drawn(self, draw: Callable[[QPainter], None]) -> QPixmap:
+        # In device pixels: a dense screen would show it blurred.
         ratio = self.devicePixelRatioF()
         pixmap = QPixmap(math.ceil(self.width() * ratio), math.ceil(self.height() * ratio))
         pixmap.setDevicePixelRatio(ratio)

@@ -347,6 +347,7 @@ class Controller(QObject):
         self._shown, self._news = snapshot, False
         if snapshot.landmarks:
             self._review(recording.pipeline.session, snapshot)
+        # While readings wait, the moment that is shown is the one they came to, not now.
         reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
         live = recording.pipeline.live(reached_ns)
         evidence = recording.pipeline.session.evidence

@@ -92,6 +92,7 @@ class Places:
         reviewed = None if review is None else _reviewed(source, source.method, review)
         found = state.snapshot.estimates.get(source.method, ()) if reviewed is None else reviewed
         kept, places = self._kept.get(source, (None, None))
+        # The same estimates, by identity, give the same places.
         if kept is not found or places is None:
             if review is None or reviewed is None:
                 places = self._worked_out(source.method, state)

@@ -100,6 +100,7 @@ def allowed(
     streamed = any(Stream.JOINTS in link.carries for link in links)
     return Allowed(
         undo=snapshot.can_undo,
+        # A rejected poke counts for nothing already.
         exclude=tuple(p.outcome.poke for p in chosen if not p.excluded and isinstance(p.outcome, Contact)),
         restore=tuple(p.outcome.poke for p in chosen if p.excluded),
         unname=tuple(

@@ -48,6 +48,7 @@ def link_look(health: LinkHealth, now_ns: int, *, connected: bool = True) -> Lin
         return LinkLook.LOST
     if health.state is LinkState.ENDED:
         return LinkLook.ENDED
+    # Nothing came yet: silence is counted from the first bytes on.
     if health.last_host_ns == 0:
         return LinkLook.WAITING
     return LinkLook.SILENT if is_silent(health.last_host_ns * 1e-9, now_ns * 1e-9) else LinkLook.STREAMING
