@@ -112,7 +112,7 @@ class Workspace(QWidget):
         column.setSpacing(GAP)
         column.addWidget(self.across, 1)
         column.addWidget(self.now)
-        self.tabs.currentChanged.connect(lambda _index: self._show_tab())
+        self.tabs.currentChanged.connect(self._show_tab)
 
     def _fill_map_card(self, column: QVBoxLayout) -> None:
         for method in self.methods:
@@ -163,7 +163,7 @@ class Workspace(QWidget):
         self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room)
         self._show_tab()
 
-    def _show_tab(self) -> None:
+    def _show_tab(self, _index: int = -1) -> None:
         if self._state is not None and self.tabs.count():
             self._panels[self.tabs.tabText(self.tabs.currentIndex())].show_state(self._state)
 
