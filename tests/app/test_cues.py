@@ -116,10 +116,6 @@ def test_a_lost_device_is_heard_slowly_and_nothing_else_meanwhile():
 def test_nothing_is_heard_while_nothing_streams(running):
     frames = (at(), at(PRESSING, (touch(1),), lost=("skin",), running=running), at(READY, (touch(1),)))
     assert cues_of(*frames) == [None, None, None]
-        None,
-        None,
-        None,
-    ]
 
 
 def test_whatever_is_heard_is_said_in_the_same_frame():
