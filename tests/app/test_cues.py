@@ -141,10 +141,10 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.LOST: "lost skin",
     }
     assert set(said) == set(Cue)
-    memory, memory = due_cue(CueMemory(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]
+    cues, line = due_cue(CueMemory(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]
     for sound, each in frames.items():
-        due, memory = due_cue(memory, each)
-        now, memory = now_line(memory, each)
+        due, cues = due_cue(cues, each)
+        now, line = now_line(line, each)
         assert due is not None
         assert due.sound is sound
         assert said[sound] in f"{now.headline} {now.detail}"
