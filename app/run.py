@@ -30,8 +30,11 @@ LOG = logging.getLogger("skincal")
 LOG_BYTES = 1_000_000
 """A log file grows to this size; one older is kept."""
 GARBAGE = (10_000, 20, 20)
-"""When Python looks for cyclic garbage. A full look stops every thread: 50 ms once VTK and pyqtgraph are imported, and by
-default the imports themselves bring several about. So it takes four million new objects; what pokes leave is a thousand."""
+"""When cyclic garbage is looked for, as for `gc.set_threshold`. A full look stops every thread: 50 ms once VTK and pyqtgraph
+are imported, and by default the imports themselves bring several about. So it takes four million new objects; what pokes leave
+is a thousand."""
+COLLECT_MS = 200
+"""How often it is seen whether that is due."""
 SWITCH_S = 0.0005
 """s. Python's thread switch: at its default of 5 ms background work delays the picture seven times as much (measured)."""
 
@@ -111,6 +114,25 @@ def start_log() -> Path:
     return path
 
 
+def collect_in_window(application: QApplication) -> QTimer:
+    """Look for cyclic garbage in the window's thread alone, from now on; return the timer that does.
+
+    Python looks for it in whichever thread makes objects: a worker would end widgets that Qt still uses, and the program dies.
+    """
+    gc.disable()
+    timer = QTimer(application)
+    timer.timeout.connect(_collect_what_is_due)
+    timer.start(COLLECT_MS)
+    return timer
+
+
+def _collect_what_is_due() -> None:
+    counts = gc.get_count()
+    due = [generation for generation, most in enumerate(GARBAGE) if counts[generation] > most]
+    if due:
+        gc.collect(due[-1])
+
+
 def run_window(request: OpenRequest, player: Player | None = None) -> int:
     """Open the window and return the exit code once it is closed: 1 where a fault of the program happened.
 
@@ -119,9 +141,9 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     player : plays the sounds; on the desktop's sound device if None
     """
     sys.setswitchinterval(SWITCH_S)
-    gc.set_threshold(*GARBAGE)
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
+    collect_in_window(application)
     application.setApplicationName("skincal")
     faults = Faults()
     remove = faults.install()

@@ -16,7 +16,7 @@ import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
 
-from app.run import GARBAGE, Faults
+from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
@@ -356,15 +356,36 @@ def test_what_was_just_opened_is_shown_once_in_a_tick(bench):
 
 
 @pytest.fixture
-def own_garbage():
-    """Let the collector look as rarely as in the program, and only at what this test makes, not at a thousand other tests."""
-    before = gc.get_threshold()
+def own_garbage(qapp):
+    """Let the collector look as in the program, and only at what this test makes, not at a thousand other tests."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(*GARBAGE)
+    timer = collect_in_window(qapp)
     yield
-    gc.set_threshold(*before)
+    timer.stop()
+    timer.deleteLater()
     gc.unfreeze()
+
+
+def test_garbage_is_ended_in_the_window_s_thread_whoever_makes_it(qapp, qtbot, own_garbage):
+    ended = []
+
+    class Cycle:
+        def __init__(self):
+            self.itself = self
+
+        def __del__(self):
+            ended.append(threading.current_thread())
+
+    def work():
+        Cycle()
+        return [[] for _ in range(300_000)]
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    worker.join()
+    qtbot.waitUntil(lambda: bool(ended))
+    assert ended == [threading.main_thread()]
 
 
 def longest_step(bench, qtbot):

@@ -16,12 +16,12 @@ from scipy.stats import chi2
 from app.scene3d import offscreen
 from app.scene3d.camera import PLAIN, Sight
 from app.scene3d.entry import contact_point, entry_points
-from app.scene3d.static_scene import HUES, LIGHT, module_hues, shade
+from app.scene3d.static_scene import HUES, LIGHT, StaticScene, module_hues, shade
 from skincal.mesh.surface import make_surface
 from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import box, estimate
+from tests.app.scene3d_support import box, estimate, laid, layout, scene
 
 
 def test_a_line_enters_a_ball_where_the_pencil_says():
@@ -233,3 +233,14 @@ def test_osmesa_serves_where_egl_does_not_start(monkeypatch):
     monkeypatch.setattr(offscreen, "egl_starts", lambda: True)
     offscreen.choose_offscreen()
     assert offscreen.os.environ[offscreen.VARIABLE] == "vtkOSOpenGLRenderWindow", "a choice that is made is kept"
+
+
+def test_skin_has_a_far_side_only_where_it_is_laid_on_a_surface():
+    plan = layout()
+    on_part, flat, unlaid = (
+        StaticScene(scene(plan), surface, skin, range(3))
+        for surface, skin in ((box(), laid(plan)), (None, laid(plan)), (box(), None))
+    )
+    assert (on_part.skin_normals == on_part.normals).all()
+    assert np.isnan(flat.skin_normals).all()
+    assert np.isnan(unlaid.skin_normals).all()
