@@ -161,13 +161,13 @@ def test_pose_error_has_the_stated_size():
     turns, shifts = [], []
     for seed in range(60):
         for stance in plane_rig(RigErrors.paper(), seed).stances.values():
-            error = np.linalg.inv(stance.told) @ stance.true
+            error = np.linalg.inv(stance.reported) @ stance.true
             turns.append(np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1)))
             shifts.append(np.linalg.norm(error[:3, 3]))
     assert np.degrees(np.sqrt(np.mean(np.square(turns)) / 3)) == pytest.approx(1.0, rel=0.08)
     assert np.sqrt(np.mean(np.square(shifts)) / 3) == pytest.approx(0.002, rel=0.08)
     for stance in make_rig(RigErrors.noise()).stances.values():
-        np.testing.assert_allclose(stance.true, stance.told, atol=1e-15)
+        np.testing.assert_allclose(stance.true, stance.reported, atol=1e-15)
 
 
 def test_matrix_error_has_the_stated_size_and_crosstalk():
