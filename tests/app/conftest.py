@@ -26,7 +26,7 @@ ENDING = ("reader ", "skincal-")
 
 @pytest.fixture(autouse=True, scope="session")
 def _garbage_in_this_thread() -> Iterator[None]:
-    """As in the program, cyclic garbage is looked for in the window's thread alone: a worker would end widgets Qt still uses."""
+    """As in the program, cyclic garbage is ended in this thread alone: a worker would end widgets that Qt still uses."""
     gc.disable()
     yield
     gc.enable()

@@ -367,7 +367,8 @@ def own_garbage(qapp):
     gc.unfreeze()
 
 
-def test_garbage_is_ended_in_the_window_s_thread_whoever_makes_it(qapp, qtbot, own_garbage):
+@pytest.mark.usefixtures("own_garbage")
+def test_garbage_is_ended_in_the_window_s_thread_whoever_makes_it(qtbot):
     ended = []
 
     class Cycle:
