@@ -43,17 +43,17 @@ DRAIN_WAIT_S = 0.05
 importing = typer.Typer(
     help="Make a session from another program's recording.",
     no_args_is_help=True,
-    epilog="Example: skincal import yarp --wrench log/analog --skin log/skin --scene icub-forearm --out monday",
+    epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday",
 )
 
 
 def add_to(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command(
-        epilog="Example: skincal record --wrench /dev/ttyUSB0@460800 --skin /dev/ttyACM0 --scene icub-forearm --out monday"
+        epilog="Example: skincal record --wrench /dev/ttyUSB0 --skin /dev/ttyACM0 --pose 1 --scene icub-forearm --out monday"
     )(record)
     importing.command(
-        "yarp", epilog="Example: skincal import yarp --wrench log/analog --skin log/skin --scene icub-forearm --out monday"
+        "yarp", epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday"
     )(import_yarp)
     importing.command(
         "csv", epilog="Example: skincal import csv --wrench ft.csv --skin skin.csv --scene flat-patch --out monday"
