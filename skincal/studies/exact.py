@@ -8,7 +8,7 @@ k S(u) p = -k m/|f| with u = f/|f|. Their normal equations need no root, since k
 Squaring costs half of the digits; of 80 enough are left: angles of 1e-9 rad and weights of 1e-12 together take 42.
 
 **A module.** A poke is a line along u through a = u x m/|f|; it passes the middle c of the pads that answered by E (a - c),
-with E any two orthonormal directions across u. By the definition in `board_fit.py` that has the covariance
+with E any two orthonormal directions across u. By the definition in `pose_fit.py` that has the covariance
 D = E N E' + s^2 (I - o o'), o = E n: since E (c - a) is v.rho for each e of E, v = u x e and rho = u x (c - a),
 
     D_ij = v_i' ((sm/|f|)^2 I + (sf/|f|)^2 S(l) S(l)') v_j + s^2 (e_i.e_j - (e_i.n) (e_j.n)),   l = c - the sensor's origin.
@@ -18,7 +18,7 @@ the pokes were made, its matrix from differences of g in 80 digits, so that no s
 draws take one such step from the exact pose, with the moved inputs: first order, 1e-16 of the change is left out.
 
 Nothing here is taken from the solvers: not the two rows a contact, not the order, not the closed form for triangles; only what
-`touches.py` counts a poke for. mpmath does the arithmetic, on numpy's arrays of its numbers.
+`pose_fit.py` counts a poke for. mpmath does the arithmetic, on numpy's arrays of its numbers.
 """
 
 from __future__ import annotations
