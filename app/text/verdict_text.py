@@ -70,7 +70,7 @@ def check_words(verdict: Verdict) -> str:
     check = verdict.check
     if not check.checked:
         return "no poke could be held out yet"
-    words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others foretold"
+    words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others predicted"
     if check.believed and not check.tells:
         return f"{words}: too few to say anything"
     if check.agrees:

@@ -208,9 +208,9 @@ def _aimed(
 ) -> PressedPlaces:
     """Return one poke at each of `wanted`, `off` metres (n,) beside it and by the hand's aim."""
     count = len(wanted)
-    places = np.array([one.place for one in wanted])
+    places = np.array([landmark.place for landmark in wanted])
     up = np.array([0.0, 0.0, 1.0])
-    normals = np.array([up if one is None else one for one in landmark_normals(wanted, rig.surface)])
+    normals = np.array([up if normal is None else normal for normal in landmark_normals(wanted, rig.surface)])
     e1, e2 = tangents(normals)
     beside = habits.aim * rng.standard_normal((count, 2)) + np.column_stack([off, np.zeros(count)])
     tilts, azimuths = cone_tilts(count, habits.cone, rng), rng.uniform(-np.pi, np.pi, count)

@@ -124,7 +124,7 @@ def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, li
 
 def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
     """Return (n,) the taxels' errors, metres."""
-    truth = [rig.places[rig.row_of(one.channel)] for one in estimates]
+    truth = [rig.places[rig.row_of(estimate.channel)] for estimate in estimates]
     pairs = zip(estimates, truth, strict=True)
     return np.array([UNKNOWN if one.position is None else np.linalg.norm(one.position - place) for one, place in pairs])
 

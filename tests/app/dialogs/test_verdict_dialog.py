@@ -65,15 +65,15 @@ def test_the_figures_are_those_of_the_verdict():
             "Needs",
             "a predicted error of 3 mm or less, 3 pokes of its own evenly around it, and the last hardly moved it",
         ),
-        ("Check", "13 of 14 held-out pokes fell where the others foretold"),
+        ("Check", "13 of 14 held-out pokes fell where the others predicted"),
         ("Work", "252 pokes in 9 min"),
     )
     assert "the errors are larger than predicted" in check_words(verdict(checked=Check(14, 7)))
     hardly = check_words(verdict(checked=Check(11, 8)))
     assert hardly == (
-        "8 of 11 held-out pokes fell where the others foretold, of 20 it should be 19: the errors may be larger than predicted"
+        "8 of 11 held-out pokes fell where the others predicted, of 20 it should be 19: the errors may be larger than predicted"
     )
-    assert check_words(verdict(checked=Check(4, 4))).endswith("foretold: too few to say anything")
+    assert check_words(verdict(checked=Check(4, 4))).endswith("predicted: too few to say anything")
     assert check_words(verdict(checked=Check(0, 0))) == "no poke could be held out yet"
 
 
