@@ -61,7 +61,7 @@ base_from_sensor = [[-1, 0, 0, 0], [0, 0, 1, -0.08428], [0, 1, 0, 0], [0, 0, 0, 
 # default of 8 mm, for a good sensor, would reject four in ten. A second touch shows here as taxels far apart that answer.
 pitch_max = 0.025
 
-# Screw heads of the cover, around the skin: known points, which tell the rig's own errors.
+# Screw heads of the cover, around the skin: known points, from which the rig's own errors are told.
 [[landmarks]]
 name = "elbow, outer"
 place = [0.0252, 0.0132, -0.0039]

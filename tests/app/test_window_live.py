@@ -378,9 +378,11 @@ def test_garbage_is_ended_in_the_window_s_thread_whoever_makes_it(qtbot):
         def __del__(self):
             ended.append(threading.current_thread())
 
+    kept = []
+
     def work():
         Cycle()
-        return [[] for _ in range(300_000)]
+        kept.extend([] for _ in range(300_000))
 
     worker = threading.Thread(target=work)
     worker.start()

@@ -19,7 +19,7 @@ PRIOR = RigPrior()
 
 
 def reported(rig):
-    return {name: stance.told for name, stance in rig.stances.items()}
+    return {name: stance.reported for name, stance in rig.stances.items()}
 
 
 def planned(rig, per_pose):
