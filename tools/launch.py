@@ -72,7 +72,7 @@ It takes the same words as `skincal`:
   start.py --help                         this text; once it is installed, every option and command
   start.py COMMAND --help                 installs what is missing, and tells the options of a command
 
-The whole of it stands in README.md.
+README.md says how a part is calibrated, docs/manual.md the rest.
 """
 
 

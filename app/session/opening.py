@@ -116,7 +116,6 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     from skincal.journal.writer import create_session
     from skincal.session.pipeline import Pipeline
 
-    folder.parent.mkdir(parents=True, exist_ok=True)
     pipeline = Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid)
     if truth:
         (folder / TRUTH_NAME).write_bytes(truth)

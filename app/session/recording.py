@@ -148,8 +148,7 @@ class Recording:
 
     def sync(self) -> None:
         """Force what is recorded onto the medium."""
-        if self.pipeline.journal is not None:
-            self.pipeline.journal.sync()
+        self.pipeline.sync()
 
     def go_on(self) -> None:
         """Read again, in a new segment of the journal.

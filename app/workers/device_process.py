@@ -85,6 +85,8 @@ class DeviceProcess(QObject):
             self._process.waitForFinished(STOP_MS)
 
     def _read(self) -> None:
+        if self._stopping:
+            return  # What it says now is of a session that is closed.
         self._line += bytes(self._process.readAllStandardOutput().data())
         head, newline, _ = self._line.partition(b"\n")
         if not newline:

@@ -94,8 +94,9 @@ def new_folder(folder: Path) -> Generator[Fresh]:
     except InputError:
         if fresh.made:
             shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
-            for segment in folder.glob("segment-*"):
-                segment.unlink()
+            for ending in ("mcap", "jsonl"):
+                for segment in folder.glob(f"segment-[0-9][0-9][0-9][0-9].{ending}"):
+                    segment.unlink()
         for place in missing:
             # A folder that is not empty is in use by others.
             with contextlib.suppress(OSError):

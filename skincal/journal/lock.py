@@ -100,7 +100,7 @@ def writer_of(folder: Path) -> str:
 
 def _locked(path: Path) -> FileIO | None:
     """Return the file with the lock on it; None where another holds it."""
-    file = FileIO(path, "a+")
+    file = FileIO(path, "a+", opener=_open_no_link)
     try:
         _take(file, shared=False)
         # The one who held it may have taken the file away since it was opened here.
@@ -112,6 +112,13 @@ def _locked(path: Path) -> FileIO | None:
             raise
     file.close()
     return None
+
+
+def _open_no_link(path: str, flags: int) -> int:
+    """Open a file, not what a link of its name leads to: a stranger's session must not choose what is written over."""
+    if Path(path).is_symlink():
+        raise OSError(errno.ELOOP, f"{LOCK_NAME} is a link")
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _words_of(path: Path) -> str:

@@ -89,7 +89,9 @@ def _write_anew(path: Path, lines: Lines | None) -> tuple[str, bool]:
     """
     fresh = path.with_name(path.name + ".recovering")
     source = McapFile(path)
-    with fresh.open("wb") as target:
+    # Made anew, so that a link of that name leads nowhere.
+    fresh.unlink(missing_ok=True)
+    with fresh.open("xb") as target:
         count, why = _copy(source, target)
         os.fsync(target.fileno())
     lost = source.lost
@@ -140,7 +142,7 @@ def _put_aside(path: Path, ending: str) -> str:
 
 def _free_name(path: Path, ending: str) -> Path:
     name, number = path.with_name(f"{path.name}.{ending}"), 1
-    while name.exists():
+    while name.exists() or name.is_symlink():
         number += 1
         name = path.with_name(f"{path.name}.{ending}-{number}")
     return name

@@ -330,6 +330,10 @@ class Pipeline:
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times[new:], wrenches[new:]))
 
+    def sync(self) -> None:
+        """Force what is recorded onto the medium; where that fails recording ends, and `journal_failure` says why."""
+        self._record(lambda journal: journal.sync())
+
     def _record(self, work: Callable[[JournalWriter], None]) -> None:
         """Do something with the journal, if there is one; a full disk ends it and nothing else."""
         if self.journal is None:

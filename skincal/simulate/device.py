@@ -3,7 +3,7 @@
 `DeviceTimeline` is the shared core: block after block it asks the operator, computes what each device reads, encodes it,
 and lets each link delay, hold back, lose and damage the bytes. It knows no clock but its own, so it runs in real time
 (`serve`) and as fast as it goes (`session`) with the same bytes. Readings become bytes as makers' boards send them: SKB/1,
-SKT/1 and, for skins too wide for either, delimited text. The formats are those of `skincal.streams.formats`; nothing is
+SKT/1 and, for skins too wide for either, delimited text. The formats are those of `skincal.streams.decoders`; nothing is
 shared with the decoders, so each checks the other.
 """
 

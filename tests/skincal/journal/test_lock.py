@@ -238,3 +238,32 @@ def test_a_session_that_cannot_be_written_is_read(tmp_path):
     assert all(not flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT) for _, _, flags in opened)
     assert state_of(folder) == before
     opened = None
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+def test_a_lock_that_is_a_link_is_refused_and_what_it_leads_to_stays(tmp_path):
+    """A session of a stranger may hold links: nothing beyond its folder is written."""
+    letter = tmp_path / "letter"
+    letter.write_text("dear", encoding="utf-8")
+    folder = tmp_path / "s"
+    folder.mkdir()
+    (folder / LOCK_NAME).symlink_to(letter)
+    with pytest.raises(InputError, match="cannot be locked"):
+        SessionLock(folder)
+    assert letter.read_text(encoding="utf-8") == "dear"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+def test_recovery_writes_through_no_link(tmp_path):
+    scene = write_scene(tmp_path / "source")
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    for item in as_chunks(some_pokes(scene, 3).samples):
+        pipeline.feed(item)
+    killed(pipeline)
+    folder = tmp_path / "s"
+    letter = tmp_path / "letter"
+    letter.write_text("dear", encoding="utf-8")
+    for name in ("segment-0001.mcap.recovering", "segment-0001.mcap.damaged", "segment-0001.jsonl.damaged"):
+        (folder / name).symlink_to(letter)
+    resume(folder).close()
+    assert letter.read_text(encoding="utf-8") == "dear"
