@@ -26,9 +26,8 @@ from app.panels.devices import LinkChips
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
-from app.state.policies import Allowed, allowed
+from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
-from app.state.rig_review import RigReview
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.message import Message
 from app.text.now_text import modules_enough_words
@@ -41,9 +40,8 @@ from skincal.guide.guidance import Guidance
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.model.errors import InputError
-from skincal.session.error_history import ErrorFollower
+from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.guiding import ModulesEnough, SessionGuide
-from skincal.session.modules_check import ModulesCheck
 from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot

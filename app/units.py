@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
 
 DASH = "\N{EN DASH}"

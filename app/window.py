@@ -19,11 +19,11 @@ from PySide6.QtWidgets import QFileDialog, QLabel, QMainWindow, QMessageBox, QSt
 from app.commands import Commands, key_words
 from app.dialogs.pedals import Pedals
 from app.panels.message_bar import MessageBar
-from app.panels.texts import ElidedLabel
+from app.panels.widgets import ElidedLabel
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
-from app.state.running import Running
+from app.state.policies import Running
 from app.text.message import Message
 from app.theme import GAP, Choice, Colours, Theme
 

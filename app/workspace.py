@@ -21,7 +21,7 @@ from app.panels.plot_panel import ReadingsPanel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.rig_panel import RigPanel
 from app.panels.taxel_map import TaxelMap
-from app.panels.texts import FittedLabel
+from app.panels.widgets import FittedLabel
 from app.scene3d.view import View3D
 from app.state.view_state import ViewState
 from app.text.now_text import Now, Tone

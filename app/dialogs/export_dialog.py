@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.texts import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, put, quiet
 from app.text.compare_text import saved_words
 from app.text.message import Message
 from app.text.outcomes import METHOD_NAMES

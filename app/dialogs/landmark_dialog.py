@@ -18,12 +18,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.texts import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, put, quiet
 from app.scene3d.view import View3D
 from app.text.message import Message
 from app.theme import GAP
 from app.units import UNITS, in_metres, in_millimetres
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.actions import Action, AddLandmark
 from skincal.model.tables import LENGTH_MAX
 

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.texts import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, put, quiet
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource

@@ -14,7 +14,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QKeyCombination, QObject, Q
 from PySide6.QtGui import QAction, QHideEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from app.panels.texts import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, put, quiet
 
 Key = Qt.Key
 

@@ -9,7 +9,7 @@ from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelInd
 from PySide6.QtGui import QKeyEvent, QShowEvent
 from PySide6.QtWidgets import QDialog, QDialogButtonBox, QFormLayout, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
 
-from app.panels.texts import plain_buttons, quiet
+from app.panels.widgets import plain_buttons, quiet
 from app.text.verdict_text import figures, left_words, sentence
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count

@@ -24,8 +24,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.texts import embolden, fit_rows, on_panel, put, put_rows, put_taxels, quiet, table
-from app.scene3d.static_scene import DARK, LIGHT, Cloud, Comparison, Tint
+from app.panels.widgets import embolden, fit_rows, on_panel, put, put_rows, put_taxels, quiet, table
+from app.scene3d.scene_state import DARK, LIGHT, Cloud, Comparison, Tint
 from app.state.place_sets import Pair, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.state.view_state import ViewState
 from app.text.compare_text import (
@@ -46,10 +46,10 @@ from app.text.compare_text import (
 )
 from app.theme import GAP, Colours
 from app.units import ChannelNames
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
 from skincal.modules.health import PlannedNeighbours, neighbours_of
-from skincal.session.modules_check import ModulesFound
+from skincal.session.error_history import ModulesFound
 from skincal.taxels.differences import compare_modules, differences, summarise, worst_rows
 from skincal.taxels.result import Method
 

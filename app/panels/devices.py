@@ -6,7 +6,7 @@ from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from app.panels.texts import ElidedLabel, Painted, embolden, on_panel, put, quiet
+from app.panels.widgets import ElidedLabel, Painted, embolden, on_panel, put, quiet
 from app.state.view_state import LinkLook, ViewState
 from app.text.outcomes import LinkWords, link_lines
 from app.theme import GAP, LIGHT, Colours, digits_font

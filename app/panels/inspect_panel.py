@@ -1,11 +1,19 @@
-"""The panel of one taxel: its estimates by each method and its pokes; and the taxels that need pokes most."""
+"""The contacts of one taxel as one looks down on it: from which sides they came, or where around it they lie.
+
+For the free method the rim is a tilt of 45 degrees, each contact a dot where the tool's upper end stood, and tinted is where
+the next contact would help most. For the surface method it is the skin around the taxel, and the middle of the contacts on it.
+
+The panel of one taxel: its estimates by each method and its pokes; and the taxels that need pokes most.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtGui import QColor, QImage, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import (
     QGridLayout,
+    QHBoxLayout,
     QLabel,
     QListWidget,
     QListWidgetItem,
@@ -15,17 +23,184 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.axis_diversity_panel import AxisDiversityPanel
-from app.panels.texts import embolden, on_panel, put, put_rows, put_taxels, quiet, table
+from app.panels.top_view import AxisDiversityView, diversity_view
+from app.panels.widgets import Painted, embolden, on_panel, put, put_rows, put_taxels, quiet, table
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
 from app.text.errors_text import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
-from app.text.guidance_text import needs_words
+from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, find_estimate
 from app.theme import GAP, Colours
 from app.units import DASH, ChannelNames, count, direction, millimetres, number, point_mm
+from skincal.geometry import FloatArray
+from skincal.guide.guidance import Guidance
+from skincal.guide.progress import AxisDiversity
 from skincal.sentences import state_sentence
 from skincal.taxels.result import Estimate, Method, State
+
+PLOT_PX = 152
+DOT_PX = 4.0
+DOUBT_LEAST = 0.45
+"""A contact that is not believed at all is drawn in this share of the size."""
+SHADE_MOST = 110
+"""Opacity, 0 to 255, where the next contact would help most: dots must stand out on it."""
+_PLACES = "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'\n\N{MULTIPLICATION SIGN} their middle"
+LEGENDS = {
+    Method.FREE: "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'  small: doubted\n"
+    "Tinted: from there the next tells most",
+    Method.SURFACE: _PLACES,
+    Method.MODULES: _PLACES,
+}
+
+
+class AxisDiversityPlot(Painted):
+    """The picture alone."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFixedSize(PLOT_PX, PLOT_PX)
+        self._diversity: AxisDiversity | None = None
+        self._view: AxisDiversityView | None = None
+        self.setAccessibleName("contacts of the taxel, from above")
+
+    def sizeHint(self) -> QSize:
+        """Return the size that it keeps."""
+        return QSize(PLOT_PX, PLOT_PX)
+
+    def set(self, diversity: AxisDiversity, view: AxisDiversityView) -> None:
+        """Show the contacts of a taxel."""
+        self._diversity, self._view = diversity, view
+        self.update()
+
+    def paint(self, painter: QPainter) -> None:
+        """Paint the rim, what is worth most, the limit, the contacts and the next."""
+        diversity, view = self._diversity, self._view
+        if diversity is None or view is None:
+            return
+        painter.translate(PLOT_PX / 2, PLOT_PX / 2)
+        self._draw_scale(painter, view)
+        for place, own, trust in zip(view.dots, diversity.own.tolist(), diversity.trust.tolist(), strict=True):
+            self._draw_dot(painter, self._at(place), own=own, trust=trust)
+        if view.middle is not None and len(view.dots):
+            self._draw_middle(painter, self._at(view.middle))
+        if view.wanted is not None:
+            self._draw_wanted(painter, self._at(view.wanted))
+
+    def _radius(self) -> float:
+        return PLOT_PX / 2 - DOT_PX - 3
+
+    def _at(self, point: FloatArray) -> QPointF:
+        x, y = (self._radius() * point).tolist()
+        return QPointF(x, -y)
+
+    def _draw_scale(self, painter: QPainter, view: AxisDiversityView) -> None:
+        radius = self._radius()
+        painter.setPen(QPen(QColor(self._colours.line), 1.5))
+        painter.setBrush(QColor(self._colours.window))
+        painter.drawEllipse(QPointF(0, 0), radius, radius)
+        if view.shade.any():
+            painter.drawImage(QRectF(-radius, -radius, 2 * radius, 2 * radius), self._shade(view.shade))
+        painter.setPen(QPen(QColor(self._colours.line), 1.0))
+        painter.drawLine(self._at(np.array([-1.0, 0.0])), self._at(np.array([1.0, 0.0])))
+        painter.drawLine(self._at(np.array([0.0, -1.0])), self._at(np.array([0.0, 1.0])))
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.setPen(QPen(QColor(self._colours.muted), 1.2, Qt.PenStyle.DashLine))
+        painter.drawEllipse(QPointF(0, 0), radius * view.limit, radius * view.limit)
+
+    def _shade(self, shade: FloatArray) -> QImage:
+        """Return the shade in the theme's accent: contrast from the least to the most that is worth anything."""
+        inside = shade[shade > 0]
+        least, most = float(inside.min()), float(inside.max())
+        share = np.where(shade > 0, (shade - least) / max(most - least, 1e-9), 0.0)
+        colour = QColor(self._colours.accent)
+        pixels = np.zeros((*shade.shape, 4), dtype=np.uint8)
+        pixels[..., :3] = colour.red(), colour.green(), colour.blue()
+        pixels[..., 3] = np.round(SHADE_MOST * share)
+        height, width = shade.shape
+        # The picture keeps a copy of its own: the bytes go with this function.
+        return QImage(pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
+
+    def _draw_dot(self, painter: QPainter, at: QPointF, *, own: bool, trust: float) -> None:
+        size = DOT_PX * (DOUBT_LEAST + (1.0 - DOUBT_LEAST) * trust)
+        text = QColor(self._colours.text)
+        # Full for its own, a ring for its neighbours': the shape says it without a colour.
+        painter.setPen(QPen(QColor(self._colours.window), 1.0) if own else QPen(text, 1.4))
+        painter.setBrush(text if own else QColor(self._colours.window))
+        painter.drawEllipse(at, size, size)
+
+    def _draw_middle(self, painter: QPainter, at: QPointF) -> None:
+        for width, colour in ((5.0, self._colours.window), (2.2, self._colours.accent)):
+            painter.setPen(QPen(QColor(colour), width, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+            for x in (5.0, -5.0):
+                painter.drawLine(at + QPointF(x, 5.0), at - QPointF(x, 5.0))
+
+    def _draw_wanted(self, painter: QPainter, at: QPointF) -> None:
+        """Draw a square on its tip around the side from which the next one helps most."""
+        reach = 8.0
+        corners = [at + QPointF(x * reach, y * reach) for x, y in ((0, -1), (1, 0), (0, 1), (-1, 0))]
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        # White within black stands out in both themes, whatever lies below.
+        for width, colour in ((4.5, Qt.GlobalColor.black), (1.8, Qt.GlobalColor.white)):
+            painter.setPen(QPen(QColor(colour), width))
+            painter.drawPolygon(QPolygonF(corners))
+
+
+class AxisDiversityPanel(QWidget):
+    """The picture with its words; of the target where no taxel is selected."""
+
+    def __init__(self, names: ChannelNames, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._names = names
+        self._key: tuple[object, ...] = ()
+        self._guidance: Guidance | None = None
+        self.plot = AxisDiversityPlot()
+        self.whose, self.spread = QLabel(), QLabel()
+        self.contacts, self.legend, self.follows = quiet(wrap=True), quiet(wrap=True), quiet(wrap=True)
+        self.spread.setWordWrap(True)
+        words = QVBoxLayout()
+        words.setSpacing(4)
+        for label in (self.whose, self.spread, self.contacts, self.legend, self.follows):
+            words.addWidget(label)
+        words.addStretch(1)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(2 * GAP)
+        row.addWidget(self.plot, 0, Qt.AlignmentFlag.AlignTop)
+        row.addLayout(words, 1)
+        self.setWhatsThis(
+            "The contacts of the taxel as one looks down on it, up as in the 3D view. For the free method: from which sides "
+            "they came, the rim is 45 degrees, the dashed circle what a push is asked to lean at most, and the square the side "
+            "from which the next one tells most. For the others: where they lie around it, the rim is 5 mm; for the "
+            "surface method their middle must come into the dashed circle."
+        )
+
+    def show_state(self, state: ViewState) -> None:
+        """Show the selected taxel of a tick, or the target; nothing happens where it is the same."""
+        target = None if state.target is None else state.target.channel
+        channel = state.looked_at
+        # A camera that turned by less than what is seen draws nothing anew.
+        stand = np.round(np.concatenate([state.eye.right, state.eye.up]), 2).tobytes()
+        key = (state.revision, state.method, channel, channel == target, stand)
+        if key == self._key and state.guidance is self._guidance:
+            return
+        self._key, self._guidance = key, state.guidance
+        diversity = state.diversity
+        self.setVisible(diversity is not None)
+        if diversity is not None:
+            self._show_diversity(diversity, state, is_target=channel == target)
+
+    def _show_diversity(self, diversity: AxisDiversity, state: ViewState, *, is_target: bool) -> None:
+        put(self.whose, f"{self._names.short(diversity.channel)}{', the target' if is_target else ''}")
+        put(self.contacts, contacts_words(diversity))
+        put(self.spread, diversity_words(diversity, state.method).capitalize())
+        put(self.legend, LEGENDS[state.method])
+        put(self.follows, FOLLOWS[state.method])
+        self.plot.set(diversity, diversity_view(diversity, state.method, state.eye))
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow the theme."""
+        self.plot.set_colours(colours)
+
 
 ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
 POKE_HEADINGS = ("Poke", "Weight k", "Trust", "Axis off by")

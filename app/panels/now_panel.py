@@ -10,13 +10,13 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
-from app.panels.texts import ElidedLabel, FittedLabel, Painted
 from app.panels.top_view import AROUND, TopView, top_view
+from app.panels.widgets import ElidedLabel, FittedLabel, Painted
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, LIGHT, Colours, digits_font, mix
 from app.units import degrees, millimetres, newtons
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.guide.coaching import leeway
 from skincal.session.snapshot import Snapshot
 

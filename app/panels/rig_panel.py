@@ -19,8 +19,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.texts import embolden, fit_rows, on_panel, put, put_cell, put_rows, quiet, table
-from app.state.rig_review import Offer
+from app.panels.widgets import embolden, fit_rows, on_panel, put, put_cell, put_rows, quiet, table
+from app.state.policies import Offer
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
 from app.text.rig_text import landmark_rows, offer_text, review_words

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.scene3d.camera import Eye
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide.coaching import Coaching
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings

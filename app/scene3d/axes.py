@@ -7,13 +7,12 @@ from itertools import islice
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
-from app.scene3d.entry import contact_point
+from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState
 from app.scene3d.shapes import Balls, Layer, Segments
-from app.scene3d.static_scene import ColourArray, Look, StaticScene, View3DState
 from skincal.contacts.outcome import Contact, Progress
-from skincal.geometry.arrays import FloatArray
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.guide.coaching import PRESSING
+from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 
 MOST_AXES = 30

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.scene3d.entry import entry_points, skin_point
-from app.scene3d.static_scene import View3DState
-from skincal.geometry.arrays import FloatArray
+from app.scene3d.scene_state import View3DState
+from skincal.geometry import FloatArray
 from skincal.guide.coaching import PRESSING
 from skincal.guide.guidance import Target
-from skincal.mesh.surface import Surface
+from skincal.mesh.surface import Surface, entry_points, skin_point
 
 if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera, vtkRenderer

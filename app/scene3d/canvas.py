@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import QWidget
 
-from app.scene3d.static_scene import Look, StaticScene, View3DState
+from app.scene3d.scene_state import Look, StaticScene, View3DState
 
 if TYPE_CHECKING:
     from pyvistaqt import QtInteractor

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
 
 from app.scene3d.camera import Sight, project
+from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState, unit
 from app.scene3d.shapes import Layer, Segments, closed, tangents, written
-from app.scene3d.static_scene import ColourArray, Look, StaticScene, View3DState, unit
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
 from skincal.session.landmark_pokes import landmark_normals

@@ -19,8 +19,8 @@ from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from vtkmodules.vtkIOImage import vtkPNGWriter
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 
+from app.scene3d.scene_state import LIGHT, StaticScene, View3DState
 from app.scene3d.stage import Stage
-from app.scene3d.static_scene import LIGHT, StaticScene, View3DState
 from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError

@@ -16,8 +16,8 @@ from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkTextActor
 
 from app.scene3d.camera import Sight
-from app.scene3d.static_scene import ColourArray, Look, View3DState
-from skincal.geometry.arrays import FloatArray, IntArray
+from app.scene3d.scene_state import ColourArray, Look, View3DState
+from skincal.geometry import FloatArray, IntArray
 
 Text = TypeVar("Text", vtkTextActor, vtkBillboardTextActor3D)
 

@@ -9,11 +9,11 @@ import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
-from app.scene3d.entry import skin_point
+from app.scene3d.scene_state import Look, StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, rings, tangents
-from app.scene3d.static_scene import Look, StaticScene, View3DState
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
+from skincal.mesh.surface import skin_point
 
 RING = 4.6e-3
 """m. Radius of the ring: around the rings of a selected taxel, and below the distance to the next one."""

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
 from app.scene3d.canvas import Canvas, Loaded, best_canvas, load, mount
-from app.scene3d.static_scene import DARK, LIGHT, Comparison, StaticScene, View3DState
+from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene, View3DState
 from app.workers.threads import ThreadService
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import LaidSkin

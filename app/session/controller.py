@@ -17,7 +17,7 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, resume_pipeline
 from app.session.recording import Recording, Storage, stop_all
-from app.state.running import Running
+from app.state.policies import Running
 from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.processes import ProcessService
@@ -25,7 +25,7 @@ from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from app.workers.review_client import ReviewClient
+    from app.workers.processes import ReviewClient
     from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
     from skincal.guide.guidance import Guidance
@@ -357,7 +357,7 @@ class Controller(QObject):
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process work out what landmark pokes say of the rig."""
         if self._reviewing is None:
-            from app.workers.review_client import ReviewClient
+            from app.workers.processes import ReviewClient
 
             self._reviewing = ReviewClient(session, self._processes, self)
             self._reviewing.reviewed.connect(self.reviewed)

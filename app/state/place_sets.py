@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 
 from app.state.view_state import ViewState
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.session.review import Review
 from skincal.taxels.differences import places_of
 from skincal.taxels.result import Method

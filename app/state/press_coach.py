@@ -13,13 +13,12 @@ from enum import Enum
 
 import numpy as np
 
-from app.scene3d.entry import skin_point
 from app.state.view_state import ViewState
 from skincal.contacts.outcome import PressPhase, Progress
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.guide.coaching import Coaching, Smoothed, coach, leeway, smooth
 from skincal.guide.guidance import Guidance, Target
-from skincal.mesh.surface import Surface
+from skincal.mesh.surface import Surface, skin_point
 
 STRAIGHT = float(np.radians(5.0))
 """rad. A hand does not hold a smaller tilt: it is asked to push straight."""

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from enum import Enum
 
 from app.scene3d.camera import PLAIN, Eye
-from app.state.policies import Allowed
-from app.state.rig_review import Offer
-from app.state.running import Running
+from app.state.policies import Allowed, Offer, Running
 from app.units import ChannelNames
 from skincal.guide.coaching import Coaching
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
-from skincal.session.modules_check import ModulesFound
+from skincal.session.error_history import ModulesFound
 from skincal.session.review import Review
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Estimate, Method

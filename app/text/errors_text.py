@@ -17,8 +17,7 @@ import numpy as np
 from app.units import ChannelNames, count, in_millimetres, millimetres, number
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Origin, Reference
-from skincal.geometry.arrays import FloatArray
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State

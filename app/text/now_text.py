@@ -10,9 +10,8 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from app.state.policies import GOOD_RMS, is_news, newest_outcome
+from app.state.policies import GOOD_RMS, Running, is_news, newest_outcome
 from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
-from app.state.running import Running
 from app.state.view_state import LinkLook, ViewState
 from app.text.guidance_text import (
     BETWEEN,

@@ -16,7 +16,7 @@ from app.state.policies import GOOD_RMS, Mark
 from app.state.view_state import LinkLook, ViewState, link_look
 from app.units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
-from skincal.geometry.wrench import move_wrench, pitch
+from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkHealth
 from skincal.sentences import state_sentence
 from skincal.session.snapshot import Snapshot

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.state.rig_review import Offer
+from app.state.policies import Offer
 from app.units import DASH, in_millimetres, millimetres, number
 from skincal.contacts.outcome import Outcome
 from skincal.model.actions import Correct

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from app.state.rig_review import Offer
+from app.state.policies import Offer
 from app.text.outcomes import METHOD_NAMES
 from app.text.rig_text import offer_words
 from app.units import count, millimetres, minutes

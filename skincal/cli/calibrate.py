@@ -18,7 +18,7 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
-    from skincal.geometry.arrays import FloatArray
+    from skincal.geometry import FloatArray
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis

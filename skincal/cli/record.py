@@ -26,7 +26,7 @@ from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream
 from skincal.model.scene import Scene, load_scene, scene_file
 
 if TYPE_CHECKING:
-    from skincal.geometry.arrays import FloatArray
+    from skincal.geometry import FloatArray
     from skincal.session.pipeline import Pipeline
     from skincal.streams.link_reader import Reader
     from skincal.streams.links import LinkSpec

@@ -12,7 +12,7 @@ import typer
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.reference import error_summary
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.journal.documents import LinkTotals
 from skincal.model.readings import LinkHealth, LinkState
 from skincal.model.skin import Layout

@@ -17,8 +17,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.contacts.press import Press, StillWindow
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, mean_time, wrench_baseline
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import pitch
+from skincal.geometry import FloatArray, IntArray, pitch
 from skincal.model.scene import Scene
 
 GAP_PERIODS = 3.0

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.contacts.tare import Tare, window_length
-from skincal.geometry.arrays import FloatArray
-from skincal.geometry.wrench import axis_point
+from skincal.geometry import FloatArray, axis_point
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.rig.correction import UsedCorrection

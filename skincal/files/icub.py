@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from skincal.files.calibration import Calibration, placed_taxels
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, list_channels
 from skincal.model.skin import Layout
 from skincal.sentences import correction_words

@@ -17,7 +17,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.files.calibration import Calibration, LandmarkCheck
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.rig.correction import Correction, UsedCorrection

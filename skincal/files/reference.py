@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.taxels.result import Estimate
 

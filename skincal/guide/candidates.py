@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide.knowledge import offset_square, row_precision
 from skincal.guide.poke_history import PokeAxis
 from skincal.mesh.search import nearest_to_rows

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.contacts.outcome import PressPhase, Progress
-from skincal.geometry.arrays import FloatArray
-from skincal.geometry.wrench import axis_point
+from skincal.geometry import FloatArray, axis_point
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.progress import GuideSettings
 from skincal.taxels.result import Method

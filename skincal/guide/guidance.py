@@ -1,16 +1,169 @@
-"""What the guide says at one moment: numbers and reasons, no sentences."""
+"""Which landmark to poke next: a few in each arm pose, at the start and after each change of pose.
+
+Three in the first pose show whether the sensor's frame is right, and a correction of the rig is found from a few in every pose.
+They come before pokes on the skin, which are worth more on a corrected rig, and any of them may be skipped.
+
+What the guide says at one moment: numbers and reasons, no sentences.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.guide.landmark_targets import LandmarkTarget
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Outcome
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide.progress import Need, Why
+from skincal.model.scene import Landmark, NoiseSettings
+from skincal.rig.correction import RigPrior
+from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
+
+A_POSE = 3
+"""Landmark pokes in each arm pose but the first: with three in each of seven the modules' error on the paper's rig falls to a
+tenth (`skincal study paper`)."""
+ALIKE_TURN, ALIKE_SHIFT = float(np.cos(np.radians(5.0))), 0.010
+"""Cosine, and m: arm poses that differ by less count as the same. A rig's errors change little over that."""
+USUAL = 1.3863
+"""Median of chi-square with two degrees of freedom."""
+ASTRAY = 0.015
+"""m. A poke whose answers have their middle farther from the landmark was on the skin: a taxel is felt from 8 mm away, and its
+place is known to 6 mm (sd) by the plan."""
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkTarget:
+    """The landmark that is asked for, and how many there are in this arm pose."""
+
+    landmark: Landmark
+    done: int
+    """Landmark pokes in this pose so far."""
+    wanted: int
+    """Landmark pokes that this pose needs."""
+
+    @property
+    def left(self) -> int:
+        """How many more."""
+        return self.wanted - self.done
+
+
+class LandmarkRound:
+    """Follows the landmark pokes of a session."""
+
+    def __init__(self) -> None:
+        # Pose and name.
+        self._skipped = set[tuple[str, str]]()
+        # Poses in which none is asked for.
+        self._left_out = set[str]()
+
+    def plan(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> list[LandmarkTarget]:
+        """Return all landmarks that are asked for in an arm pose, in order; see `next`."""
+        every, targets = list(poked), list[LandmarkTarget]()
+        while (target := self.next(landmarks, every, pose)) is not None:
+            targets.append(target)
+            every.append((pose, target.landmark.name))
+        return targets
+
+    def next(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> LandmarkTarget | None:
+        """Return the landmark to poke now; None where none is asked for.
+
+        Parameters
+        ----------
+        poked : pose and landmark's name of each landmark poke that counts
+        pose : the arm pose that holds
+        """
+        every = list(poked)
+        here = Counter(name for there, name in every if there == pose)
+        open_ = [landmark for landmark in landmarks if (pose, landmark.name) not in self._skipped]
+        elsewhere = len(every) - here.total()
+        # The first pose gets as many as a correction takes: perhaps there is no other. Too few landmarks correct nothing,
+        # but three pokes show whether the frame is right.
+        wanted = max(A_POSE, FEWEST - elsewhere) if len(landmarks) >= FEWEST_POINTS else A_POSE - elsewhere
+        if pose in self._left_out or not open_ or here.total() >= wanted:
+            return None
+        total = Counter(name for _, name in every)
+        known = {landmark.name: landmark.place for landmark in landmarks}
+        done = [known[name] for name in here if name in known]
+        chosen = min(open_, key=lambda mark: (here[mark.name], total[mark.name], -_apart(mark.place, done)))
+        return LandmarkTarget(chosen, here.total(), wanted)
+
+    def skip(self, name: str, pose: str) -> None:
+        """Ask for that landmark no more in this pose."""
+        self._skipped.add((pose, name))
+
+    def leave_out(self, pose: str) -> None:
+        """Ask for no landmark in this pose."""
+        self._left_out.add(pose)
+
+
+def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
+    """Return by how much a rig's errors move what it measures, sd in each direction, metres; 0 where there are too few pokes.
+
+    The median of how far landmark pokes pass their landmark, which a single poke at another point does not change, less the
+    parts of the sensor's noise and of the hand (`RigPrior.landmark`).
+
+    Parameters
+    ----------
+    pokes : as the corrections in use have them
+    """
+    if len(pokes) < A_POSE:
+        return 0.0
+    levers = [float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3])) for poke in pokes]
+    forces = [float(np.linalg.norm(poke.force)) for poke in pokes]
+    own = [
+        (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2 for force, lever in zip(forces, levers, strict=True)
+    ]
+    square = float(np.median([poke.miss**2 for poke in pokes])) / USUAL
+    return float(np.sqrt(max(0.0, square - float(np.median(own)) - RigPrior().landmark ** 2)))
+
+
+class Stances:
+    """Groups arm poses that are nearly the same: streamed joints name a pose by degrees, and an arm is never quite still."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, FloatArray] = {}
+
+    def key(self, name: str, link_from_sensor: FloatArray | None) -> str:
+        """Return the name of the first pose that is nearly this one; `link_from_sensor` is (4, 4) or None while unknown."""
+        if link_from_sensor is None:
+            return name
+        for first, there in self._first.items():
+            if _alike(there, link_from_sensor):
+                return first
+        self._first[name] = link_from_sensor
+        return name
+
+
+def _alike(first: FloatArray, second: FloatArray) -> bool:
+    cosine = (float(np.sum(first[:3, :3] * second[:3, :3])) - 1.0) / 2.0
+    return cosine >= ALIKE_TURN and float(np.linalg.norm(first[:3, 3] - second[:3, 3])) <= ALIKE_SHIFT
+
+
+def _apart(place: FloatArray, others: Sequence[FloatArray]) -> float:
+    """Return how far a place lies from the nearest of others, metres; how far from the origin where there is none."""
+    return min((float(np.linalg.norm(place - other)) for other in others), default=float(np.linalg.norm(place)))
+
+
+def was_there(outcome: Outcome, landmark: Landmark, places: Mapping[int, FloatArray]) -> bool:
+    """Return whether a poke that a landmark was asked for may have been there: not where taxels farther away answered.
+
+    Parameters
+    ----------
+    places : (3,) float, metres, of taxels by their channel, as far as they are known
+    """
+    if not isinstance(outcome, Contact):
+        return True
+    answers = zip(outcome.channels.tolist(), outcome.responses.tolist(), strict=True)
+    known = [(places[channel], response) for channel, response in answers if channel in places]
+    if not known:
+        return True
+    middle = np.average([place for place, _ in known], axis=0, weights=[response for _, response in known])
+    return float(np.linalg.norm(middle - landmark.place)) <= ASTRAY
 
 
 class GuidePhase(Enum):

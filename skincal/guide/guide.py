@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide import candidates
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.knowledge import Knowledge

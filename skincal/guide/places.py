@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide.knowledge import solved
 from skincal.mesh.lay import LaidSkin
 from skincal.model.skin import Layout

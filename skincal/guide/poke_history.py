@@ -13,8 +13,7 @@ from itertools import islice, pairwise
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.guide.guidance import Target
 from skincal.guide.progress import RECENT, GuideSettings, Tilt
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.knowledge import offset_square, row_precision
 from skincal.guide.progress import GuideSettings, Need, Why, worked

@@ -26,7 +26,7 @@ from skincal.contacts.detector import Doubt
 from skincal.contacts.gates import FinishedPress, StillMean
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.contacts.tare import Tare
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream

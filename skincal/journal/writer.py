@@ -29,7 +29,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from skincal import __version__
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.journal import documents
 from skincal.journal.documents import FORMAT, Ending, Item, Note, event_to_json, link_to_json, note_to_json
 from skincal.journal.lines import LineWriter, key_of, lines_path

@@ -17,7 +17,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface, neighbours, once_for_each
 
 _PULL = 1e-9

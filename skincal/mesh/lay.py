@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.geodesics import Footing, geodesics_of
 from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import Surface

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface, once_for_each
 from skincal.solver.machine import INTEGER, Call, Machine
 

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry.arm import Arm, DhLink
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.model.tables import Table, check_metres, read_toml

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.tables import Table, parse_toml, read_text
 

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 
 T = TypeVar("T")

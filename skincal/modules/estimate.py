@@ -24,7 +24,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import NO_RANK, Fitted, Touches, fit_poked, whitened

@@ -23,7 +23,7 @@ from enum import Enum
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.skin import Layout, Module
 from skincal.modules.pose import ModuleModel, module_pads
 from skincal.taxels.contact_table import across

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import cross_matrix
+from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module
 

@@ -47,13 +47,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import cross_matrix
+from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import LEVER, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, crossed, joined
 from skincal.taxels.contact_table import Evidence, across
-from skincal.taxels.least_squares import triangle
 from skincal.taxels.result import Estimate
+from skincal.taxels.solve import triangle
 
 MIDDLE = 1.6
 """The middle of n pads is off the contact by this many `NoiseSettings.contact` over n, each direction: measured on the

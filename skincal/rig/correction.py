@@ -21,8 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import cross_matrix
+from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
 from skincal.taxels.contact_table import across

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings, Scene
 from skincal.modules.pose import ModuleModel, ModulePoses

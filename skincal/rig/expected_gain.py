@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.rig.correction import RigPrior, RigReadings, RigRows, RigState, rig_rows
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke, qr_factor, readings_of

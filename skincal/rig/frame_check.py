@@ -32,7 +32,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
 from skincal.rig.correction import Correction, RigPrior, RigReadings, RigState, rig_rows, rigid_motion
 from skincal.rig.correction_fit import LandmarkPoke

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Progress
-from skincal.geometry.arrays import FloatArray
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.model.actions import Correct, Uncorrect
 from skincal.model.errors import InputError
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.frame_check import frame_correction
-from skincal.session.history import Step
+from skincal.session.undo import Step
 
 if TYPE_CHECKING:
     from skincal.rig.correction_fit import RigAnswer

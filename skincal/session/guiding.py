@@ -11,10 +11,9 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.geometry.arrays import FloatArray
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.geometry import FloatArray
+from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, rig_moves
 from skincal.guide.guide import Guide
-from skincal.guide.landmark_targets import LandmarkRound, LandmarkTarget, Stances, rig_moves
 from skincal.guide.places import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
 from skincal.guide.verdict import Verdict, verdict_of

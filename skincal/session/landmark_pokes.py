@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
-from skincal.geometry.arrays import FloatArray
-from skincal.guide.landmark_targets import was_there
+from skincal.geometry import FloatArray
+from skincal.guide.guidance import was_there
 from skincal.model.actions import AddLandmark, AtLandmark, FoundAtLandmark
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark
 from skincal.model.tables import LENGTH_MAX
 from skincal.rig.correction_fit import LandmarkPoke
-from skincal.session.history import Step
+from skincal.session.undo import Step
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface

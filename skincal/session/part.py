@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.geometry.arrays import IntArray
+from skincal.geometry import IntArray
 from skincal.model.scene import Scene, load_scene
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ import numpy as np
 
 from skincal.contacts.detector import ContactDetector, Doubt, Known
 from skincal.contacts.outcome import Contact, Outcome, PressPhase
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.journal.documents import Ending, Item, Note, Taken, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.actions import Action, AskLandmark, Stamped

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 from skincal.journal.documents import Ending, SegmentMark, Taken, Totals
 from skincal.journal.lock import SessionLock
-from skincal.journal.reader import LogItem, LogState, SessionLog
-from skincal.journal.recovery import recover_session
+from skincal.journal.reader import LogItem, LogState, SessionLog, recover_session
 from skincal.journal.writer import open_segment
 from skincal.model.actions import FoundAtLandmark, Stamped
 from skincal.model.errors import InputError

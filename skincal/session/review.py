@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark, Scene

@@ -16,7 +16,7 @@ import numpy as np
 
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome, Progress
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import (
     Action,
     AddLandmark,
@@ -37,10 +37,10 @@ from skincal.model.scene import Landmark, Scene
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.corrections import Corrections
-from skincal.session.history import History, PokeStep, Step
 from skincal.session.landmark_pokes import SessionLandmarks
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
+from skincal.session.undo import History, PokeStep, Step
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import Landmark
 from skincal.rig.correction import UsedCorrection

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import IntArray
+from skincal.geometry import IntArray
 from skincal.methods import estimate_from
 from skincal.model.scene import Scene
 from skincal.modules.estimate import estimate_modules

@@ -11,14 +11,13 @@ from enum import Enum
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import Landmark
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulate.faults import drift_step, slow_mean_sd
 from skincal.simulate.operator import Habits, LandmarkHabits, aim, place, touches_beside
-from skincal.simulate.poke import PressedPlaces, cone_tilts, push_directions, tangents
-from skincal.simulate.simulated_rig import Rig, Stance
+from skincal.simulate.simulated_rig import PressedPlaces, Rig, Stance, cone_tilts, push_directions, tangents
 
 CYCLE_S = 2.5
 """s, one poke and the way to the next (`Habits`)."""

@@ -13,12 +13,21 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.simulate.orders import NoTarget, Order, PokeOrder, PoseOrder, TargetOrder, Wish
-from skincal.simulate.poke import PressedPlaces, by_hand, cone_tilts, held, join, push_directions, tangents
-from skincal.simulate.simulated_rig import Rig, Stance
+from skincal.simulate.simulated_rig import (
+    PressedPlaces,
+    Rig,
+    Stance,
+    by_hand,
+    cone_tilts,
+    held,
+    join,
+    push_directions,
+    tangents,
+)
 
 
 @dataclass(frozen=True, slots=True)

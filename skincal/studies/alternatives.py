@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import move_wrench
+from skincal.geometry import FloatArray, IntArray, move_wrench
 from skincal.mesh.search import GRAZING, nearest_to_rows
 from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings

@@ -29,7 +29,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import GRAZING
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModulePoses

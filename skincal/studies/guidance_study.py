@@ -1,6 +1,6 @@
 """How many pokes each way to poke takes: people who are told nothing, a printed recipe, and the guide.
 
-Ways, hand, rig and what counts as knowing are in `skincal/simulate/ways.py` and `courses.py`. All of it is seeded. Courses run
+Ways, hand, rig and what counts as knowing are in `skincal/simulate/courses.py`. All of it is seeded. Courses run
 side by side, as many as the machine has cores; their numbers do not depend on it.
 """
 
@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.simulate.benches import Bench
-from skincal.simulate.courses import FOLLOWED, ErrorCourse, run_course
-from skincal.simulate.ways import WAYS, Conditions
+from skincal.simulate.courses import FOLLOWED, WAYS, Conditions, ErrorCourse, run_course
 from skincal.studies.figures import draw_guidance
 from skincal.studies.measuring import bar_lines, bars_of, processes
 from skincal.taxels.result import Method

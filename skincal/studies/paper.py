@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.methods import estimate_taxels
 from skincal.rig.correction_fit import DOUBTED, LandmarkPoke, RigRequest, correct_rig
 from skincal.session.session import Session

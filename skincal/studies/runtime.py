@@ -27,7 +27,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import build_tree
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arrays import FloatArray, IntArray
-from skincal.geometry.wrench import cross_matrix, move_wrench
+from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
 from skincal.mesh.search import nearest_to_rows
 from skincal.mesh.surface import Surface, heights, make_surface
 from skincal.model.scene import NoiseSettings
@@ -52,9 +51,8 @@ from skincal.studies.stability_cases import (
     all_module_cases,
 )
 from skincal.taxels.contact_table import ContactTable, across
-from skincal.taxels.least_squares import factor
 from skincal.taxels.result import Method
-from skincal.taxels.solve import solve
+from skincal.taxels.solve import factor, solve
 
 FACTOR = 10.0
 """The error may be that many times what the inputs' last digit does."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry.arrays import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 
 SD_MAX = 0.030
 """m. A position whose standard deviation in its worst direction exceeds this is none: it is the side of a whole module."""

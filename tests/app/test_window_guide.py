@@ -15,10 +15,10 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.panels.inspect_panel import InspectPanel
 from app.panels.taxel_map import TaxelMap
-from app.panels.texts import FittedLabel
+from app.panels.widgets import FittedLabel
 from app.scene3d.camera import PLAIN, Sight
 from app.scene3d.canvas import Canvas
-from app.scene3d.static_scene import StaticScene, View3DState
+from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.target import CORE_LIFT, HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
 from app.session.opening import OpenRequest

@@ -14,11 +14,11 @@ from PySide6.QtTest import QTest
 
 from app.session import controller
 from app.session.opening import OpenRequest
-from app.state.running import Running
+from app.state.policies import Running
 from app.text.message import STILL_SOLVING
 from app.text.rig_text import offer_text, offer_words
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
-from skincal.guide.landmark_targets import ASTRAY
+from skincal.guide.guidance import ASTRAY
 from skincal.model.actions import SetPose, Undo
 from skincal.model.readings import LinkEvent, LinkState
 from skincal.rig.correction import RIG, Correction

@@ -9,12 +9,11 @@ import numpy as np
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QWidget
 
-from app.state.policies import allowed
-from app.state.running import Running
+from app.state.policies import Running, allowed
 from app.state.view_state import ViewState
 from app.units import ChannelNames
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
-from skincal.geometry.arm import Arm, DhLink
+from skincal.geometry import Arm, DhLink
 from skincal.model.readings import LinkHealth, LinkState, Loss, Stream
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot

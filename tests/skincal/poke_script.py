@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import Outcome
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.journal.lock import SessionLock
 from skincal.journal.writer import open_segment
 from skincal.model.errors import InputError

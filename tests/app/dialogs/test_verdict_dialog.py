@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QApplication
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest
-from app.state.rig_review import Offer
+from app.state.policies import Offer
 from app.text.verdict_text import check_words, done_words, figures, left_words, rig_state, sentence
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict

@@ -12,8 +12,7 @@ from PySide6.QtGui import QColor
 from whole_window import Paints
 from window_support import NAMES, changed, frame, pixels, session
 
-from app.panels.axis_diversity_panel import LEGENDS, PLOT_PX, AxisDiversityPanel
-from app.panels.inspect_panel import InspectPanel
+from app.panels.inspect_panel import LEGENDS, PLOT_PX, AxisDiversityPanel, InspectPanel
 from app.panels.top_view import AROUND_TAXEL, EDGE, GRAIN, diversity_view
 from app.scene3d.camera import PLAIN, Eye
 from app.session.opening import OpenRequest

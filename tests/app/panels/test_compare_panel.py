@@ -11,10 +11,10 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
 from app.panels.compare_panel import ComparePanel
-from app.scene3d.compare_layer import heads
-from app.scene3d.static_scene import DARK as DARK_LOOK
-from app.scene3d.static_scene import LIGHT as LIGHT_LOOK
-from app.scene3d.static_scene import Cloud, Comparison, Tint
+from app.scene3d.estimates import heads
+from app.scene3d.scene_state import DARK as DARK_LOOK
+from app.scene3d.scene_state import LIGHT as LIGHT_LOOK
+from app.scene3d.scene_state import Cloud, Comparison, Tint
 from app.session.opening import OpenRequest
 from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.text.compare_text import (
@@ -36,8 +36,7 @@ from skincal.modules import health
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.correction_fit import RigAnswer
 from skincal.sentences import left_sentences, misfit_sentence
-from skincal.session.error_history import ErrorFollower
-from skincal.session.modules_check import ModulesCheck
+from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.taxels.differences import ModuleDifference, Summary
@@ -387,11 +386,11 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     def broken(*_):
         raise RuntimeError("of the boards")
 
-    monkeypatch.setattr("skincal.session.modules_check.mend_modules", broken)
+    monkeypatch.setattr("skincal.session.error_history.mend_modules", broken)
     judge(watch, at(known(), generation=4))
     with pytest.raises(RuntimeError, match="of the boards"):
         queue.finish()
-    monkeypatch.setattr("skincal.session.modules_check.mend_modules", health.mend_modules)
+    monkeypatch.setattr("skincal.session.error_history.mend_modules", health.mend_modules)
     judge(watch, at(known(), generation=4))
     assert not queue.waiting, "not at every picture"
     judge(watch, at(known(), generation=5))

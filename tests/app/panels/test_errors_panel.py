@@ -12,8 +12,7 @@ import pytest
 from PySide6.QtCore import QPointF, QSettings, Qt
 from PySide6.QtGui import QColor
 
-from app.panels.error_plot import TEXT_MARGIN, ErrorPlot
-from app.panels.errors_panel import ErrorsPanel
+from app.panels.errors_panel import TEXT_MARGIN, ErrorPlot, ErrorsPanel
 from app.session import opening
 from app.session.opening import OpenRequest
 from app.text.errors_text import (

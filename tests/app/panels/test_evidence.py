@@ -12,9 +12,9 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 from app.panels.inspect_panel import InspectPanel, poke_cells
 from app.panels.pokes_panel import PokesPanel
 from app.panels.taxel_map import TaxelMap
-from app.scene3d import static_scene
+from app.scene3d import scene_state
 from app.scene3d.estimates import BLIND_REACH, EstimatesLayer
-from app.scene3d.static_scene import StaticScene, View3DState
+from app.scene3d.scene_state import StaticScene, View3DState
 from app.text.errors_text import LISTED, doubt_mark, doubt_words, doubting, miss_of, rival_words, taxel_pokes, weight_of
 from app.theme import DARK
 from skincal.taxels.contact_table import ContactTable
@@ -152,7 +152,7 @@ def test_the_map_marks_an_ambiguous_taxel_by_a_shape_of_its_own(qtbot, size):
 @pytest.fixture
 def layer():
     made = EstimatesLayer(vtkRenderer(), StaticScene(SCENE, None, None, PLAN.channels.tolist()))
-    made.set_colours(static_scene.DARK)
+    made.set_colours(scene_state.DARK)
     return made
 
 

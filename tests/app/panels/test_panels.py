@@ -11,11 +11,11 @@ from PySide6.QtWidgets import QWidget
 
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog, shipped_scenes
-from app.panels.curves import CurvesPanel
 from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.inspect_panel import InspectPanel
 from app.panels.message_bar import MessageBar
 from app.panels.now_panel import NowPanel
+from app.panels.plot_panel import CurvesPanel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.rig_panel import ArmPanel
 from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map

@@ -21,7 +21,7 @@ from app.scene3d.camera import (
     turned_to,
     well_seen,
 )  # fmt: skip
-from app.scene3d.static_scene import View3DState
+from app.scene3d.scene_state import View3DState
 from skincal.contacts.outcome import PressPhase
 from skincal.mesh.surface import make_surface
 from skincal.taxels.result import Method

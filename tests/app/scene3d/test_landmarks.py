@@ -13,11 +13,10 @@ from PySide6.QtWidgets import QApplication
 
 from app.scene3d.camera import project, ray
 from app.scene3d.canvas import Canvas
-from app.scene3d.entry import seen_point
 from app.scene3d.landmarks import MOST_NAMES, normals_of, poked_here
-from app.scene3d.static_scene import View3DState
+from app.scene3d.scene_state import View3DState
 from skincal.guide.guidance import Target
-from skincal.mesh.surface import make_surface
+from skincal.mesh.surface import make_surface, seen_point
 from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.scene3d.camera import approach, orbit, project
-from app.scene3d.static_scene import DARK, HUES, Cloud, Comparison, StaticScene, Tint, View3DState
+from app.scene3d.scene_state import DARK, HUES, Cloud, Comparison, StaticScene, Tint, View3DState
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark

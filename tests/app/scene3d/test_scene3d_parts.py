@@ -15,9 +15,8 @@ from scipy.stats import chi2
 
 from app.scene3d import offscreen
 from app.scene3d.camera import PLAIN, Sight
-from app.scene3d.entry import contact_point, entry_points
-from app.scene3d.static_scene import HUES, LIGHT, StaticScene, module_hues, shade
-from skincal.mesh.surface import make_surface
+from app.scene3d.scene_state import HUES, LIGHT, StaticScene, module_hues, shade
+from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.taxels.result import Method
@@ -118,7 +117,7 @@ def _with(about, covariance, method, normal=None):
 
 @given(st.floats(1e-4, 1e5))
 def test_a_scale_bar_has_a_round_length_and_fills_its_place(value):
-    from app.scene3d.hints import round_below
+    from app.scene3d.stage import round_below
 
     length = round_below(value)
     assert value / 2.5 < length <= value * (1 + 1e-9)

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QApplication, QMainWindow
 from app.scene3d import offscreen
 from app.scene3d.axes import MOST_AXES
 from app.scene3d.canvas import Canvas
-from app.scene3d.static_scene import DARK, HUES, LIGHT, View3DState
+from app.scene3d.scene_state import DARK, HUES, LIGHT, View3DState
 from app.scene3d.view import View3D
 from skincal.model.errors import InputError
 from skincal.taxels.result import Estimate, Method, State

@@ -12,11 +12,11 @@ from PySide6.QtCore import Qt
 
 from app.session.controller import Controller, operator_target
 from app.session.opening import server_command
-from app.state.running import Running
+from app.state.policies import Running
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
 from skincal.cli.record import OrderLine, _loop
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import axis_point, move_wrench
 from skincal.journal.reader import SessionLog
 from skincal.mesh.load import load_surface
 from skincal.model.actions import FoundAtLandmark, Stamped, to_json

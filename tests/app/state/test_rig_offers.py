@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from app.panels.rig_panel import NO_POINTS, NOT_YET, WAITING, RigPanel
-from app.state.policies import allowed
-from app.state.rig_review import RigReview, offers_of
-from app.state.running import Running
+from app.state.policies import RigReview, Running, allowed, offers_of
 from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
 from app.units import DASH
 from skincal.contacts.outcome import Reason
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.actions import Uncorrect
 from skincal.model.scene import Landmark
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.workers.processes import ProcessService
-from app.workers.review_client import SKIN, ReviewClient
+from app.workers.processes import SKIN, ProcessService, ReviewClient
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface

@@ -289,7 +289,7 @@ def test_a_process_does_not_outlive_a_window_that_was_killed(tmp_path):
 
 def test_the_window_imports_nothing_of_processes_before_it_needs_them():
     code = (
-        "import sys, app.run, app.session_view, app.workers.review_client;"
+        "import sys, app.run, app.session_view, app.workers.processes;"
         "sys.exit(any(name.startswith(('multiprocessing', 'concurrent.futures.process')) for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,7 +7,7 @@ import pytest
 
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
-from skincal.geometry.arm import Arm, DhLink
+from skincal.geometry import Arm, DhLink
 from skincal.model.scene import ArmSpec, ContactSettings
 from tests.skincal.poke_script import PERIOD_S, Script, outcome_key, small_scene, some_pokes
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.files.calibration import Calibration
-from skincal.geometry.arrays import FloatArray
+from skincal.geometry import FloatArray
 from skincal.model.scene import Scene, load_scene
 from skincal.taxels.result import Cause, Estimate, Method, Rival, State, StateReason
 

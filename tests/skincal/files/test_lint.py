@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.files.export import write_calibration
-from skincal.files.lint import lint
+from skincal.files.export import lint, write_calibration
 from skincal.taxels.result import Method
 from tests.skincal.files.files_support import Part, make_calibration, make_part
 

@@ -18,7 +18,7 @@ from skincal.mesh.search import nearest_points
 from skincal.model.actions import Exclude, Restore
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
-from skincal.simulate.ways import Conditions, MeantPokes, poked, rig_beside
+from skincal.simulate.courses import Conditions, MeantPokes, poked, rig_beside
 from skincal.taxels.result import Estimate, Method, State
 
 STEADY = Conditions(aim=0.0, hand=0.0)

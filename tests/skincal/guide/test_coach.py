@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import PressPhase, Progress
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import axis_point, move_wrench
 from skincal.guide.coaching import FELT, KEPT, Coaching, coach, smooth
 from skincal.guide.guidance import Target
 

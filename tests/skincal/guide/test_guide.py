@@ -11,8 +11,7 @@ from skincal.guide.guide import SKIPPED, Guide
 from skincal.model.actions import Exclude, MarkDead, Restore
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
-from skincal.simulate.courses import errors_of, looks, run_course
-from skincal.simulate.ways import WAYS, Conditions, MeantPokes, poked, rig_beside
+from skincal.simulate.courses import WAYS, Conditions, MeantPokes, errors_of, looks, poked, rig_beside, run_course
 from skincal.taxels.result import Method
 
 

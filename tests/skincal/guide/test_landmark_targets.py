@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.guide import landmark_targets as landmarks_module
-from skincal.guide.guidance import Guidance, GuidePhase
-from skincal.guide.landmark_targets import A_POSE, ASTRAY, LandmarkRound, LandmarkTarget, rig_moves, was_there
+from skincal.guide import guidance as landmarks_module
+from skincal.guide.guidance import A_POSE, ASTRAY, Guidance, GuidePhase, LandmarkRound, LandmarkTarget, rig_moves, was_there
 from skincal.guide.places import believed, plan_from
 from skincal.mesh.lay import lay
 from skincal.model.scene import Landmark

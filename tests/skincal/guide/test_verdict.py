@@ -18,8 +18,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
-from skincal.simulate.courses import errors_of
-from skincal.simulate.ways import Conditions, poked, rig_beside, tilt_recipe
+from skincal.simulate.courses import Conditions, errors_of, poked, rig_beside, tilt_recipe
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
 

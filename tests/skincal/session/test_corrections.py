@@ -11,7 +11,7 @@ from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Reje
 from skincal.files.calibration import LandmarkCheck, landmark_check
 from skincal.files.export import write_calibration
 from skincal.files.json_file import read_json
-from skincal.geometry.wrench import axis_point, move_wrench
+from skincal.geometry import axis_point, move_wrench
 from skincal.journal.documents import Taken
 from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, PressPhase, Reason
-from skincal.geometry.arm import Arm, DhLink
+from skincal.geometry import Arm, DhLink
 from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.geometry.arm import Arm, DhLink
+from skincal.geometry import Arm, DhLink
 from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec

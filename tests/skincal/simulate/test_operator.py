@@ -7,7 +7,7 @@ from skincal.model.errors import InputError
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits, HandPress, Move, Told, press
 from skincal.simulate.orders import PokeOrder, PoseOrder, read_order
-from skincal.simulate.poke import push_directions, tangents
+from skincal.simulate.simulated_rig import push_directions, tangents
 from tests.skincal.sim_support import make_rig
 
 

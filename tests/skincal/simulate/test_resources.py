@@ -4,7 +4,7 @@ import trimesh
 
 from skincal.mesh.lay import lay
 from skincal.model.scene import resource
-from skincal.simulate.resources import write_flat_patch, write_forearm, write_whole_body
+from skincal.simulate.benches import write_flat_patch, write_forearm, write_whole_body
 from tests.skincal.sim_support import scene_and_surface
 
 SCENES = {"icub-forearm": write_forearm, "flat-patch": write_flat_patch, "whole-body": write_whole_body}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Reason
-from skincal.geometry.wrench import move_wrench
+from skincal.geometry import move_wrench
 from skincal.guide.guide import Guide
 from skincal.guide.places import plan_from
 from skincal.mesh.lay import lay
@@ -20,7 +20,7 @@ from skincal.simulate.device import DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Guided, Habits, Move, Told
 from skincal.simulate.orders import NoTarget, PokeOrder, PoseOrder, TargetOrder, read_order, write_wish
-from skincal.simulate.poke import tangents
+from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig

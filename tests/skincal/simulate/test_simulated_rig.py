@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.geometry.wrench import axis_point, move_wrench, pitch
+from skincal.geometry import axis_point, move_wrench, pitch
 from skincal.mesh.lay import lay
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from skincal.model.readings import Stream
-from skincal.streams.clock import BEHIND_S, WINDOW_S, HullClock, IndexClock, Stamper, supporting_line
+from skincal.streams.intake import BEHIND_S, WINDOW_S, HullClock, IndexClock, Stamper, supporting_line
 
 SETTLED_S = 10.0
 

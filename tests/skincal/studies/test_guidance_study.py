@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from skincal.simulate.ways import WAYS, Conditions
+from skincal.simulate.courses import WAYS, Conditions
 from skincal.studies import guidance_study
 from skincal.studies.figures import write_figure
 from skincal.studies.guidance_study import QUICK

@@ -14,7 +14,7 @@ from skincal.studies import exact, stability
 from skincal.studies.exact import InPlane, OnMesh, find_module_truth
 from skincal.studies.stability import compare_module, judge_module, problem_of, shipped_module
 from skincal.studies.stability_cases import PADS, CaseSizes, all_module_cases, in_space, on_sheet
-from skincal.taxels.least_squares import factor, triangle
+from skincal.taxels.solve import factor, triangle
 
 TINY = CaseSizes(contacts=7, grid=6, many=300, draws=8)
 CASES = {case.name: case for case in all_module_cases(TINY)}

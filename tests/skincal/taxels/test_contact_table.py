@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.wrench import axis_point, move_wrench, pitch
+from skincal.geometry import axis_point, move_wrench, pitch
 from skincal.taxels.contact_table import ContactTable, Evidence
 from tests.skincal.estimate_support import gather
 

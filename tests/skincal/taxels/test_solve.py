@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.arm import inverse_pose
+from skincal.geometry import inverse_pose
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import average_over_poses
 from skincal.model.scene import NoiseSettings

@@ -13,7 +13,7 @@ import pytest
 
 from skincal.contacts.gates import widest_gap
 from skincal.contacts.outcome import Contact
-from skincal.geometry.wrench import pitch
+from skincal.geometry import pitch
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.simulate.contacts import recipe, simulate_contacts, unguided

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry.wrench import cross_matrix
+from skincal.geometry import cross_matrix
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import across
-from skincal.taxels.least_squares import factor
 from skincal.taxels.result import SD_MAX, Method, State
+from skincal.taxels.solve import factor
 from skincal.taxels.solve import solve as solve_evidence
 from tests.skincal.estimate_support import gather, solve
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.geometry.arm import Arm, DhLink, inverse_pose
-from skincal.geometry.wrench import axis_point, cross_matrix, move_wrench, pitch
+from skincal.geometry import Arm, DhLink, axis_point, cross_matrix, inverse_pose, move_wrench, pitch
 from skincal.model.skin import KINDS, Layout, Module
 
 V1 = Arm(

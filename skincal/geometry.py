@@ -1,0 +1,152 @@
+"""Array types that the whole program shares: names for what numpy calls by its element type.
+
+Pure wrenches: the force axis, the pitch, and a wrench seen from another frame.
+
+Source: Del Prete et al., "Skin spatial calibration using force/torque measurements", IROS 2011. A pure force f at c
+makes the wrench (f, m = c x f) (eqs. 1-2); so f . m = 0 (eq. 3), and c lies on the force axis
+r = (f x m)/|f|^2 + lambda f.
+
+Joint angles to the pose of the sensor in the link frame.
+
+The chain runs sensor -> base of the moving joints -> link: base_from_sensor is constant, and the link's pose in the
+base is the product of Denavit-Hartenberg transforms. For the iCub's right forearm this is the authors' own
+H_8S = inv(DH(j3) DH(j4)) H_6S (`ftSensor2wristTransformation`, and iKinFwd.cpp for the constants).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+
+
+def cross_matrix(v: FloatArray) -> FloatArray:
+    """Return S(v), the matrix with S(v) p = v x p.
+
+    Parameters
+    ----------
+    v : (..., 3) float
+
+    Returns
+    -------
+    (..., 3, 3) float
+    """
+    s = np.zeros((*v.shape[:-1], 3, 3))
+    s[..., 0, 1], s[..., 0, 2] = -v[..., 2], v[..., 1]
+    s[..., 1, 0], s[..., 1, 2] = v[..., 2], -v[..., 0]
+    s[..., 2, 0], s[..., 2, 1] = -v[..., 1], v[..., 0]
+    return s
+
+
+def axis_point(force: FloatArray, moment: FloatArray) -> FloatArray:
+    """Return the point of the force axis nearest to the origin, (f x m)/|f|^2, metres.
+
+    Parameters
+    ----------
+    force, moment : (..., 3) float, N and N m, one frame; the force is not zero
+    """
+    return np.cross(force, moment) / np.sum(force * force, axis=-1, keepdims=True)
+
+
+def pitch(force: FloatArray, moment: FloatArray) -> FloatArray:
+    """Return f . m/|f|^2, metres: zero for a single contact without torque (eq. 3).
+
+    Parameters
+    ----------
+    force, moment : (..., 3) float, N and N m, one frame; the force is not zero
+
+    Returns
+    -------
+    (...) float, signed; beyond the noise it shows a second contact or a torque.
+    """
+    return np.asarray(np.sum(force * moment, axis=-1) / np.sum(force * force, axis=-1))
+
+
+def move_wrench(link_from_sensor: FloatArray, force: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Carry a wrench from the sensor frame s into the link frame w (eq. 6).
+
+    With p_s = o + R p_w: f_w = R' f_s and m_w = R' (m_s - o x f_s), so that f x p = -m holds in w as it does in s.
+
+    Parameters
+    ----------
+    link_from_sensor : (..., 4, 4) float, metres, p_w = link_from_sensor p_s; one, or one a wrench
+    force, moment : (..., 3) float, sensor frame, N and N m
+
+    Returns
+    -------
+    force, moment : (..., 3) float, link frame, moment about the link's origin
+    """
+    rotation, shift = link_from_sensor[..., :3, :3], link_from_sensor[..., :3, 3]
+    force_link = _turn(rotation, force)
+    # p_w = Q p_s + t with Q = R', t = -R' o, so R'(m - o x f) = Q m + t x (Q f).
+    return force_link, _turn(rotation, moment) + np.cross(np.broadcast_to(shift, force_link.shape), force_link)
+
+
+def _turn(rotation: FloatArray, v: FloatArray) -> FloatArray:
+    """Return Q v for each of many: not as a matrix product, whose rounding may depend on how many are turned at once."""
+    return rotation[..., 0] * v[..., 0:1] + rotation[..., 1] * v[..., 1:2] + rotation[..., 2] * v[..., 2:3]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DhLink:
+    """One joint in the standard Denavit-Hartenberg form: lengths in metres, angles in radians."""
+
+    a: float
+    d: float
+    alpha: float
+    offset: float
+
+    def transform(self, angle: float) -> FloatArray:
+        """Return the (4, 4) pose of this joint's outer frame in its inner one at `angle` radians."""
+        # Turn by theta and shift by d about and along z, then shift by a and turn by alpha along and about x.
+        theta = angle + self.offset
+        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(self.alpha), np.sin(self.alpha)
+        return np.array(
+            [
+                [ct, -st * ca, st * sa, self.a * ct],
+                [st, ct * ca, -ct * sa, self.a * st],
+                [0.0, sa, ca, self.d],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+
+
+def inverse_pose(pose: FloatArray) -> FloatArray:
+    """Return the inverse of a rigid (4, 4) pose, from the transpose of its rotation."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return inverse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """The joints between the sensor and the link.
+
+    Parameters
+    ----------
+    joints : columns of the joint stream that these joints are
+    chain : one `DhLink` a joint, from the base outwards
+    base_from_sensor : (4, 4) float, metres
+    """
+
+    joints: tuple[int, ...]
+    chain: tuple[DhLink, ...]
+    base_from_sensor: FloatArray
+
+    def link_from_sensor(self, angles: FloatArray) -> FloatArray:
+        """Return the (4, 4) pose of the sensor in the link frame, p_link = T p_sensor.
+
+        Parameters
+        ----------
+        angles : (len(joints),) float, radians, of these joints alone
+        """
+        base_from_link = np.eye(4)
+        for link, angle in zip(self.chain, angles, strict=True):
+            base_from_link = base_from_link @ link.transform(float(angle))
+        return inverse_pose(base_from_link) @ self.base_from_sensor

@@ -1,1 +1,0 @@
-"""Rotations and poses, the wrench and its force axis, the arm."""
