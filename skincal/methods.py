@@ -14,6 +14,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
+from skincal.taxels.shared_errors import SharedRows, moved_taxels
 from skincal.taxels.solve import estimate_free, estimate_surface, solve
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def estimate_taxels(
     dead: Mapping[int, str] = _NONE_DEAD,
     doubting: bool = True,
     model: ModuleModel | None = None,
+    shared: SharedRows | None = None,
 ) -> Estimates:
     """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
 
@@ -49,6 +51,7 @@ def estimate_taxels(
     dead : channels that are not used, with the reason
     doubting : whether contacts far off what a taxel's others say count less for it
     model : needed by the modules method, which takes the contacts of all taxels of a module
+    shared : errors that all contacts share, to be carried into the covariances
 
     Raises
     ------
@@ -57,14 +60,14 @@ def estimate_taxels(
     """
     table, channels = ContactTable(contacts), [int(channel) for channel in channels]
     alone = [method for method in methods if method in PER_TAXEL]
-    solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting)
+    solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting, shared=shared)
     if Method.MODULES in methods:
         if model is None:
             raise ValueError("the modules method needs the modules of a layout")
         modules = model.modules_of(channels)
         begin = Method.FREE if surface is None else Method.SURFACE
         others = estimate_from(table, model.channels_of(modules), [begin], noise, surface, dead, doubting=doubting)
-        found = estimate_modules(table, model, modules, noise, [others[begin]], dead, doubting)
+        found = estimate_modules(table, model, modules, noise, [others[begin]], dead, doubting, shared)
         solved[Method.MODULES] = {
             channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
         }
@@ -80,12 +83,14 @@ def estimate_from(
     dead: Mapping[int, str] = _NONE_DEAD,
     last: Mapping[int, Estimate] = _NONE_BEFORE,
     doubting: bool = True,
+    shared: SharedRows | None = None,
 ) -> Estimates:
     """Estimate each of `channels` from the contacts of a table, by methods of `PER_TAXEL`; else as `estimate_taxels`.
 
     Parameters
     ----------
     last : the surface method's last answers, which make its search shorter and nothing else
+    shared : as for `estimate_taxels`
     """
     if Method.SURFACE in methods and surface is None:
         raise ValueError("the surface method needs a surface")
@@ -95,8 +100,10 @@ def estimate_from(
     for first, after in _blocks(evidence):
         part = evidence.part(first, after)
         solution = solve(part, methods, noise, surface, _triangles(part, last), doubting)
-        for estimate in (*estimate_free(solution), *estimate_surface(solution, surface)):
-            solved[estimate.method][estimate.channel] = estimate
+        for method, found in ((Method.FREE, estimate_free(solution)), (Method.SURFACE, estimate_surface(solution, surface))):
+            if shared is not None and found:
+                found = moved_taxels(found, solution.evidence, method, shared)
+            solved.get(method, {}).update((estimate.channel, estimate) for estimate in found)
     return {
         method: {channel: found.get(channel) or _without(channel, method, dead) for channel in channels}
         for method, found in solved.items()

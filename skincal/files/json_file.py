@@ -235,9 +235,11 @@ def _correction(used: UsedCorrection) -> dict[str, Any]:
         "landmark_pokes": int(used.pokes),
         "miss_before_m": float(used.before),
         "miss_after_m": float(used.after),
+        "miss_over_predicted": _plain(used.ratio),
         "wrench_matrix": _plain(found.matrix),
         "sensor_motion_m": _plain(found.everywhere),
         "pose_motions_m": {name: _plain(motion) for name, motion in sorted(found.motions.items())},
+        "uncertainty_root": _plain(found.root),
     }
 
 
@@ -320,10 +322,11 @@ def _read_correction(values: dict[str, Any]) -> UsedCorrection:
     matrix, everywhere = (np.array(values[key], dtype=float) for key in ("wrench_matrix", "sensor_motion_m"))
     return UsedCorrection(
         of=values["of"],
-        correction=Correction(matrix, everywhere, motions),
+        correction=Correction(matrix, everywhere, motions, np.array(values.get("uncertainty_root", []), dtype=float)),
         before=values["miss_before_m"],
         after=values["miss_after_m"],
         pokes=values["landmark_pokes"],
+        ratio=_known(values.get("miss_over_predicted")),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, TypeAlias, cast
 
 from skincal.model.errors import InputError
@@ -104,6 +104,10 @@ class Correct:
     after: float
     """m."""
     pokes: int
+    spread: tuple[float, ...] = ()
+    """Upper triangle of `Correction.root`, row by row; empty of one that is taken for exact, as in sessions of old."""
+    ratio: float = 0.0
+    """0 where nobody knows it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +178,8 @@ def from_json(document: Mapping[str, Any]) -> Action:
         raise InputError(f"action {document.get('do')!r}: expected one of {', '.join(_KINDS)}; a newer skincal may know it.")
     values = {key: _frozen(value) for key, value in document.items() if key != "do"}
     wanted = {item.name: str(item.type) for item in fields(kind)}
+    # What was added to an action since has a default: sessions of old lack it.
+    values = {item.name: item.default for item in fields(kind) if item.default is not MISSING} | values
     if values.keys() != wanted.keys() or not all(_is(values[key], type_) for key, type_ in wanted.items()):
         raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v})' for k, v in wanted.items())}.")
     return kind(**values)

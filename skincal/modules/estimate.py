@@ -30,6 +30,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import NO_RANK, Fitted, Touches, fit_poked, whitened
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
+from skincal.taxels.shared_errors import SharedRows, with_shared
 
 MOVING_MAX = 2e-4
 """m: a pose whose search still takes longer steps after its last is not known. Over an edge of a mesh it goes to and fro by
@@ -48,6 +49,7 @@ def estimate_modules(
     others: Sequence[Mapping[int, Estimate]],
     dead: Mapping[int, str],
     doubting: bool = True,
+    shared: SharedRows | None = None,
 ) -> dict[int, Estimate]:
     """Estimate all taxels of `modules`.
 
@@ -57,6 +59,7 @@ def estimate_modules(
     others : estimates of the taxels of these modules by other methods, the best method first
     dead : channels that are not used, with the reason
     doubting : whether pokes far off what a module's others say count less for it
+    shared : errors that all pokes share, to be carried into the covariances
 
     Returns
     -------
@@ -68,7 +71,10 @@ def estimate_modules(
     found = {channel: _without(channel, counts.get(channel, 0), dead) for channel in channels}
     fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, others, doubting)
     if fit is not None:
-        found.update((estimate.channel, estimate) for estimate in _estimates(*fit, counts, dead))
+        estimates = list(_estimates(*fit, counts, dead))
+        if shared is not None:
+            estimates = _moved(*fit, noise, estimates, shared)
+        found.update((estimate.channel, estimate) for estimate in estimates)
     return found
 
 
@@ -146,6 +152,27 @@ def _doubted(touches: Touches, fitted: Fitted) -> list[dict[int, dict[int, float
         for channel in touches.channels_of(at).tolist():
             doubted[int(touches.of[at])].setdefault(channel, {})[poke] = float(fitted.trust[at])
     return doubted
+
+
+def _moved(
+    touches: Touches, fitted: Fitted, noise: NoiseSettings, estimates: Sequence[Estimate], shared: SharedRows
+) -> list[Estimate]:
+    """Return the estimates with what shared errors add: `skincal.taxels.shared_errors`, with a module's unknowns for a place."""
+    evidence, at = touches.evidence, touches.rows
+    places = touches.middles(fitted.pads)[0]
+    rows = whitened(touches, fitted.pads, noise)
+    pull = rows.whiten @ shared(evidence.pokes[at], places, evidence.pairs[at])
+    slopes = fitted.trust[:, None, None] * rows.slopes.transpose(0, 2, 1)
+    begins = np.searchsorted(touches.of, np.arange(len(touches.modules)))
+    held, pulled = (np.add.reduceat(slopes @ rest, begins, axis=0) for rest in (rows.slopes, pull))
+    # What the pokes do not determine has no estimate, and is not moved.
+    moves = -np.linalg.pinv(held, rcond=NO_RANK, hermitian=True) @ pulled
+    pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
+    pads = [pad_of[estimate.channel] for estimate in estimates]
+    return [
+        with_shared(estimate, fitted.pads.gradients[pad] @ moves[fitted.of[pad]])
+        for estimate, pad in zip(estimates, pads, strict=True)
+    ]
 
 
 def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> FloatArray:

@@ -14,7 +14,7 @@ determine stays at zero.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -41,6 +41,9 @@ class Correction:
     """(4, 4) float, metres: link_from_sensor is the reported one times this, in every arm pose."""
     motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """For some arm poses (4, 4) float, metres: and times this."""
+    root: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix row by row, then turn and shift of each pose of
+    `motions` by name; (0, 0) of a correction that is taken for exact."""
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
         """Return link_from_sensor, (4, 4), of the arm pose of that name; of one that is not known, by `everywhere` alone."""
@@ -54,7 +57,7 @@ class Correction:
 
     def after(self, first: Correction) -> Correction:
         """Return the correction that is `first`, which moves all arm poses alike, and then this one."""
-        return Correction(self.matrix @ first.matrix, first.everywhere @ self.everywhere, self.motions)
+        return Correction(self.matrix @ first.matrix, first.everywhere @ self.everywhere, self.motions, self.root)
 
     def corrected(self, poke: Poke) -> Poke:
         """Return a poke as a right rig would have reported it; a poke without a force stays as it is."""
@@ -77,6 +80,8 @@ class UsedCorrection:
     """m: the same under the correction; for the rig's errors of pokes that were held out."""
     pokes: int
     """How many landmark pokes it was found from."""
+    ratio: float = float("nan")
+    """Misses of held-out landmark pokes over what was predicted for them (`RigAnswer.ratio`); NaN where nobody knows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +196,52 @@ def rig_rows(
         of_place=with_place @ sensor_from_link,
         distances=np.linalg.norm(np.cross(force, residual), axis=1) / np.sum(force * force, axis=1),
     )
+
+
+class CorrectionErrors:
+    """What a correction of a rig does not know: errors that all pokes share, as `skincal.taxels.shared_errors.SharedRows`.
+
+    An arm pose that the correction does not know is as wrong as any may be before something is known of it.
+
+    Parameters
+    ----------
+    correction : with its `root`
+    contact_of : gives a poke by its number, as corrected
+    """
+
+    def __init__(self, correction: Correction, contact_of: Callable[[int], Contact], prior: RigPrior | None = None) -> None:
+        self._contact_of, self._prior = contact_of, prior or RigPrior()
+        self._root = correction.root
+        self._poses = {name: index for index, name in enumerate(sorted(correction.motions))}
+
+    def __call__(self, pokes: IntArray, places: FloatArray, pairs: FloatArray) -> FloatArray:
+        """Return (m, 2, n) metres; see `SharedRows`."""
+        numbers, row = np.unique(pokes, return_inverse=True)
+        contacts = [self._contact_of(poke) for poke in numbers.tolist()]
+        poses = np.array([self._index(contact.pose) for contact in contacts])[row]
+        wrenches = np.array([np.concatenate([contact.force, contact.moment]) for contact in contacts])[row]
+        reported = np.array([contact.link_from_sensor for contact in contacts])[row]
+        sensor_from_link = reported[:, :3, :3].transpose(0, 2, 1)
+        force = wrenches[:, :3]
+        here = cross_matrix((sensor_from_link @ (places - reported[:, :3, 3])[:, :, None])[:, :, 0])
+        # The rows e_1, e_2 of `contact_table` are e_2 and -e_1 of the residual (f x p + m)/|f|.
+        across_push = np.stack([pairs[:, 1], -pairs[:, 0]], axis=1) @ reported[:, :3, :3]
+        across_push = across_push / np.linalg.norm(force, axis=1)[:, None, None]
+        of_matrix = np.concatenate([-across_push @ here, across_push], axis=2)[:, :, :, None] * wrenches[:, None, None, :]
+        pull = across_push @ cross_matrix(force)
+        of_pose = np.concatenate([pull @ here, -pull], axis=2)
+        own = self._root[36 + 6 * poses[:, None] + np.arange(6)]
+        return of_matrix.reshape(len(places), 2, 36) @ self._root[:36] + of_pose @ own
+
+    def _index(self, pose: str) -> int:
+        """Return the place of an arm pose among those known; one that is new comes last, as its prior has it."""
+        if pose not in self._poses:
+            self._poses[pose] = len(self._poses)
+            old = len(self._root)
+            root = np.zeros((old + 6, old + 6))
+            root[:old, :old], root[old:, old:] = self._root, np.diag(self._prior.scales(1)[36:])
+            self._root = root
+        return self._poses[pose]
 
 
 def rigid_motion(turn: FloatArray, shift: FloatArray) -> FloatArray:

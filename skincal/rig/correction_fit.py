@@ -221,6 +221,9 @@ class RigAnswer:
     """m: at what distance the axes pass the landmarks as reported, root mean square by trust; NaN without pokes."""
     after: float
     """m: the same for held-out pokes under a correction made without them; NaN where there is none."""
+    ratio: float
+    """Misses of held-out pokes over what was predicted for them, root mean square; NaN where there is none. Above 1 something
+    is wrong that the correction does not know of, and its uncertainty is as many times larger."""
     points: int
     """How many different landmarks were poked."""
     trust: Mapping[int, float]
@@ -248,7 +251,7 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     scales, points = request.prior.scales(len(names)), len({poke.name for poke in request.landmarks})
     if len(request.landmarks) < FEWEST or points < FEWEST_POINTS:
         trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
-        return RigAnswer(None, False, float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
+        return RigAnswer(None, False, float("nan"), float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
     fit = _Fit(request, names, scales)
     for _ in range(STEPS):
         between()
@@ -310,20 +313,26 @@ class _Fit:
         assert self._last is not None
         rows, base = self._last
         reported, now = self._landmark_rows(RigState.at_prior(len(names))), self._landmark_rows(self.state)
-        held = self._held_out(rows, base)
+        held, predicted = self._held_out(rows, base)
         before, after = (np.average(np.sum(own**2, axis=1), weights=self.trust) for own in (reported.misses, held))
+        # Squared misses in their predicted standard deviations: two numbers a poke.
+        ratio = float(np.sqrt(np.average(_squares(held, predicted), weights=self.trust) / 2.0))
         # Misses are in standard deviations; this is how many metres one of them is on average.
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
         _, root = _solved(base, rows, self.trust)
-        known = np.sqrt(np.sum(np.asarray(np.linalg.inv(root), dtype=np.float64) ** 2, axis=1))
+        inverse = np.asarray(np.linalg.inv(root), dtype=np.float64)
+        known = np.sqrt(np.sum(inverse**2, axis=1))
         pokes = [poke.poke for poke in self.landmarks]
         poses = zip(names, self.state.turns, self.state.shifts, strict=True)
         motions = {name: rigid_motion(turn, shift) for name, turn, shift in poses}
         return RigAnswer(
-            correction=Correction(np.eye(6) + self.state.matrix, motions=motions),
+            correction=Correction(
+                np.eye(6) + self.state.matrix, motions=motions, root=max(1.0, ratio) * self.scales[:, None] * inverse
+            ),
             used=bool(after < BETTER * before),
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
+            ratio=ratio,
             points=len({poke.name for poke in self.landmarks}),
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
             distances=dict(zip(pokes, now.distances.tolist(), strict=True)),
@@ -331,16 +340,22 @@ class _Fit:
             known=np.minimum(known, 1.0),
         )
 
-    def _held_out(self, rows: RigRows, base: FloatArray) -> FloatArray:
-        """Return (m, 2) the misses of landmark pokes, each under the correction made without its quarter of the landmarks."""
-        held = np.empty_like(rows.misses)
+    def _held_out(self, rows: RigRows, base: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how landmark pokes are missed, each under the correction made without its quarter of the landmarks.
+
+        Returns
+        -------
+        (m, 2) the misses, and (m, 2, 2) the covariance that is predicted for each.
+        """
+        held, predicted = np.empty_like(rows.misses), np.empty((len(rows.misses), 2, 2))
         names = sorted({poke.name for poke in self.landmarks})
         quarter = np.array([names.index(poke.name) % HELD_OUT for poke in self.landmarks])
         for out in range(HELD_OUT):
             own = quarter == out
-            step, _ = _solved(base, rows, np.where(own, 0.0, self.trust))
+            step, root = _solved(base, rows, np.where(own, 0.0, self.trust))
             held[own] = rows.misses[own] + rows.of_rig[own] @ step
-        return held
+            predicted[own] = np.eye(2) + _leverage(rows.of_rig[own], root)
+        return held, predicted
 
 
 def _rigid_groups(request: RigRequest) -> RigidGroups | None:
@@ -391,16 +406,24 @@ def _trusted(rows: RigRows, step: FloatArray, root: FloatArray, trust: FloatArra
     With H = A (root' root)^-1 A' of a poke that counts k, its miss r under the fit has the covariance 1/k - H where all is
     noise: so r' (I - k H)^-1 r is chi-square for a poke that counts fully, and (I + H) takes the place for one that does not.
     """
-    misses = rows.misses + rows.of_rig @ step
-    spread = np.asarray(np.linalg.solve(root.T, rows.of_rig.reshape(-1, rows.of_rig.shape[2]).T), dtype=np.float64)
-    spread = spread.T.reshape(*misses.shape, -1)
-    leverage = spread @ spread.transpose(0, 2, 1)
+    leverage = _leverage(rows.of_rig, root)
     counts = (trust > 0.5)[:, None, None]
     total = np.eye(2) + np.where(counts, -trust[:, None, None] * leverage, leverage)
-    squares = np.sum(misses * np.asarray(np.linalg.solve(total, misses[:, :, None])[:, :, 0]), axis=1)
     # Rounding may leave a square below zero.
-    found = trust_of(np.maximum(squares, 0.0))
+    found = trust_of(np.maximum(_squares(rows.misses + rows.of_rig @ step, total), 0.0))
     return found if found.sum() >= LEFT * len(found) else np.ones(len(found))
+
+
+def _leverage(of_rig: FloatArray, root: FloatArray) -> FloatArray:
+    """Return (m, 2, 2) A (root' root)^-1 A' of the rows A (m, 2, n) of each poke."""
+    spread = np.asarray(np.linalg.solve(root.T, of_rig.reshape(-1, of_rig.shape[2]).T), dtype=np.float64)
+    spread = spread.T.reshape(*of_rig.shape[:2], -1)
+    return spread @ spread.transpose(0, 2, 1)
+
+
+def _squares(misses: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return (m,) the squares of misses (m, 2) in standard deviations of their covariances (m, 2, 2)."""
+    return np.sum(misses * np.asarray(np.linalg.solve(covariances, misses[:, :, None])[:, :, 0]), axis=1)
 
 
 def _group_move(top: FloatArray, step: FloatArray) -> FloatArray:

@@ -125,7 +125,8 @@ class Corrections:
 
 def used_of(action: Correct) -> UsedCorrection:
     """Return the correction that an action uses, with what speaks for it; InputError as for `correction_of`."""
-    return UsedCorrection(action.of, correction_of(action), action.before, action.after, action.pokes)
+    ratio = action.ratio or float("nan")
+    return UsedCorrection(action.of, correction_of(action), action.before, action.after, action.pokes, ratio)
 
 
 def correction_of(action: Correct) -> Correction:
@@ -140,14 +141,19 @@ def correction_of(action: Correct) -> Correction:
     wanted = (36, 16, 16 * len(action.poses))
     if action.of not in KINDS or sizes != wanted:
         raise InputError(f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(KINDS)}, with {wanted}.")
+    size = 36 + 6 * len(action.poses) if action.spread else 0
+    if len(action.spread) != size * (size + 1) // 2:
+        raise InputError(f"A correction of {len(action.poses)} arm poses with {len(action.spread)} numbers of its uncertainty.")
+    root = np.zeros((size, size))
+    root[np.triu_indices(size)] = action.spread
     matrix, everywhere = np.reshape(action.matrix, (6, 6)), np.reshape(action.everywhere, (4, 4))
     motions = np.reshape(action.motions, (-1, 4, 4))
-    numbers = (matrix, everywhere, motions, np.array([action.before, action.after]))
+    numbers = (matrix, everywhere, motions, root, np.array([action.before, action.after, action.ratio]))
     if not all(np.isfinite(values).all() for values in numbers) or not abs(np.linalg.det(matrix)) > 0 or action.pokes < 0:
         raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
     if not all(_is_motion(motion) for motion in (everywhere, *motions)):
         raise InputError("A correction of the rig moves a pose by what is no rigid motion; expected a rotation and a shift.")
-    return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)))
+    return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)), root)
 
 
 def _is_motion(matrix: FloatArray) -> bool:
@@ -176,12 +182,14 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
         return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)
     if tried is None:
         return None
-    return correct_action(RIG, tried, rig.before, rig.after, pokes)
+    return correct_action(RIG, tried, rig.before, rig.after, pokes, rig.ratio)
 
 
-def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int) -> Correct:
+def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int, ratio: float = 0.0) -> Correct:
     """Return the action that uses a correction; see `Correct` for the rest."""
-    return Correct(of, *_numbers(correction), before, after, pokes)
+    spread = correction.root[np.triu_indices(len(correction.root))].tolist()
+    # Six digits of an uncertainty are more than anyone knows, and half of the file.
+    return Correct(of, *_numbers(correction), before, after, pokes, tuple(float(f"{value:.6g}") for value in spread), ratio)
 
 
 def _numbers(correction: Correction) -> tuple[tuple[float, ...], tuple[float, ...], tuple[str, ...], tuple[float, ...]]:

@@ -34,7 +34,7 @@ from skincal.model.actions import (
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark, Scene
-from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.corrections import Corrections
 from skincal.session.landmark_pokes import SessionLandmarks
@@ -298,7 +298,15 @@ class Session:
             self._records[poke] = replace(record, outcome=outcome)
             if isinstance(outcome, Contact):
                 self._solving.poke_changed(poke, ())
+        used = self.corrections.get(RIG)
+        known = used is not None and len(used.correction.root) > 0
+        self._solving.shared = CorrectionErrors(used.correction, self._contact) if used is not None and known else None
         self._solving.taxels_changed(self.channels)
+
+    def _contact(self, poke: int) -> Contact:
+        outcome = self._records[poke].outcome
+        assert isinstance(outcome, Contact)
+        return outcome
 
     def _put(self, record: PokeRecord) -> None:
         """Take a poke as it stands now, in place of what it was."""

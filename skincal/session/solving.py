@@ -17,6 +17,7 @@ from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
+from skincal.taxels.shared_errors import SharedRows
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
@@ -49,6 +50,8 @@ class Solving:
         self.module_model = ModuleModel(layout, scene.skin.anchor, surface) if layout is not None and solved else None
         """The modules; None where their method is not solved."""
         self._noise, self._surface = scene.noise, surface
+        self.shared: SharedRows | None = None
+        """Errors that all pokes share, which the covariances carry."""
         self._alone = [method for method in self.methods if method in PER_TAXEL]
         self._table = self._shown = ContactTable()
         """What is solved from, and what the last answers were: the same but while some taxels wait."""
@@ -134,7 +137,7 @@ class Solving:
 
     def _solve(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
         last = self._estimates.get(Method.SURFACE, {})
-        solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last)
+        solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last, shared=self.shared)
         for method, estimates in solved.items():
             self._estimates[method].update(estimates)
         if self.module_model is not None:
@@ -142,5 +145,5 @@ class Solving:
                 self.module_model.modules_of(channels),
                 [self._estimates[method] for method in reversed(self._alone)],
             )
-            found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead)
+            found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead, shared=self.shared)
             self._estimates[Method.MODULES].update(found)

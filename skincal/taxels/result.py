@@ -97,8 +97,9 @@ class Rival:
 class Estimate:
     """One taxel by one method, link frame, metres.
 
-    The uncertainty carries the rig's noise (force, moment, place of the contact); it leaves out wrong frames, a wrong
-    arm chain, a wrong mesh and errors of the F/T matrix, which shift all taxels together.
+    The uncertainty carries the rig's noise (force, moment, place of the contact) and, where a correction of the rig is in use,
+    what that does not know. It leaves out a wrong mesh and, without a correction, errors of the F/T matrix and of the arm,
+    which shift all taxels together.
     """
 
     channel: int
@@ -127,5 +128,8 @@ class Estimate:
     origin, that is the solution of smallest norm; the line runs along `weakest`. None otherwise."""
     rival: Rival | None = None
     """Surface method: the taxel may lie there as well. None where no other place is within the noise."""
+    moved: FloatArray | None = None
+    """(3, n) float, metres: how far each of n errors that all taxels share moves the position, in its standard deviations; in
+    the covariance. None where no correction of the rig is in use (`skincal.taxels.shared_errors`)."""
     doubted: Mapping[int, float] = field(default_factory=dict[int, float])
     """Pokes that count less than fully for this taxel: number to trust, 0 to less than 1."""
