@@ -60,7 +60,10 @@ def estimate_taxels(
     """
     table, channels = ContactTable(contacts), [int(channel) for channel in channels]
     alone = [method for method in methods if method in PER_TAXEL]
-    solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting, shared=shared)
+    solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting)
+    if shared is not None:
+        for method in alone:
+            solved[method] = dict(zip(channels, moved_taxels(table, list(solved[method].values()), shared), strict=True))
     if Method.MODULES in methods:
         if model is None:
             raise ValueError("the modules method needs the modules of a layout")
@@ -83,14 +86,12 @@ def estimate_from(
     dead: Mapping[int, str] = _NONE_DEAD,
     last: Mapping[int, Estimate] = _NONE_BEFORE,
     doubting: bool = True,
-    shared: SharedRows | None = None,
 ) -> Estimates:
     """Estimate each of `channels` from the contacts of a table, by methods of `PER_TAXEL`; else as `estimate_taxels`.
 
     Parameters
     ----------
     last : the surface method's last answers, which make its search shorter and nothing else
-    shared : as for `estimate_taxels`
     """
     if Method.SURFACE in methods and surface is None:
         raise ValueError("the surface method needs a surface")
@@ -100,10 +101,8 @@ def estimate_from(
     for first, after in _blocks(evidence):
         part = evidence.part(first, after)
         solution = solve(part, methods, noise, surface, _triangles(part, last), doubting)
-        for method, found in ((Method.FREE, estimate_free(solution)), (Method.SURFACE, estimate_surface(solution, surface))):
-            if shared is not None and found:
-                found = moved_taxels(found, solution.evidence, method, shared)
-            solved.get(method, {}).update((estimate.channel, estimate) for estimate in found)
+        for estimate in (*estimate_free(solution), *estimate_surface(solution, surface)):
+            solved[estimate.method][estimate.channel] = estimate
     return {
         method: {channel: found.get(channel) or _without(channel, method, dead) for channel in channels}
         for method, found in solved.items()

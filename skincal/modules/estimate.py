@@ -157,7 +157,7 @@ def _doubted(touches: Touches, fitted: Fitted) -> list[dict[int, dict[int, float
 def _moved(
     touches: Touches, fitted: Fitted, noise: NoiseSettings, estimates: Sequence[Estimate], shared: SharedRows
 ) -> list[Estimate]:
-    """Return the estimates with what shared errors add: `skincal.taxels.shared_errors`, with a module's unknowns for a place."""
+    """Return the estimates with what shared errors add: `shared_errors`, with the unknowns of a module for those of a place."""
     evidence, at = touches.evidence, touches.rows
     places = touches.middles(fitted.pads)[0]
     rows = whitened(touches, fitted.pads, noise)

@@ -42,7 +42,7 @@ class Correction:
     motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """For some arm poses (4, 4) float, metres: and times this."""
     root: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix row by row, then turn and shift of each pose of
+    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix row by row, then turn and shift of each of
     `motions` by name; (0, 0) of a correction that is taken for exact."""
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:

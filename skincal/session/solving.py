@@ -17,7 +17,7 @@ from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
-from skincal.taxels.shared_errors import SharedRows
+from skincal.taxels.shared_errors import SharedRows, moved_taxels
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
@@ -56,6 +56,8 @@ class Solving:
         self._table = self._shown = ContactTable()
         """What is solved from, and what the last answers were: the same but while some taxels wait."""
         self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
+        self._alike: dict[Method, dict[int, Estimate]] = {method: {} for method in self._alone}
+        """The same without shared errors: where the search for the modules begins, which these may not change."""
         self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
         """Pokes that the table lacks as they are now; taxels to solve; taxels for the next answer of `take_fresh`."""
 
@@ -136,14 +138,18 @@ class Solving:
         return [[channel for channel in self.module_model.channels_of(part) if channel in self._channels] for part in some]
 
     def _solve(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
-        last = self._estimates.get(Method.SURFACE, {})
-        solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last, shared=self.shared)
+        last = self._alike.get(Method.SURFACE, {})
+        solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last)
         for method, estimates in solved.items():
-            self._estimates[method].update(estimates)
+            self._alike[method].update(estimates)
+            moved = (
+                estimates.values() if self.shared is None else moved_taxels(self._table, list(estimates.values()), self.shared)
+            )
+            self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules, others = (
                 self.module_model.modules_of(channels),
-                [self._estimates[method] for method in reversed(self._alone)],
+                [self._alike[method] for method in reversed(self._alone)],
             )
             found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead, shared=self.shared)
             self._estimates[Method.MODULES].update(found)

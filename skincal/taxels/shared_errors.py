@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.taxels.contact_table import Evidence, across
+from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.result import Estimate, Method
 
 SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], FloatArray]
@@ -26,34 +26,34 @@ SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], FloatArray]
 their pushes, link frame: B (m, 2, n), metres for each of n shared errors in its standard deviations."""
 
 
-def moved_taxels(estimates: Sequence[Estimate], evidence: Evidence, method: Method, shared: SharedRows) -> list[Estimate]:
-    """Return the estimates of a method of `PER_TAXEL` with what shared errors add to them.
+def moved_taxels(table: ContactTable, estimates: Sequence[Estimate], shared: SharedRows) -> list[Estimate]:
+    """Return the estimates of one method of `PER_TAXEL`, of different channels, with what shared errors add to them.
 
     Parameters
     ----------
-    evidence : of the taxels of `estimates`, in their order, with the trust that the solver found
+    table : that they were solved from
     """
-    known = [row for row, estimate in enumerate(estimates) if estimate.position is not None]
+    known = sorted((estimate for estimate in estimates if estimate.position is not None), key=lambda estimate: estimate.channel)
     if not known:
         return list(estimates)
-    places = np.full((len(estimates), 3), np.nan)
-    places[known] = [estimates[row].position for row in known]
-    used = np.flatnonzero(np.isfinite(places[evidence.taxels, 0]))
-    of, pairs = evidence.taxels[used], evidence.pairs[used]
-    pull = shared(evidence.pokes[used], places[of], pairs)
-    weights = (evidence.trust[used] * evidence.weights[used] ** 2)[:, None, None]
-    held, pulled = (np.zeros((len(estimates), 3, width)) for width in (3, pull.shape[2]))
-    np.add.at(held, of, weights * (pairs.transpose(0, 2, 1) @ pairs))
-    np.add.at(pulled, of, weights * (pairs.transpose(0, 2, 1) @ pull))
+    evidence = table.evidence([estimate.channel for estimate in known])
+    trust = np.ones(len(evidence.pokes))
+    for row, estimate in enumerate(known):
+        if estimate.doubted:
+            own = slice(*evidence.starts[row : row + 2].tolist())
+            trust[own] = [estimate.doubted.get(poke, 1.0) for poke in evidence.pokes[own].tolist()]
+    places = np.array([estimate.position for estimate in known])[evidence.taxels]
+    pairs, across_push = evidence.pairs, evidence.pairs.transpose(0, 2, 1)
+    pull = shared(evidence.pokes, places, pairs)
+    weights = (trust * evidence.weights**2)[:, None, None]
+    held, pulled = (np.add.reduceat(weights * (across_push @ rest), evidence.starts[:-1]) for rest in (pairs, pull))
     free = np.tile(np.eye(3), (len(known), 1, 1))
-    if method is Method.SURFACE:
-        free = across(np.array([estimates[row].normal for row in known])).transpose(0, 2, 1)
+    if known[0].method is Method.SURFACE:
+        free = across(np.array([estimate.normal for estimate in known])).transpose(0, 2, 1)
     inner = free.transpose(0, 2, 1)
-    moved = -free @ np.linalg.solve(inner @ held[known] @ free, inner @ pulled[known])
-    found = list(estimates)
-    for row, move in zip(known, moved, strict=True):
-        found[row] = with_shared(estimates[row], move)
-    return found
+    moves = -free @ np.linalg.solve(inner @ held @ free, inner @ pulled)
+    moved = {estimate.channel: with_shared(estimate, move) for estimate, move in zip(known, moves, strict=True)}
+    return [moved.get(estimate.channel, estimate) for estimate in estimates]
 
 
 def with_shared(estimate: Estimate, moved: FloatArray) -> Estimate:
