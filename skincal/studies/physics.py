@@ -1,0 +1,613 @@
+"""A second simulator of contact and sensor, from first principles, which shares no code with what it tries.
+
+A tip presses the outer face of a foam on a curved part; the taxels lie under the foam, where the mesh is meant to be. What the
+force/torque (F/T) sensor reads is worked out in its own frame, through an arm that is not where its joints put it:
+
+    w = (f, c x f),   read = (I + E) w + Q(w, w) + what earlier pokes left + slow noise + white noise.
+
+Contact: a round tip of radius R on a foam of columns that know nothing of each other (Winkler; K. L. Johnson, Contact
+Mechanics, 4.3): p = K (d - r^2/2R), so F = pi R K d^2 and the patch has the radius a = sqrt(2 R d). Down at the taxels the foam
+and the taxel's own pad have spread this to about a Gaussian. A taxel reads how far the foam above it is pressed together:
+under the tip; while the force acts on the outer face, along the push. So the axis of a leaning push crosses the taxels' layer
+beside the place that answers, by thickness x tan(lean), and farther where shear has moved the tip. (Where a flat tip is held
+parallel to the skin, its own pressure carries half of that moment and half of this is left: the whole is the worse case.)
+
+Everything is drawn from a seed. Lengths are metres, forces newtons, angles radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import spatial
+
+from skincal.contacts.outcome import Contact
+from skincal.geometry import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from skincal.model.scene import Scene
+    from skincal.model.skin import Anchor, Module
+
+MM, DEGREE = 1e-3, float(np.radians(1.0))
+
+MARCH = 100
+"""Steps of a straight way on the part: 0.6 mm at most, which on a radius of 25 mm errs by less than 1e-4 of it."""
+NEAR = 12
+"""Triangles looked at for the nearest point: those that meet at a corner, and their neighbours."""
+FORCE = 10.0
+"""N: an operator presses with 6 to 12 N; errors of the sensor that grow with the load are given at this."""
+LEVER = 0.2
+"""m, from the forearm's sensor to its skin (0.1 to 0.25 m): the typical moment is `FORCE` times this."""
+FORCES = (6.0, 12.0)
+"""N: between the gates of 4 and 15 N, as operators are asked to press."""
+LANDMARK_FORCES = (8.0, 13.0)
+"""N: a tip on a screw head is pressed harder than one on foam."""
+LANDMARK_CONE = 28 * DEGREE
+"""Pushes at a landmark lean at most this far from its normal."""
+STIFFNESS = 3e8
+"""Pa/m: of the foam's columns, K. Foam of 0.75 MPa, 2.5 mm thick: 8 N on a tip of 3 mm press it in by 1.7 mm."""
+PAD = 0.002
+"""m: radius of a taxel's electrode (Maiolino et al. 2013: about 4 mm across)."""
+FOAM_SPREAD = 0.0013
+"""m: the foam spreads pressure by about half its thickness, as an elastic layer on hard ground does."""
+SCALE = 2.5
+"""N on a taxel's pad at which it has answered 63 % of `TOP`: foam stiffens. With it three taxels answer a poke on average."""
+TOP = 180.0
+"""Counts of 255 that a taxel falls at most: from about 240 at rest to some 60 (iCub)."""
+FRAMES = 1 / 15 + 1 / 10
+"""A still window of 0.3 s has 15 frames, a quiet one 10, at 50 Hz: the variance of their difference is this share."""
+COUNT = 1.0 + 1 / 12
+"""Counts^2, variance of one frame: one count of noise and the rounding to whole counts, which that noise blurs."""
+MOMENT_OF_FORCE = 0.1
+"""m: noise of a moment over noise of a force, 0.010 N m and 0.10 N as in the scene's `[noise]`."""
+MATRIX_ARM = 0.35
+"""m: entries of E between force and moment count a moment as a force times this, as `RigPrior` assumes."""
+SLOW = 30.0
+"""Pokes over which slow noise and a wandering arm remember: about a minute, as a sensor that warms up in a moving room."""
+BUMP = 0.020
+"""m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
+FINGER = 0.008
+"""m between the two places that a finger touches: its breadth, a little more than the pitch of the taxels."""
+PLAN = (6, 3, 3, 3, 2, 2, 2)
+"""Landmark pokes in each arm pose that the guide asks for: 21 in seven poses."""
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """What is wrong with a rig, its skin, its landmarks and its operator; the defaults are what the program models.
+
+    `World()` has the paper's rig errors by the sizes of `RigPrior`: 2 %, 1 degree, 2 mm, 0.7 mm.
+    """
+
+    # ---- force/torque sensor
+    matrix: float = 0.02
+    """sd of each entry of E, cross-talk included."""
+    quadratic: float = 0.0
+    """Rms of each component of Q(w, w) at `FORCE` and its moment, as a share of these."""
+    hysteresis: float = 0.0
+    """Share of its load that the sensor keeps after a poke: the tares before and after each see a part of it."""
+    force_noise: float = 0.10
+    """N, white, of a poke's tared mean; moments `MOMENT_OF_FORCE` times as much. FT45: 0.25 N a reading, and slow noise."""
+    slow_force: float = 0.0
+    """N rms, noise that pokes after each other share (`SLOW`); moments as above. A tare around every poke leaves it: creep of
+    the strain gauges under load."""
+    # ---- arm
+    pose_turn: float = DEGREE
+    """sd about each axis through the sensor, of each arm pose."""
+    pose_shift: float = 2 * MM
+    """sd along each axis."""
+    wander_turn: float = 0.0
+    """Rms about each axis by which the arm wanders within a pose, slowly (`SLOW`): servos that creep under the hand."""
+    wander_shift: float = 0.0
+    """Rms along each axis."""
+    flex: float = 0.0
+    """rad per N m: the arm bends under the poke, about the sensor. A joint of 100 N m/rad gives by 0.6 degrees at 1 N m."""
+    # ---- landmarks
+    aim: float = 0.7 * MM
+    """sd in each direction of the skin of a poke beside its landmark: by hand."""
+    landmarks: float = 0.0
+    """m: how far the place that is told for a landmark is from where it is, in some direction, the same for all its pokes."""
+    # ---- mesh: the taxels are on the true one, the program is given another
+    mesh_shift: float = 0.0
+    """m, the whole mesh in some direction."""
+    mesh_inflate: float = 0.0
+    """m, outward."""
+    mesh_bumps: float = 0.0
+    """m rms along the normal, smooth over `BUMP`."""
+    # ---- skin
+    mount_shift: float = 3 * MM
+    """sd in each direction by which the skin is stuck on beside its plan: what a calibration is to find, not an error."""
+    mount_turn: float = 2 * DEGREE
+    """sd of its turn in its plane, likewise."""
+    pads: float = 0.0
+    """m, sd in each direction of a pad beside its module's plan."""
+    gains: float = 0.10
+    """sd of the logarithm of a taxel's sensitivity: foam is glued by hand."""
+    thickness: float = 0.0
+    """m, from the taxels' layer to the outer face, on which the force acts. iCub: 2 to 3 mm of foam or fabric."""
+    shear: float = 0.0
+    """m/N: how far the outer face moves aside under a tangential force. Foam of 0.1 mm/N: 30 mm^2 of 0.8 MPa, 2.5 mm thick."""
+    spread: float = 1.0
+    """How many times wider than `FOAM_SPREAD` the foam spreads pressure."""
+    tip: float = 3 * MM
+    """Radius of the tip: a pen's end or a finger nail."""
+    scatter: float = 0.7 * MM
+    """sd in each direction of the skin between the middle of the tip and where the force acts: an uneven patch."""
+    # ---- operator
+    beside: float = 2 * MM
+    """sd in each direction by which a poke lands beside the taxel it is meant for."""
+    cone: float = 30 * DEGREE
+    """Pushes lean at most this far from the normal, evenly in solid angle: somebody careful."""
+    arc: float = 2 * np.pi
+    """Pushes come from an arc of this breadth alone, about one side of the part; all sides by default."""
+    lean: float = 0.0
+    """All pushes are turned by this towards one side: a right hand."""
+    friction: float = 0.75
+    """Tangential over normal force at which the tip slides: rubber or plastic on fabric, 0.6 to 0.9. Pushes stay below it."""
+    two: float = 0.0
+    """Share of the pokes that touch two places at once (`FINGER`)."""
+
+
+GOOD = World(matrix=0.0, pose_turn=0.0, pose_shift=0.0)
+"""A rig that is only noisy."""
+NOTHING = World()
+CASES: Mapping[str, World] = {
+    "nothing": NOTHING,
+    "quadratic_2": replace(NOTHING, quadratic=0.02),
+    "quadratic_5": replace(NOTHING, quadratic=0.05),
+    "correlated_0.2N": replace(NOTHING, slow_force=0.2),
+    "wander": replace(NOTHING, wander_turn=DEGREE, wander_shift=2 * MM),
+    "landmarks_1.5mm": replace(NOTHING, landmarks=1.5 * MM),
+    "landmarks_3mm": replace(NOTHING, landmarks=3 * MM),
+    "mesh_shifted": replace(NOTHING, mesh_shift=1.5 * MM),
+    "mesh_inflated": replace(NOTHING, mesh_inflate=1.5 * MM),
+    "mesh_bumpy": replace(NOTHING, mesh_bumps=1.5 * MM),
+    "moderate": World(
+        quadratic=0.01, hysteresis=0.005, slow_force=0.1, wander_turn=0.3 * DEGREE, wander_shift=0.5 * MM,
+        flex=0.1 * DEGREE, landmarks=0.7 * MM, mesh_bumps=0.7 * MM, gains=0.2, thickness=1 * MM, shear=0.05 * MM, pads=0.1 * MM,
+    ),
+    "bad": World(
+        quadratic=0.03, hysteresis=0.01, slow_force=0.2, wander_turn=DEGREE, wander_shift=2 * MM, flex=0.3 * DEGREE,
+        landmarks=1.5 * MM, mesh_bumps=1.5 * MM, gains=0.4, thickness=2.5 * MM, shear=0.1 * MM, pads=0.3 * MM,
+    ),
+    "gaussian": GOOD,
+    "drift_0.1N": replace(GOOD, slow_force=0.1),
+    "lean": replace(GOOD, lean=15 * DEGREE, thickness=2.5 * MM),
+    "wide_foam": replace(GOOD, spread=2.0),
+    "gains": replace(GOOD, gains=0.4),
+}  # fmt: skip
+"""The paper's rig and what comes on top of it; from `gaussian` on a rig without an error of its own."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownPoke:
+    """A poke at a landmark, as it is recorded."""
+
+    poke: int
+    name: str
+    place: FloatArray
+    """(3,) float, metres: of the landmark, as it is told."""
+    force: FloatArray
+    """(3,) float, N, sensor frame."""
+    moment: FloatArray
+    """(3,) float, N m."""
+    link_from_sensor: FloatArray
+    """(4, 4) float, metres, as reported."""
+    pose: str
+    planned: bool
+    """Among the few that the guide asks for (`PLAN`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poked:
+    """A session on a rig, and what is true."""
+
+    contacts: list[Contact]
+    known: list[KnownPoke]
+    channels: IntArray
+    """(n,) the taxels, ascending."""
+    places: FloatArray
+    """(n, 3) float, metres: where they really are."""
+    vertices: FloatArray
+    """(nv, 3) float, metres: the mesh that the program is given."""
+
+
+# ---- geometry
+
+
+def turns(vectors: FloatArray) -> FloatArray:
+    """Return (n, 3, 3) rotations about `vectors` (n, 3) by their lengths, radians: cos I + sin S + (1 - cos) u u'."""
+    angle = np.linalg.norm(vectors, axis=1)
+    x, y, z = (vectors / np.where(angle > 0, angle, 1.0)[:, None]).T
+    cross = np.moveaxis(np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]]), 2, 0)
+    along = np.stack([x, y, z], axis=1)
+    c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    return c * np.eye(3) + s * cross + (1 - c) * along[:, :, None] * along[:, None]
+
+
+def motions(turn: FloatArray, shift: FloatArray) -> FloatArray:
+    """Return (n, 4, 4) poses that turn by `turn` (n, 3), then shift by `shift` (n, 3)."""
+    poses = np.tile(np.eye(4), (len(turn), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns(turn), shift
+    return poses
+
+
+def chain(scene: Scene) -> dict[str, FloatArray]:
+    """Return link_from_sensor (4, 4) of each arm pose of a scene, as its joints report it.
+
+    Each joint turns about z, shifts by d along it, shifts by a along x and turns by alpha about it: four motions after another.
+    """
+    if scene.arm is None:
+        return {"": scene.sensor_pose}
+    found: dict[str, FloatArray] = {}
+    x, z, none = np.eye(3)[0], np.eye(3)[2], np.zeros((1, 3))
+    for name, angles in scene.arm.poses.items():
+        base_from_link = np.eye(4)
+        for joint, angle in zip(scene.arm.arm.chain, angles, strict=True):
+            about_z = motions((angle + joint.offset) * z[None], joint.d * z[None])[0]
+            about_x = motions(none, joint.a * x[None])[0] @ motions(joint.alpha * x[None], none)[0]
+            base_from_link = base_from_link @ about_z @ about_x
+        found[name] = np.linalg.solve(base_from_link, scene.arm.arm.base_from_sensor)
+    return found
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """Return vectors (..., 3) of length one."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def dot(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return (n, 1) the products of vectors (n, 3)."""
+    return np.sum(one * other, axis=1, keepdims=True)
+
+
+def sideways(normals: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return (n, 3) vectors in the plane of the skin, drawn with a variance of one in each direction."""
+    drawn = rng.standard_normal(normals.shape)
+    return drawn - dot(drawn, normals) * normals
+
+
+class Part:
+    """A part's smooth skin, from the triangles of its mesh.
+
+    Parameters
+    ----------
+    vertices : (nv, 3) float, metres
+    triangles : (nt, 3) int, counter-clockwise seen from outside
+    """
+
+    def __init__(self, vertices: FloatArray, triangles: IntArray) -> None:
+        self.vertices, self.triangles = vertices, triangles
+        tree: Any = spatial.cKDTree(vertices[triangles].mean(axis=1))
+        self._tree = tree
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(nv, 3) float, unit, outward: of each corner, by the areas of its triangles."""
+        a, b, c = np.moveaxis(self.vertices[self.triangles], 1, 0)
+        areas = np.zeros_like(self.vertices)
+        np.add.at(areas, self.triangles.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
+        return unit(areas)
+
+    def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the feet (n, 3) of points (n, 3) near the part, and the unit normals there, smooth across triangles."""
+        rows: IntArray = self._tree.query(points, k=NEAR)[1]
+        corners = self.triangles[rows]
+        a, b, c = np.moveaxis(self.vertices[corners], 2, 0)
+        u, v, w = b - a, c - a, points[:, None] - a
+        uu, uv, vv, wu, wv = (np.sum(p * q, axis=2) for p, q in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+        s, t = (vv * wu - uv * wv) / (uu * vv - uv**2), (uu * wv - uv * wu) / (uu * vv - uv**2)
+        # Outside its triangle a foot is moved onto it: not the nearest point of that triangle, but another one has that.
+        shares = np.maximum(np.stack([1 - s - t, s, t], axis=2), 0.0)
+        shares /= shares.sum(axis=2, keepdims=True)
+        feet = np.einsum("nks,nksi->nki", shares, self.vertices[corners])
+        best = np.sum((feet - points[:, None]) ** 2, axis=2).argmin(axis=1)
+        row = np.arange(len(points))
+        return feet[row, best], unit(np.einsum("ns,nsi->ni", shares[row, best], self.normals[corners[row, best]]))
+
+    def march(self, starts: FloatArray, ways: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Walk straight on along the part.
+
+        Parameters
+        ----------
+        starts : (n, 3) float, on the part
+        ways : (n, 3) float, metres: how far each walks, and which way
+
+        Returns
+        -------
+        (n, 3) the ends, (n, 3) the ways as they arrive there, as long as before, and (n, 3) the normals there
+        """
+        length = np.linalg.norm(ways, axis=1, keepdims=True)
+        points, normals = self.nearest(starts)
+        for _ in range(MARCH):
+            ways = ways - dot(ways, normals) * normals
+            ways = ways * length / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)
+            points, normals = self.nearest(points + ways / MARCH)
+        ways = ways - dot(ways, normals) * normals
+        return points, ways * length / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30), normals
+
+    def wrong(self, world: World, rng: np.random.Generator) -> FloatArray:
+        """Return the (nv, 3) corners as the program is given them."""
+        shift = world.mesh_shift * unit(rng.standard_normal(3))
+        waves, phases = rng.standard_normal((200, 3)) / BUMP, rng.uniform(0, 2 * np.pi, 200)
+        # Many waves of drawn lengths: a smooth field of variance one whose correlation is exp(-r^2 / 2 BUMP^2).
+        bumps = np.cos(self.vertices @ waves.T + phases).sum(axis=1) * np.sqrt(2 / len(waves))
+        return self.vertices + shift + (world.mesh_inflate + world.mesh_bumps * bumps)[:, None] * self.normals
+
+
+def taxels(scene: Scene, part: Part, world: World, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
+    """Return channels (n,) and places (n, 3) of the taxels: the plan stuck on the part, each module bent but not stretched."""
+    layout = scene.skin.layout
+    assert layout is not None
+    off = world.mount_shift * rng.standard_normal(2), world.mount_turn * rng.standard_normal()
+    found: dict[int, FloatArray] = {}
+    for module in layout.modules:
+        anchor = module.anchor or scene.skin.anchor
+        assert anchor is not None
+        places = _stuck_on(module, anchor, part, *off)
+        found.update(zip(module.channels.tolist(), places, strict=True))
+    channels = np.array(sorted(found))
+    places, normals = part.nearest(np.array([found[channel] for channel in channels.tolist()]))
+    return channels, part.nearest(places + world.pads * sideways(normals, rng))[0]
+
+
+def _stuck_on(module: Module, anchor: Anchor, part: Part, shift: FloatArray, turn: float) -> FloatArray:
+    """Return (k, 3) where a module's pads are: the module's middle straight from the anchor, its pads straight from there."""
+    c, s = np.cos(turn), np.sin(turn)
+    foot, normal = part.nearest(anchor.point[None])
+    x = unit(anchor.x - dot(anchor.x[None], normal)[0] * normal[0])
+    # A drawn flat way is turned into a way on the part; the little that is added is there to have a direction.
+    way = np.array([[c, -s], [s, c]]) @ (module.place - anchor.at) + shift + 1e-9
+    y = np.cross(normal[0], x)
+    middle, ahead, up = part.march(foot, (way[0] * x + way[1] * y)[None])
+    angle = np.arctan2(way[1], way[0]) - turn
+    ahead, left = unit(ahead[0]), np.cross(up[0], unit(ahead[0]))
+    x, y = np.cos(angle) * ahead - np.sin(angle) * left, np.sin(angle) * ahead + np.cos(angle) * left
+    pads = module.pads - module.place
+    return part.march(np.tile(middle, (len(pads), 1)), pads[:, :1] * x + pads[:, 1:] * y)[0]
+
+
+# ---- contact
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Presses:
+    """n pokes, each at two places; the second of most bears nothing."""
+
+    feet: FloatArray
+    """(2, n, 3) float, metres: on the taxels' layer, under the middle of the tip."""
+    points: FloatArray
+    """(2, n, 3) float, metres: where the force acts."""
+    forces: FloatArray
+    """(2, n, 3) float, N, link frame, on the part."""
+    normal_loads: FloatArray
+    """(2, n) float, N."""
+
+    def take(self, rows: IntArray) -> Presses:
+        """Return some of the pokes."""
+        return Presses(self.feet[:, rows], self.points[:, rows], self.forces[:, rows], self.normal_loads[:, rows])
+
+
+class Operator:
+    """How somebody pushes; drawn once for a session.
+
+    Parameters
+    ----------
+    world : sizes
+    rng : draws the side from which he pushes
+    """
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        self.world = world
+        self.side = unit(rng.standard_normal(3))
+
+    def pushes(self, normals: FloatArray, cone: float, rng: np.random.Generator) -> FloatArray:
+        """Return (n, 3) unit pushes on skin with outward `normals` (n, 3), inside the cone of friction."""
+        count = len(normals)
+        ahead = self.side - (normals @ self.side)[:, None] * normals
+        ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+        left = np.cross(normals, ahead)
+        tilt = np.arccos(rng.uniform(np.cos(cone), 1.0, count))
+        azimuth = self.world.arc * (rng.uniform(size=count) - 0.5)
+        aside = np.tan(tilt)[:, None] * (np.cos(azimuth)[:, None] * ahead + np.sin(azimuth)[:, None] * left)
+        aside = aside + np.tan(self.world.lean) * ahead
+        steep = np.linalg.norm(aside, axis=1, keepdims=True)
+        return unit(aside * np.minimum(1.0, self.world.friction / np.maximum(steep, 1e-9)) - normals)
+
+    def press(self, part: Part, places: FloatArray, rng: np.random.Generator) -> Presses:
+        """Poke at places (n, 3) of the skin."""
+        world, count = self.world, len(places)
+        _, normals = part.nearest(places)
+        meant, normals = part.nearest(places + world.beside * sideways(normals, rng))
+        push = self.pushes(normals, world.cone, rng)
+        load = rng.uniform(*FORCES, count)
+        both = rng.uniform(size=count) < world.two
+        share = np.where(both, rng.uniform(0.3, 0.7, count), 1.0)
+        apart = np.where(both, FINGER / 2, 0.0)[:, None] * unit(sideways(normals, rng))
+        touches = [
+            self._touch(part, meant + way * apart, push, load * bears, rng) for way, bears in ((1, share), (-1, 1.0 - share))
+        ]
+        feet, points, forces, loads = (np.stack(some) for some in zip(*touches, strict=True))
+        return Presses(feet, points, forces, loads)
+
+    def _touch(
+        self, part: Part, places: FloatArray, push: FloatArray, load: FloatArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return foot, point and force of one place that the tip presses, and the load along the normal."""
+        world = self.world
+        feet, normals = part.nearest(places)
+        forces = load[:, None] * push
+        along = dot(forces, normals)
+        moved = world.shear * (forces - along * normals)
+        points = feet + world.thickness * normals + moved + world.scatter * sideways(normals, rng)
+        return feet, points, forces, -along[:, 0]
+
+    def press_landmarks(self, part: Part, places: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Return points and forces (n, 3) of pokes at known places (n, 3): hard ground, no foam."""
+        _, normals = part.nearest(places)
+        points = places + self.world.aim * sideways(normals, rng)
+        return points, rng.uniform(*LANDMARK_FORCES, len(places))[:, None] * self.pushes(normals, LANDMARK_CONE, rng)
+
+
+def answers(world: World, places: FloatArray, gains: FloatArray, presses: Presses, rng: np.random.Generator) -> FloatArray:
+    """Return (n, taxels) what the taxels at `places` answer, in counts of 255 above their baseline."""
+    total = np.zeros((presses.feet.shape[1], len(places)))
+    for feet, load in zip(presses.feet, presses.normal_loads, strict=True):
+        depth = np.sqrt(load / (np.pi * world.tip * STIFFNESS))
+        # The variance in each direction of a paraboloid over a disc of radius a is a^2/6, of a flat one over the pad a^2/4.
+        spread = 2 * world.tip * depth / 6 + PAD**2 / 4 + (world.spread * FOAM_SPREAD) ** 2
+        away = np.sum((places[None] - feet[:, None]) ** 2, axis=2)
+        total += (load * PAD**2 / (2 * spread))[:, None] * np.exp(-away / (2 * spread[:, None]))
+    clean = TOP * (1.0 - np.exp(-gains * total / SCALE))
+    return clean + np.sqrt(COUNT * FRAMES) * rng.standard_normal(clean.shape)
+
+
+# ---- sensor and arm
+
+
+def slow_noise(count: int, width: int, rng: np.random.Generator) -> FloatArray:
+    """Return (count, width) noise of variance one whose correlation falls to 1/e over `SLOW` pokes."""
+    kept = np.exp(-1.0 / SLOW)
+    fresh = rng.standard_normal((count, width))
+    fresh[1:] *= np.sqrt(1.0 - kept**2)
+    for i in range(1, count):
+        fresh[i] += kept * fresh[i - 1]
+    return fresh
+
+
+class Sensor:
+    """An F/T sensor with its errors, drawn once for a session.
+
+    Parameters
+    ----------
+    world : sizes
+    rng : draws what stays
+    """
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        self.world = world
+        arm = np.repeat([1.0, MATRIX_ARM], 3)
+        self.matrix = np.eye(6) + world.matrix * rng.standard_normal((6, 6)) * arm[:, None] / arm
+        self.scale = np.repeat([FORCE, FORCE * LEVER], 3)
+        # Of unit numbers Q has a variance of |u|^4 in each component: force and moment together make |u|^2 = 2.
+        self.quadratic = world.quadratic / 2 * rng.standard_normal((6, 6, 6))
+        self.keeps = world.hysteresis * rng.uniform(0.5, 1.5, 6)
+
+    def read(self, wrenches: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return (n, 6) what is read of pokes after each other, tared by the mean of before and after, N and N m.
+
+        Parameters
+        ----------
+        wrenches : (n, 6) float, N and N m, sensor frame, about its origin
+        """
+        world, count = self.world, len(wrenches)
+        units = wrenches / self.scale
+        bent = self.scale * np.einsum("ijk,nj,nk->ni", self.quadratic, units, units)
+        # Half of what the last poke left, and of what this one leaves, is taken for the sensor's zero.
+        left = self.keeps * (wrenches + np.concatenate([np.zeros((1, 6)), wrenches[:-1]])) / 2
+        of_force = np.repeat([1.0, MOMENT_OF_FORCE], 3)
+        noise = world.force_noise * rng.standard_normal((count, 6)) + world.slow_force * slow_noise(count, 6, rng)
+        return wrenches @ self.matrix.T + bent - left + of_force * noise
+
+
+def felt(poses: FloatArray, points: FloatArray, forces: FloatArray, flex: float) -> FloatArray:
+    """Return (n, 6) the wrenches in the frame and about the origin of a sensor that bears the part.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) float: link_from_sensor without load
+    points, forces : (k, n, 3) float, link frame: of the k places that each poke touches at once
+    flex : rad per N m: the part turns about the sensor by this times the moment
+    """
+    turned, origin = poses[:, :3, :3], poses[:, :3, 3]
+    at = np.einsum("nji,knj->kni", turned, points - origin)
+    force = np.einsum("nji,knj->kni", turned, forces)
+    bent = turns(flex * np.cross(at, force).sum(axis=0))
+    at, force = np.einsum("nij,knj->kni", bent, at), np.einsum("nij,knj->kni", bent, force)
+    return np.concatenate([force, np.cross(at, force)], axis=2).sum(axis=0)
+
+
+# ---- a session
+
+TRIES = 4
+"""How often somebody pokes at a place again that no taxel answers, or too many, before going on."""
+
+
+def _skin_pokes(
+    scene: Scene, part: Part, who: Operator, places: FloatArray, gains: FloatArray, targets: IntArray, rng: np.random.Generator
+) -> tuple[Presses, FloatArray]:
+    """Return the pokes at `targets` (n,) that count, each of them tried a few times, and (n, taxels) what answers."""
+    presses = who.press(part, places[np.tile(targets, TRIES)], rng)
+    responses = answers(who.world, places, gains, presses, rng)
+    count = (responses > scene.contacts.response_min).sum(axis=1)
+    good = ((count > 0) & (count <= scene.contacts.taxels_max)).reshape(TRIES, -1)
+    rows = (good.argmax(axis=0) * len(targets) + np.arange(len(targets)))[good.any(axis=0)]
+    return presses.take(rows), responses[rows]
+
+
+def poke(
+    scene: Scene, vertices: FloatArray, triangles: IntArray, world: World, seed: int, per_pose: int = 72, known: int = 10
+) -> Poked:
+    """Poke a rig in all its arm poses, in each first its landmarks in turn and then its skin.
+
+    Parameters
+    ----------
+    scene : with a layout, an anchor and a mesh
+    vertices, triangles : (nv, 3) float, metres, and (nt, 3) int, outward: the part as it is
+    per_pose : pokes at the skin in each arm pose
+    known : pokes at landmarks in each; none where the scene has no landmarks
+    """
+    mesh, mount, skin, arm, sensor, hand, told, noise = np.random.default_rng([seed, 12]).spawn(8)
+    part, who = Part(vertices, triangles), Operator(world, hand)
+    channels, places = taxels(scene, part, world, mount)
+    gains = np.exp(world.gains * skin.standard_normal(len(channels)))
+    reported = chain(scene)
+    true = np.array(list(reported.values())) @ motions(
+        world.pose_turn * arm.standard_normal((len(reported), 3)), world.pose_shift * arm.standard_normal((len(reported), 3))
+    )
+    marks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
+    known = known if len(marks) else 0
+    given = marks + world.landmarks * unit(told.standard_normal(marks.shape))
+    rounds = -(-per_pose * len(true) // len(places))
+    targets = np.concatenate([hand.permutation(len(places)) for _ in range(rounds)])
+
+    which, names, points, forces, responses = list[int](), list[str](), [], [], []
+    for number, name in enumerate(reported):
+        of = (sum(PLAN[:number]) + np.arange(known)) % max(len(marks), 1)
+        at, push = who.press_landmarks(part, marks[of], hand)
+        own = targets[number * per_pose : (number + 1) * per_pose]
+        presses, answered = _skin_pokes(scene, part, who, places, gains, own, hand)
+        which += [*of.tolist(), *[-1] * len(answered)]
+        names += [name] * (known + len(answered))
+        points.append(np.concatenate([np.stack([at, at]), presses.points], axis=1))
+        forces.append(np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1))
+        responses += [*np.zeros((known, len(places))), *answered]
+
+    order = {name: number for number, name in enumerate(reported)}
+    wander = slow_noise(len(names), 6, arm)
+    poses = true[[order[name] for name in names]]
+    poses = poses @ motions(world.wander_turn * wander[:, :3], world.wander_shift * wander[:, 3:])
+    at, push = np.concatenate(points, axis=1), np.concatenate(forces, axis=1)
+    read = Sensor(world, sensor).read(felt(poses, at, push, world.flex), noise)
+    contacts: list[Contact] = []
+    pokes: list[KnownPoke] = []
+    asked = dict.fromkeys(names, 0)
+    for i, (name, mark) in enumerate(zip(names, which, strict=True)):
+        force, moment, pose = read[i, :3], read[i, 3:], reported[name]
+        if mark >= 0:
+            asked[name] += 1
+            planned = order[name] < len(PLAN) and asked[name] <= PLAN[order[name]]
+            pokes.append(KnownPoke(i + 1, scene.landmarks[mark].name, given[mark], force, moment, pose, name, planned))
+            continue
+        own = np.flatnonzero(responses[i] > scene.contacts.response_min)
+        contacts.append(
+            Contact(
+                poke=i + 1, start_s=2.5 * i, end_s=2.5 * i + 0.3, force=force, moment=moment, channels=channels[own],
+                responses=responses[i][own], link_from_sensor=pose, pose=name, tare_change=0.0, final=True,
+            )
+        )  # fmt: skip
+    return Poked(contacts, pokes, channels, places, part.wrong(world, mesh))
