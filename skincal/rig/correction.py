@@ -128,6 +128,8 @@ class RigRows:
     """(m, 2, 36 + 6 poses) float: change of r with the rig's unknowns, each in its prior's standard deviations."""
     of_place: FloatArray
     """(m, 2, 3) float, 1/m: change of r with P."""
+    of_wrench: FloatArray
+    """(m, 2, 6) float, 1/N and 1/(N m): change of r with the wrench."""
     distances: FloatArray
     """(m,) float, metres: how far the corrected axis passes P."""
 
@@ -194,6 +196,7 @@ def rig_rows(
         misses=(rows @ residual[:, :, None])[:, :, 0],
         of_rig=of_rig * scales,
         of_place=with_place @ sensor_from_link,
+        of_wrench=matrix,
         distances=np.linalg.norm(np.cross(force, residual), axis=1) / np.sum(force * force, axis=1),
     )
 

@@ -54,6 +54,10 @@ landmarks in one pose, ten rigs each: on good ones whose landmarks are 4 to 6 mm
 the paper's to 0.01 to 0.43 in 19 of 20, with landmarks that are right or 4 mm off."""
 DOUBTED = 0.9
 """A landmark poke that counts less than this is named to the operator."""
+PLACES_OFF = (0.0, 0.0005, 0.001, 0.002, 0.004)
+"""m: how far the places of landmarks may be off, sd in each direction, alike for all pokes at one; the likeliest is taken."""
+NOISIER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
+"""How many times larger than the scene says the noise of landmark pokes may be: an arm that wanders, a sensor that drifts."""
 LEFT = 0.5
 """Share of the landmark pokes that must count, or all of them do: where most are doubted, nobody can say which are right."""
 FEWEST = 6
@@ -276,6 +280,9 @@ class _Fit:
         self._skin = readings_of([by_number[poke] for poke in pokes], order) if pokes else None
         self.state = RigState.at_prior(len(names))
         self.trust = np.ones(len(self.landmarks))
+        points = sorted({poke.name for poke in self.landmarks})
+        self._at_landmark = np.array([[poke.name == name for name in points] for poke in self.landmarks], dtype=float)
+        self._shared = np.zeros((2 * len(self.landmarks),) * 2)
         self._last: tuple[RigRows, FloatArray] | None = None
 
     def step(self) -> None:
@@ -283,12 +290,21 @@ class _Fit:
         base, tops = self._without_groups(self.state.unknowns(self.scales))
         rows = self._landmark_rows(self.state)
         for _ in range(ROUNDS):
-            self.trust = _trusted(rows, *_solved(base, rows, self.trust), self.trust)
-        step, _ = _solved(base, rows, self.trust)
+            self.trust = _trusted(rows, self._shared, *_solved(base, rows, self._shared, self.trust), self.trust)
+        self._shared = self._likeliest(base, rows)
+        step, _ = _solved(base, rows, self._shared, self.trust)
         self._last = (rows, base)
         self.state = self.state.moved(step, self.scales)
         if self.groups is not None:
             self.groups = self.groups.moved(np.stack([_group_move(top, step) for top in tops]))
+
+    def _likeliest(self, base: FloatArray, rows: RigRows) -> FloatArray:
+        """Return (2 m, 2 m) what is added to the covariance of landmark pokes, the likeliest of `PLACES_OFF` and `NOISIER`."""
+        of_place = (rows.of_place[:, :, None] * self._at_landmark[:, None, :, None]).reshape(2 * len(self.landmarks), -1)
+        alike = of_place @ of_place.T
+        own, marginal = np.eye(len(alike)), _Marginal(base, rows, self.trust)
+        every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISIER for off in PLACES_OFF]
+        return max(every, key=marginal.log_likelihood)
 
     def _landmark_rows(self, state: RigState) -> RigRows:
         return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
@@ -319,7 +335,7 @@ class _Fit:
         ratio = float(np.sqrt(np.average(_squares(held, predicted), weights=self.trust) / 2.0))
         # Misses are in standard deviations; this is how many metres one of them is on average.
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
-        _, root = _solved(base, rows, self.trust)
+        _, root = _solved(base, rows, self._shared, self.trust)
         inverse = np.asarray(np.linalg.inv(root), dtype=np.float64)
         known = np.sqrt(np.sum(inverse**2, axis=1))
         pokes = [poke.poke for poke in self.landmarks]
@@ -352,9 +368,9 @@ class _Fit:
         quarter = np.array([names.index(poke.name) % HELD_OUT for poke in self.landmarks])
         for out in range(HELD_OUT):
             own = quarter == out
-            step, root = _solved(base, rows, np.where(own, 0.0, self.trust))
+            step, root = _solved(base, rows, self._shared, np.where(own, 0.0, self.trust))
             held[own] = rows.misses[own] + rows.of_rig[own] @ step
-            predicted[own] = np.eye(2) + _leverage(rows.of_rig[own], root)
+            predicted[own] = _own_blocks(self._shared)[own] + _leverage(rows.of_rig[own], root)
         return held, predicted
 
 
@@ -387,28 +403,64 @@ def qr_factor(rows: FloatArray) -> FloatArray:
     return np.asarray(factor, dtype=np.float64)
 
 
-def _solved(base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solved(base: FloatArray, rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the minimum of all rows, those of landmarks by their trust.
+
+    Parameters
+    ----------
+    shared : (2 m, 2 m) what errors that pokes share add to the covariance of the rows, of which each has one by itself
 
     Returns
     -------
     (n,) the step from the prior's zero, and (n, n) upper triangular the root of the information, root' root.
     """
-    own = np.concatenate([rows.of_rig, rows.misses[:, :, None]], axis=2) * np.sqrt(trust)[:, None, None]
-    factor = qr_factor(np.concatenate([base, own.reshape(-1, own.shape[2])]))
+    own, whiten = _counting(rows, shared, trust)
+    factor = qr_factor(np.concatenate([base, whiten @ own]))
     root = factor[:-1, :-1]
     return -np.asarray(np.linalg.solve(root, factor[:-1, -1]), dtype=np.float64), root
 
 
-def _trusted(rows: RigRows, step: FloatArray, root: FloatArray, trust: FloatArray) -> FloatArray:
+def _counting(rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (k, n + 1) the rows of pokes that count with their misses, and (k, k) what makes them independent."""
+    counts = np.repeat(trust > 0.0, 2)
+    own = np.concatenate([rows.of_rig, rows.misses[:, :, None]], axis=2).reshape(len(counts), -1)[counts]
+    covariance = shared[np.ix_(counts, counts)] + np.diag(np.repeat(1.0 / trust[trust > 0.0], 2))
+    return own, np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+
+
+class _Marginal:
+    """How likely the landmarks' misses are under the prior and the skin pokes, for what may be added to their covariance."""
+
+    def __init__(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> None:
+        self._counts = np.repeat(trust > 0.0, 2)
+        own, root = rows.of_rig.reshape(len(self._counts), -1)[self._counts], base[:-1, :-1]
+        self._misses = rows.misses.ravel()[self._counts] - own @ np.linalg.solve(root, base[:-1, -1])
+        spread = np.linalg.solve(root.T, own.T)
+        self._known = spread.T @ spread + np.diag(np.repeat(1.0 / trust[trust > 0.0], 2))
+
+    def log_likelihood(self, added: FloatArray) -> float:
+        """Return the logarithm of the density, but for a constant."""
+        factor = np.linalg.cholesky(self._known + added[np.ix_(self._counts, self._counts)])
+        return -float(np.sum(np.linalg.solve(factor, self._misses) ** 2) / 2.0 + np.sum(np.log(np.diag(factor))))
+
+
+def _own_blocks(shared: FloatArray) -> FloatArray:
+    """Return (m, 2, 2) the covariance of each poke's rows by themselves."""
+    count = len(shared) // 2
+    at = np.arange(count)
+    return np.eye(2) + shared.reshape(count, 2, count, 2)[at, :, at]
+
+
+def _trusted(rows: RigRows, shared: FloatArray, step: FloatArray, root: FloatArray, trust: FloatArray) -> FloatArray:
     """Return the trust of landmark pokes by what all others predict for each.
 
     With H = A (root' root)^-1 A' of a poke that counts k, its miss r under the fit has the covariance 1/k - H where all is
     noise: so r' (I - k H)^-1 r is chi-square for a poke that counts fully, and (I + H) takes the place for one that does not.
+    What pokes share stands beside the I.
     """
     leverage = _leverage(rows.of_rig, root)
     counts = (trust > 0.5)[:, None, None]
-    total = np.eye(2) + np.where(counts, -trust[:, None, None] * leverage, leverage)
+    total = _own_blocks(shared) + np.where(counts, -trust[:, None, None] * leverage, leverage)
     # Rounding may leave a square below zero.
     found = trust_of(np.maximum(_squares(rows.misses + rows.of_rig @ step, total), 0.0))
     return found if found.sum() >= LEFT * len(found) else np.ones(len(found))
