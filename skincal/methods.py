@@ -14,7 +14,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
-from skincal.taxels.shared_errors import SharedRows, moved_taxels
+from skincal.taxels.shared_errors import SharedRows, carried
 from skincal.taxels.solve import estimate_free, estimate_surface, solve
 
 if TYPE_CHECKING:
@@ -61,9 +61,8 @@ def estimate_taxels(
     table, channels = ContactTable(contacts), [int(channel) for channel in channels]
     alone = [method for method in methods if method in PER_TAXEL]
     solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting)
-    if shared is not None:
-        for method in alone:
-            solved[method] = dict(zip(channels, moved_taxels(table, list(solved[method].values()), shared), strict=True))
+    for method in alone:
+        solved[method] = dict(zip(channels, carried(table, list(solved[method].values()), shared), strict=True))
     if Method.MODULES in methods:
         if model is None:
             raise ValueError("the modules method needs the modules of a layout")

@@ -30,7 +30,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import NO_RANK, Fitted, Touches, fit_poked, whitened
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
-from skincal.taxels.shared_errors import SharedRows, with_shared
+from skincal.taxels.shared_errors import Pulls, SharedRows, with_shared
 
 MOVING_MAX = 2e-4
 """m: a pose whose search still takes longer steps after its last is not known. Over an edge of a mesh it goes to and fro by
@@ -72,9 +72,7 @@ def estimate_modules(
     fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, others, doubting)
     if fit is not None:
         estimates = list(_estimates(*fit, counts, dead))
-        if shared is not None:
-            estimates = _moved(*fit, noise, estimates, shared)
-        found.update((estimate.channel, estimate) for estimate in estimates)
+        found.update((estimate.channel, estimate) for estimate in _carried(*fit, noise, estimates, shared))
     return found
 
 
@@ -154,25 +152,34 @@ def _doubted(touches: Touches, fitted: Fitted) -> list[dict[int, dict[int, float
     return doubted
 
 
-def _moved(
-    touches: Touches, fitted: Fitted, noise: NoiseSettings, estimates: Sequence[Estimate], shared: SharedRows
+def _carried(
+    touches: Touches, fitted: Fitted, noise: NoiseSettings, estimates: Sequence[Estimate], shared: SharedRows | None
 ) -> list[Estimate]:
     """Return the estimates with what shared errors add: `shared_errors`, with the unknowns of a module for those of a place."""
-    evidence, at = touches.evidence, touches.rows
-    places = touches.middles(fitted.pads)[0]
-    rows = whitened(touches, fitted.pads, noise)
-    pull = rows.whiten @ shared(evidence.pokes[at], places, evidence.pairs[at])
-    slopes = fitted.trust[:, None, None] * rows.slopes.transpose(0, 2, 1)
-    begins = np.searchsorted(touches.of, np.arange(len(touches.modules)))
-    held, pulled = (np.add.reduceat(slopes @ rest, begins, axis=0) for rest in (rows.slopes, pull))
-    # What the pokes do not determine has no estimate, and is not moved.
-    moves = -np.linalg.pinv(held, rcond=NO_RANK, hermitian=True) @ pulled
+    evidence = touches.evidence
+    order = np.lexsort((evidence.pokes[touches.rows], evidence.poses[touches.rows], touches.of))
+    at, rows = touches.rows[order], whitened(touches, fitted.pads, noise)
+    pairs, places = evidence.pairs[at], touches.middles(fitted.pads)[0][order]
+    slopes, whiten = rows.slopes[order], rows.whiten[order]
+    weighted = fitted.trust[order][:, None, None] * slopes.transpose(0, 2, 1)
+    begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ whiten
+    held = np.add.reduceat(weighted @ slopes, begins)
+    misses = np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
+    pokes = evidence.pokes[at]
+    ordered = Pulls(begins, pokes, evidence.poses[at], pairs, misses, pulls, held, rows.normals[order])
+    added, gradients = ordered.covariances(), fitted.pads.gradients
+    moves: FloatArray | None = None
+    if shared is not None:
+        # What the pokes do not determine has no estimate, and is not moved.
+        inverse = np.linalg.pinv(held, rcond=NO_RANK, hermitian=True)
+        moves = -inverse @ np.add.reduceat(pulls @ shared(pokes, places, pairs), begins)
     pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
-    pads = [pad_of[estimate.channel] for estimate in estimates]
-    return [
-        with_shared(estimate, fitted.pads.gradients[pad] @ moves[fitted.of[pad]])
-        for estimate, pad in zip(estimates, pads, strict=True)
-    ]
+    found: list[Estimate] = []
+    for estimate in estimates:
+        pad = pad_of[estimate.channel]
+        of, gradient = fitted.of[pad], gradients[pad]
+        found.append(with_shared(estimate, gradient @ added[of] @ gradient.T, None if moves is None else gradient @ moves[of]))
+    return found
 
 
 def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> FloatArray:

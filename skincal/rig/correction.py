@@ -6,7 +6,8 @@ both small, a poke with the measured wrench (f, m) at the point P of the link fr
 
     (f', m') = (I + C) (f, m),   c = exp(-S(w)) (R'(P - o) - t),   r = E (m' - c x f') / |f|,
 
-where (R, o) is the arm's pose as reported and E two directions across the measured push. For a landmark P is known but for
+where C may go on with columns for the products of the wrench's components (a sensor that is not linear), (R, o) is the arm's
+pose as reported and E two directions across the measured push. For a landmark P is known but for
 the hand's aim; for a poke on the skin it is the middle of the pads that answered (`skincal.modules.pose_fit`), and moves with
 its module. Every unknown of the rig has a prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not
 determine stays at zero.
@@ -42,8 +43,11 @@ class Correction:
     motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """For some arm poses (4, 4) float, metres: and times this."""
     root: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix row by row, then turn and shift of each of
+    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix with the quadratic's columns row by row, then turn
+    and shift of each of
     `motions` by name; (0, 0) of a correction that is taken for exact."""
+    quadratic: FloatArray = field(default_factory=lambda: np.empty((6, 0)))
+    """(6, 21) float, SI: the true wrench has besides this times its `products`; (6, 0) of a sensor that is taken for linear."""
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
         """Return link_from_sensor, (4, 4), of the arm pose of that name; of one that is not known, by `everywhere` alone."""
@@ -52,12 +56,15 @@ class Correction:
 
     def wrench(self, force: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the true force (3,), N, and moment (3,), N m, of the reported ones, in the sensor's frame."""
-        true = self.matrix @ np.concatenate([force, moment])
+        reported = np.concatenate([force, moment])
+        true = self.matrix @ reported
+        if self.quadratic.size:
+            true = true + self.quadratic @ products(reported[None])[0]
         return true[:3], true[3:]
 
     def after(self, first: Correction) -> Correction:
         """Return the correction that is `first`, which moves all arm poses alike, and then this one."""
-        return Correction(self.matrix @ first.matrix, first.everywhere @ self.everywhere, self.motions, self.root)
+        return replace(self, matrix=self.matrix @ first.matrix, everywhere=first.everywhere @ self.everywhere)
 
     def corrected(self, poke: Poke) -> Poke:
         """Return a poke as a right rig would have reported it; a poke without a force stays as it is."""
@@ -65,6 +72,21 @@ class Correction:
             return poke
         force, moment = self.wrench(poke.force, poke.moment)
         return replace(poke, force=force, moment=moment, link_from_sensor=self.pose(poke.link_from_sensor, poke.pose))
+
+
+LOAD = 10.0
+"""N: the force at which a sensor that is not linear is off by the share `RigPrior.quadratic`; hands press with 6 to 13 N."""
+_FIRST, _SECOND = np.triu_indices(6)
+
+
+def products(wrenches: FloatArray) -> FloatArray:
+    """Return (m, 21) the products of each two components of wrenches (m, 6)."""
+    return wrenches[:, _FIRST] * wrenches[:, _SECOND]
+
+
+def _features(wrenches: FloatArray, count: int) -> FloatArray:
+    """Return (m, count) what the matrix C is times: wrenches (m, 6), of 27 with their products."""
+    return wrenches if count == 6 else np.concatenate([wrenches, products(wrenches)], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,13 +118,17 @@ class RigPrior:
     """rad, sd of the turn of each arm pose about each axis through the sensor."""
     pose_shift: float = 0.002
     """m, sd of the shift of each arm pose along each axis."""
+    quadratic: float = 0.0
+    """sd of each product's part in each component, as a share of that at `LOAD`; 0 takes the sensor for linear."""
     landmark: float = 0.0007
     """m, sd of the contact beside the landmark in each direction: a tip on a screw head, by hand."""
 
     def scales(self, poses: int) -> FloatArray:
-        """Return (36 + 6 poses,) the sd of each unknown: C row by row, then turn and shift of each pose."""
-        units = np.repeat([1.0, self.arm], 3)
+        """Return (36 + 6 poses,) the sd of each unknown: C row by row, then turn and shift of each pose; 162 where C is of 27."""
+        units = LOAD * np.repeat([1.0, self.arm], 3)
         matrix = self.matrix * units[:, None] / units[None, :]
+        if self.quadratic:
+            matrix = np.concatenate([matrix, self.quadratic * units[:, None] / products(units[None])], axis=1)
         return np.concatenate([matrix.ravel(), np.tile(np.repeat([self.pose_turn, self.pose_shift], 3), poses)])
 
 
@@ -125,7 +151,7 @@ class RigRows:
     misses: FloatArray
     """(m, 2) float: r in standard deviations."""
     of_rig: FloatArray
-    """(m, 2, 36 + 6 poses) float: change of r with the rig's unknowns, each in its prior's standard deviations."""
+    """(m, 2, n) float: change of r with the rig's unknowns, each in its prior's standard deviations."""
     of_place: FloatArray
     """(m, 2, 3) float, 1/m: change of r with P."""
     of_wrench: FloatArray
@@ -139,25 +165,30 @@ class RigState:
     """Where the rig's unknowns stand."""
 
     matrix: FloatArray
-    """(6, 6) float, C."""
+    """(6, 6) float, C; (6, 27) of a sensor that is not linear."""
     turns: FloatArray
     """(poses, 3) float, radians, w."""
     shifts: FloatArray
     """(poses, 3) float, metres, t."""
 
     @classmethod
-    def at_prior(cls, poses: int) -> RigState:
-        """Return a rig that is as it reports."""
-        return cls(np.zeros((6, 6)), np.zeros((poses, 3)), np.zeros((poses, 3)))
+    def at_prior(cls, poses: int, columns: int = 6) -> RigState:
+        """Return a rig that is as it reports, with so many columns of C."""
+        return cls(np.zeros((6, columns)), np.zeros((poses, 3)), np.zeros((poses, 3)))
 
     def moved(self, step: FloatArray, scales: FloatArray) -> RigState:
         """Return the state after a step in standard deviations of the prior."""
         change = step * scales
-        of_poses = change[36:].reshape(-1, 2, 3)
-        return RigState(self.matrix + change[:36].reshape(6, 6), self.turns + of_poses[:, 0], self.shifts + of_poses[:, 1])
+        of_matrix = self.matrix.size
+        of_poses = change[of_matrix:].reshape(-1, 2, 3)
+        return RigState(
+            self.matrix + change[:of_matrix].reshape(self.matrix.shape),
+            self.turns + of_poses[:, 0],
+            self.shifts + of_poses[:, 1],
+        )
 
     def unknowns(self, scales: FloatArray) -> FloatArray:
-        """Return (36 + 6 poses,) the unknowns in standard deviations of the prior."""
+        """Return (n,) the unknowns in standard deviations of the prior."""
         of_poses = np.concatenate([self.turns[:, None], self.shifts[:, None]], axis=1)
         return np.concatenate([self.matrix.ravel(), of_poses.ravel()]) / scales
 
@@ -174,7 +205,8 @@ def rig_rows(
     scales : of the rig's unknowns (`RigPrior.scales`)
     """
     wrenches, reported = readings.wrenches, readings.reported
-    corrected = wrenches + wrenches @ state.matrix.T
+    features = _features(wrenches, state.matrix.shape[1])
+    corrected = wrenches + features @ state.matrix.T
     force, moment = corrected[:, :3], corrected[:, 3:]
     size = np.linalg.norm(wrenches[:, :3], axis=1)
     pairs = across(wrenches[:, :3] / size[:, None]) / size[:, None, None]
@@ -187,10 +219,11 @@ def rig_rows(
     with_place = rows @ cross_matrix(force)
     of_rig = np.zeros((len(places), 2, len(scales)))
     matrix = np.concatenate([-rows @ cross_matrix(here), rows], axis=2)
-    of_rig[:, :, :36] = (matrix[:, :, :, None] * wrenches[:, None, None, :]).reshape(len(places), 2, 36)
+    of_matrix = state.matrix.size
+    of_rig[:, :, :of_matrix] = (matrix[:, :, :, None] * features[:, None, None, :]).reshape(len(places), 2, of_matrix)
     turned = with_place @ cross_matrix(here) @ _right_jacobians(state.turns)[readings.poses]
     shifted = -with_place @ rotations(state.turns)[readings.poses].transpose(0, 2, 1)
-    at = 36 + 6 * readings.poses[:, None] + np.arange(6)
+    at = of_matrix + 6 * readings.poses[:, None] + np.arange(6)
     np.put_along_axis(of_rig, at[:, None, :].repeat(2, axis=1), np.concatenate([turned, shifted], axis=2), axis=2)
     return RigRows(
         misses=(rows @ residual[:, :, None])[:, :, 0],
@@ -214,7 +247,7 @@ class CorrectionErrors:
 
     def __init__(self, correction: Correction, contact_of: Callable[[int], Contact], prior: RigPrior | None = None) -> None:
         self._contact_of, self._prior = contact_of, prior or RigPrior()
-        self._root = correction.root
+        self._root, self._columns = correction.root, 6 + correction.quadratic.shape[1]
         self._poses = {name: index for index, name in enumerate(sorted(correction.motions))}
 
     def __call__(self, pokes: IntArray, places: FloatArray, pairs: FloatArray) -> FloatArray:
@@ -230,11 +263,13 @@ class CorrectionErrors:
         # The rows e_1, e_2 of `contact_table` are e_2 and -e_1 of the residual (f x p + m)/|f|.
         across_push = np.stack([pairs[:, 1], -pairs[:, 0]], axis=1) @ reported[:, :3, :3]
         across_push = across_push / np.linalg.norm(force, axis=1)[:, None, None]
-        of_matrix = np.concatenate([-across_push @ here, across_push], axis=2)[:, :, :, None] * wrenches[:, None, None, :]
+        features = _features(wrenches, self._columns)[:, None, None, :]
+        of_matrix = np.concatenate([-across_push @ here, across_push], axis=2)[:, :, :, None] * features
         pull = across_push @ cross_matrix(force)
         of_pose = np.concatenate([pull @ here, -pull], axis=2)
-        own = self._root[36 + 6 * poses[:, None] + np.arange(6)]
-        return of_matrix.reshape(len(places), 2, 36) @ self._root[:36] + of_pose @ own
+        size = 6 * self._columns
+        own = self._root[size + 6 * poses[:, None] + np.arange(6)]
+        return of_matrix.reshape(len(places), 2, size) @ self._root[:size] + of_pose @ own
 
     def _index(self, pose: str) -> int:
         """Return the place of an arm pose among those known; one that is new comes last, as its prior has it."""
@@ -242,7 +277,7 @@ class CorrectionErrors:
             self._poses[pose] = len(self._poses)
             old = len(self._root)
             root = np.zeros((old + 6, old + 6))
-            root[:old, :old], root[old:, old:] = self._root, np.diag(self._prior.scales(1)[36:])
+            root[:old, :old], root[old:, old:] = self._root, np.diag(self._prior.scales(1)[-6:])
             self._root = root
         return self._poses[pose]
 

@@ -58,6 +58,12 @@ PLACES_OFF = (0.0, 0.0005, 0.001, 0.002, 0.004)
 """m: how far the places of landmarks may be off, sd in each direction, alike for all pokes at one; the likeliest is taken."""
 NOISIER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """How many times larger than the scene says the noise of landmark pokes may be: an arm that wanders, a sensor that drifts."""
+QUADRATIC = (0.0, 0.02, 0.05)
+"""Shares of its load by which a sensor may be off that is not linear (`RigPrior.quadratic`)."""
+PLAUSIBLE = 3.0
+"""Logarithm of how many times likelier landmark pokes must be by a sensor that is not linear, for it to be taken: 20 times."""
+LINEAR = 6
+"""Columns of the matrix C of a sensor that is linear."""
 LEFT = 0.5
 """Share of the landmark pokes that must count, or all of them do: where most are doubted, nobody can say which are right."""
 FEWEST = 6
@@ -256,19 +262,25 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     if len(request.landmarks) < FEWEST or points < FEWEST_POINTS:
         trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
         return RigAnswer(None, False, float("nan"), float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
-    fit = _Fit(request, names, scales)
-    for _ in range(STEPS):
-        between()
-        fit.step()
+    fits: list[_Fit] = []
+    for quadratic in QUADRATIC:
+        fit = _Fit(request, names, replace(request.prior, quadratic=quadratic))
+        for _ in range(STEPS):
+            between()
+            fit.step()
+        fits.append(fit)
+        if not fit.doubtful:
+            break
     between()
-    return fit.answer(names)
+    return max(fits, key=lambda fit: fit.likelihood - (PLAUSIBLE if fit.columns > LINEAR else 0.0)).answer(names)
 
 
 class _Fit:
     """Steps of Gauss and Newton over the rig and the rigid groups."""
 
-    def __init__(self, request: RigRequest, names: list[str], scales: FloatArray) -> None:
-        self.noise, self.scales = request.scene.noise, scales
+    def __init__(self, request: RigRequest, names: list[str], prior: RigPrior) -> None:
+        self.noise, self.scales = request.scene.noise, prior.scales(len(names))
+        self.columns = (len(self.scales) - 6 * len(names)) // 6
         self.groups = _rigid_groups(request)
         self.landmarks = sorted(request.landmarks, key=lambda poke: poke.poke)
         order = {name: index for index, name in enumerate(names)}
@@ -278,11 +290,15 @@ class _Fit:
         by_number = {contact.poke: contact for contact in request.contacts}
         pokes: list[int] = [] if self.groups is None else self.groups.pokes.tolist()
         self._skin = readings_of([by_number[poke] for poke in pokes], order) if pokes else None
-        self.state = RigState.at_prior(len(names))
+        self.state = RigState.at_prior(len(names), self.columns)
         self.trust = np.ones(len(self.landmarks))
         points = sorted({poke.name for poke in self.landmarks})
         self._at_landmark = np.array([[poke.name == name for name in points] for poke in self.landmarks], dtype=float)
         self._shared = np.zeros((2 * len(self.landmarks),) * 2)
+        self.doubtful = False
+        """Whether more is wrong than the scene's noise and the prior explain."""
+        self.likelihood = -np.inf
+        """Logarithm of how likely the landmark pokes are, but for a constant that all fits share."""
         self._last: tuple[RigRows, FloatArray] | None = None
 
     def step(self) -> None:
@@ -304,7 +320,10 @@ class _Fit:
         alike = of_place @ of_place.T
         own, marginal = np.eye(len(alike)), _Marginal(base, rows, self.trust)
         every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISIER for off in PLACES_OFF]
-        return max(every, key=marginal.log_likelihood)
+        likelihoods = [marginal.log_likelihood(added) for added in every]
+        self.likelihood = max(likelihoods)
+        self.doubtful = likelihoods[0] < self.likelihood
+        return every[int(np.argmax(likelihoods))]
 
     def _landmark_rows(self, state: RigState) -> RigRows:
         return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
@@ -328,7 +347,7 @@ class _Fit:
         """Return what came out, tried on held-out pokes where the rows stood last."""
         assert self._last is not None
         rows, base = self._last
-        reported, now = self._landmark_rows(RigState.at_prior(len(names))), self._landmark_rows(self.state)
+        reported, now = self._landmark_rows(RigState.at_prior(len(names), self.columns)), self._landmark_rows(self.state)
         held, predicted = self._held_out(rows, base)
         before, after = (np.average(np.sum(own**2, axis=1), weights=self.trust) for own in (reported.misses, held))
         # Squared misses in their predicted standard deviations: two numbers a poke.
@@ -343,7 +362,10 @@ class _Fit:
         motions = {name: rigid_motion(turn, shift) for name, turn, shift in poses}
         return RigAnswer(
             correction=Correction(
-                np.eye(6) + self.state.matrix, motions=motions, root=max(1.0, ratio) * self.scales[:, None] * inverse
+                np.eye(6) + self.state.matrix[:, :LINEAR],
+                motions=motions,
+                quadratic=self.state.matrix[:, LINEAR:],
+                root=max(1.0, ratio) * self.scales[:, None] * inverse,
             ),
             used=bool(after < BETTER * before),
             before=float(metre * np.sqrt(before)),

@@ -17,7 +17,7 @@ from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
-from skincal.taxels.shared_errors import SharedRows, moved_taxels
+from skincal.taxels.shared_errors import SharedRows, carried
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
@@ -142,9 +142,7 @@ class Solving:
         solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last)
         for method, estimates in solved.items():
             self._alike[method].update(estimates)
-            moved = (
-                estimates.values() if self.shared is None else moved_taxels(self._table, list(estimates.values()), self.shared)
-            )
+            moved = carried(self._table, list(estimates.values()), self.shared)
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules, others = (

@@ -26,12 +26,77 @@ SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], FloatArray]
 their pushes, link frame: B (m, 2, n), metres for each of n shared errors in its standard deviations."""
 
 
-def moved_taxels(table: ContactTable, estimates: Sequence[Estimate], shared: SharedRows) -> list[Estimate]:
+SLOW = 30
+"""Pokes that share what changes slowly, about a minute of work: drift of the sensor, an arm that creeps."""
+NEAR = SLOW // 2
+"""Pokes at most this far from each other say how much of that there is."""
+SKIN = 0.0015
+"""m, sd of how far the face that is touched lies above the taxels: 2 to 3 mm of foam or fabric (iCub), and errors of the mesh. A
+push that leans acts so much farther along the skin."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pulls:
+    """How m pokes hold g groups, taxels or modules, with d unknowns each; ordered by group, then by arm pose, then by poke."""
+
+    starts: IntArray
+    """(g,) where each group begins."""
+    pokes: IntArray
+    """(m,)"""
+    poses: IntArray
+    """(m,) equal where the arm's pose is."""
+    pairs: FloatArray
+    """(m, 2, 3) float, unit, E: across the push."""
+    misses: FloatArray
+    """(m, 2) float, metres: how far the axis passes the place that it touches."""
+    pulls: FloatArray
+    """(m, d, 2) float: how the two rows pull at the group's unknowns; `held` (g, d, d) over pulls is the way that these go."""
+    held: FloatArray
+    normals: FloatArray
+    """(m, 3) float, unit, outward: of the skin there; zeros where unknown."""
+
+    def covariances(self) -> FloatArray:
+        """Return (g, d, d) what slow errors and the skin's thickness add to the covariances of the unknowns."""
+        of = np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.pokes))))
+        moved = self.pulls @ self.pairs
+        block = self.pokes // SLOW
+        new = np.ones(len(of), dtype=bool)
+        new[1:] = (of[1:] != of[:-1]) | (self.poses[1:] != self.poses[:-1]) | (block[1:] != block[:-1])
+        first = np.flatnonzero(new)
+        together = np.add.reduceat(moved, first)
+        slow = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(first, self.starts))
+        along = np.add.reduceat((moved @ self.normals[:, :, None])[:, :, 0], self.starts)
+        added = self._slow_variances(of)[:, None, None] * slow + SKIN**2 * along[:, :, None] * along[:, None]
+        inverse = np.linalg.pinv(self.held, rcond=1e-9, hermitian=True)
+        return inverse @ added @ inverse
+
+    def _slow_variances(self, of: IntArray) -> FloatArray:
+        """Return (g,) the variance of what pokes near each other share, each direction, m^2.
+
+        It is the mean product of the misses of neighbours, (E'r)_i . (E'r)_j over trace P_i P_j with P = E'E, less its standard
+        error: where few pokes tell, none is seen.
+        """
+        way = np.sum(self.pairs * self.misses[:, :, None], axis=1)
+        sums = np.zeros((3, len(self.starts)))
+        for step in (1, 2):
+            near = (of[step:] == of[:-step]) & (self.poses[step:] == self.poses[:-step])
+            near &= self.pokes[step:] - self.pokes[:-step] <= NEAR
+            i, j = np.flatnonzero(near), np.flatnonzero(near) + step
+            product = np.sum(way[i] * way[j], axis=1)
+            shared = np.sum((self.pairs[i] @ self.pairs[j].transpose(0, 2, 1)) ** 2, axis=(1, 2))
+            for row, values in enumerate((product, product**2, shared)):
+                sums[row] += np.bincount(of[i], values, minlength=len(self.starts))
+        product, squares, shared = sums
+        return np.maximum(product - np.sqrt(squares), 0.0) / np.where(shared > 0, shared, np.inf)
+
+
+def carried(table: ContactTable, estimates: Sequence[Estimate], shared: SharedRows | None) -> list[Estimate]:
     """Return the estimates of one method of `PER_TAXEL`, of different channels, with what shared errors add to them.
 
     Parameters
     ----------
     table : that they were solved from
+    shared : errors of the rig, if it is corrected
     """
     known = sorted((estimate for estimate in estimates if estimate.position is not None), key=lambda estimate: estimate.channel)
     if not known:
@@ -42,25 +107,37 @@ def moved_taxels(table: ContactTable, estimates: Sequence[Estimate], shared: Sha
         if estimate.doubted:
             own = slice(*evidence.starts[row : row + 2].tolist())
             trust[own] = [estimate.doubted.get(poke, 1.0) for poke in evidence.pokes[own].tolist()]
-    places = np.array([estimate.position for estimate in known])[evidence.taxels]
-    pairs, across_push = evidence.pairs, evidence.pairs.transpose(0, 2, 1)
-    pull = shared(evidence.pokes, places, pairs)
-    weights = (trust * evidence.weights**2)[:, None, None]
-    held, pulled = (np.add.reduceat(weights * (across_push @ rest), evidence.starts[:-1]) for rest in (pairs, pull))
+    order = np.lexsort((evidence.pokes, evidence.poses, evidence.taxels))
+    of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
+    places = np.array([estimate.position for estimate in known])[of]
+    normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
     free = np.tile(np.eye(3), (len(known), 1, 1))
     if known[0].method is Method.SURFACE:
-        free = across(np.array([estimate.normal for estimate in known])).transpose(0, 2, 1)
-    inner = free.transpose(0, 2, 1)
-    moves = -free @ np.linalg.solve(inner @ held @ free, inner @ pulled)
-    moved = {estimate.channel: with_shared(estimate, move) for estimate, move in zip(known, moves, strict=True)}
-    return [moved.get(estimate.channel, estimate) for estimate in estimates]
+        free = across(normals)
+    pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
+    held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
+    misses = np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
+    ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
+    outward = free.transpose(0, 2, 1)
+    added = outward @ ordered.covariances() @ free
+    moves: FloatArray | None = None
+    if shared is not None:
+        pulled = np.add.reduceat(pulls @ shared(ordered.pokes, places, pairs), starts)
+        moves = -outward @ np.linalg.solve(held, pulled)
+    found = {
+        estimate.channel: with_shared(estimate, added[row], None if moves is None else moves[row])
+        for row, estimate in enumerate(known)
+    }
+    return [found.get(estimate.channel, estimate) for estimate in estimates]
 
 
-def with_shared(estimate: Estimate, moved: FloatArray) -> Estimate:
-    """Return an estimate whose covariance has what shared errors `moved` (3, n), metres, add."""
+def with_shared(estimate: Estimate, added: FloatArray, moved: FloatArray | None) -> Estimate:
+    """Return an estimate with more covariance: `added` (3, 3), m^2, and of shared errors `moved` (3, n), metres."""
     if estimate.covariance is None:
         return estimate
-    covariance = estimate.covariance + moved @ moved.T
+    covariance = estimate.covariance + added
+    if moved is not None:
+        covariance = covariance + moved @ moved.T
     values, axes = np.linalg.eigh(covariance)
     worst = axes[:, -1]
     return replace(
