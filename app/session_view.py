@@ -378,7 +378,8 @@ class SessionView(QObject):
         state = self.state
         if state is None or self._tick is None or state.guidance is None:
             return
-        verdict = self.guide.verdict(state.guidance, state.snapshot, self._tick.evidence)
+        found = None if state.review is None else state.review.rig
+        verdict = self.guide.verdict(state.guidance, state.snapshot, self._tick.evidence, found)
         rig = rig_state(state.offers, state.snapshot.corrections.values(), state.review)
         may, names, settled = state.may, self.workspace.names, not state.offers
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)

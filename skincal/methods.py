@@ -62,7 +62,7 @@ def estimate_taxels(
     alone = [method for method in methods if method in PER_TAXEL]
     solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting)
     for method in alone:
-        solved[method] = dict(zip(channels, carried(table, list(solved[method].values()), shared), strict=True))
+        solved[method] = dict(zip(channels, carried(table, list(solved[method].values()), noise, shared), strict=True))
     if Method.MODULES in methods:
         if model is None:
             raise ValueError("the modules method needs the modules of a layout")

@@ -169,6 +169,14 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
     return (first, *doubted)
 
 
+def unchecked_sentence(off: float) -> str:
+    """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square."""
+    return (
+        f"The rig's own errors are not in the predicted ones: an ordinary rig's move the taxels by about {off * 1e3:.1f} mm, "
+        "most of it alike. Pokes at landmarks tell."
+    )
+
+
 def frame_sentence(found: FrameDiagnosis) -> str:
     """Return what landmark pokes say of the sensor's frame, with the miss as reported and as corrected."""
     reported = f"{found.miss * 1e3:.0f} mm"

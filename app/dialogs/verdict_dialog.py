@@ -118,7 +118,7 @@ class VerdictDialog(QDialog):
         self.export = self.buttons.addButton("Export\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
         self._arrange()
-        first = self.export if verdict.enough and verdict.check.believed and settled and can_export else self.go_on
+        first = self.export if verdict.enough and not verdict.doubted and settled and can_export else self.go_on
         first.setDefault(True)
         first.setFocus()
         self.buttons.accepted.connect(self._export)

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Sequence
 from app.state.policies import Offer
 from app.text.outcomes import METHOD_NAMES
 from app.text.rig_text import offer_words
-from app.units import count, millimetres, minutes
+from app.units import count, millimetres, minutes, number
 from skincal.guide.progress import GuideSettings, Why
-from skincal.guide.verdict import Left, Verdict
+from skincal.guide.verdict import LandmarkAgreement, Left, Verdict
 from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS
 from skincal.sentences import correction_sentence, rig_sentences
 from skincal.session.review import Review
 from skincal.taxels.result import Method
@@ -33,11 +34,18 @@ def sentence(verdict: Verdict) -> str:
 
 
 def _agreement(verdict: Verdict) -> str:
-    if not verdict.check.believed:
+    check, landmarks = verdict.check, verdict.landmarks
+    if not check.believed:
         return ", but the held-out pokes speak against it"
-    if not verdict.check.tells:
+    if landmarks is not None and not landmarks.agrees:
+        return ", but the landmarks speak against it"
+    if not check.tells:
         return "; too few pokes are held out to check it" if verdict.done else ""
-    return ", and the held-out pokes agree" if verdict.check.agrees else ", but the held-out pokes hardly agree"
+    if not check.agrees:
+        return ", but the held-out pokes hardly agree"
+    if landmarks is None:
+        return ", and the held-out pokes agree; whether the whole skin is shifted, only landmarks show"
+    return ", and the held-out pokes and the landmarks agree"
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
@@ -46,6 +54,8 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Done", f"{verdict.done} of {count(verdict.used, 'taxel')}, {METHOD_NAMES[verdict.method]} method"),
         ("Needs", done_words(verdict.method, verdict.wanted)),
         ("Check", check_words(verdict)),
+        ("Landmarks", landmark_words(verdict.landmarks)),
+        ("Predicted", predicted_words(verdict)),
         ("Work", f"{count(verdict.pokes, 'poke')} in {minutes(verdict.seconds)}"),
     )
 
@@ -80,6 +90,30 @@ def check_words(verdict: Verdict) -> str:
     return (
         f"{words}: the errors are larger than predicted. Look whether the part or the sensor moved, and at the scene's frames."
     )
+
+
+def landmark_words(landmarks: LandmarkAgreement | None) -> str:
+    """Return how landmarks are passed, over what is predicted for them."""
+    if landmarks is None:
+        return f"not checked: it needs {FEWEST} pokes at {FEWEST_POINTS} landmarks"
+    how = "held out of the correction" if landmarks.corrected else "without a correction"
+    words = f"{count(landmarks.pokes, 'poke')}, {how}, pass them at {number(landmarks.ratio, 1)} times what is predicted"
+    if landmarks.agrees:
+        return words
+    return f"{words}: the errors are larger than predicted. Look at the landmarks' places and at the rig."
+
+
+def predicted_words(verdict: Verdict) -> str:
+    """Return the predicted error, told apart: the whole skin, and taxels among each other."""
+    predicted, unchecked = verdict.predicted, verdict.unchecked
+    if predicted is None:
+        return "no taxel is known"
+    if unchecked is None:
+        return (
+            f"{millimetres(predicted.every)}: the whole skin may be off by {millimetres(predicted.whole)}, "
+            f"taxels among each other by {millimetres(predicted.among)}"
+        )
+    return f"{millimetres(predicted.every)} for a right rig; an ordinary one's own errors add about {millimetres(unchecked)}"
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:

@@ -109,6 +109,7 @@ def solve(
     if per_pose:
         methods |= _per_pose(pipeline, known)
     rig, rig_lines = _corrected(pipeline, known)
+    unchecked, unchecked_lines = _unchecked(pipeline.session)
     methods |= rig.pop("methods", {})
     # Before anything is written: its file may be refused.
     modules, module_lines = _layout_result(pipeline.session, layout, layout_out)
@@ -118,7 +119,7 @@ def solve(
     losses = report.loss_counts(totals.links, totals.unpaired)
     text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *module_lines]
+    text += [*rig_lines, *unchecked_lines, *module_lines]
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -127,6 +128,7 @@ def solve(
         "methods": methods,
         **losses,
         **({"rig": rig} if rig else {}),
+        "unchecked_rig_mm": unchecked,
         **modules,
         "dead": dead,
         "files": files,
@@ -270,7 +272,7 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         return {}, []
     from skincal.cli import report
     from skincal.methods import estimate_taxels
-    from skincal.rig.correction import RIG
+    from skincal.rig.correction import RIG, CorrectionErrors
     from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 
     frame, answer = _landmark_findings(session)
@@ -283,11 +285,15 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         rig["frame"] = {"right": frame.right, "sure": frame.sure, "miss_mm": frame.miss * 1e3, "words": words}
     if answer.correction is not None:
         rig |= {"held_out_before_mm": answer.before * 1e3, "held_out_after_mm": answer.after * 1e3}
+        rig["held_out_over_predicted"] = answer.ratio
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
     if answer.used and answer.correction is not None and RIG not in session.corrections:
         contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
         noise, surface, model = session.scene.noise, session.surface, session.module_model
-        solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, model=model)
+        shared = CorrectionErrors(answer.correction, {contact.poke: contact for contact in contacts}.__getitem__)
+        solved = estimate_taxels(
+            contacts, session.channels, session.methods, noise, surface, session.dead, model=model, shared=shared
+        )
         rig["methods"] = {
             f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)
             for method, found in solved.items()
@@ -295,6 +301,19 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
     in_use = [correction_sentence(used) for used in session.corrections.values()]
     found = rig_sentences(answer)[1 if RIG in session.corrections else 0 :]
     return rig, [*(() if frame is None else (frame_sentence(frame),)), *in_use, *found]
+
+
+def _unchecked(session: Session) -> tuple[float | None, list[str]]:
+    """Return by how much a rig that is not corrected may be off, mm, as a number and in lines; None under a correction."""
+    from skincal.rig.correction import RIG
+    from skincal.rig.expected_gain import unchecked_error
+    from skincal.sentences import unchecked_sentence
+
+    if RIG in session.corrections:
+        return None, []
+    estimates, contacts = session.snapshot().estimates[session.methods[-1]], session.contacts
+    off = unchecked_error(estimates, contacts, session.landmark_pokes, session.scene.noise)
+    return (None, []) if off is None else (off * 1e3, [unchecked_sentence(off)])
 
 
 def _calibration(session: Session) -> Calibration:

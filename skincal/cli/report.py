@@ -19,6 +19,7 @@ from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.shared_errors import predicted_error
 
 
 def print_result(result: Mapping[str, Any], as_json: bool) -> None:
@@ -55,10 +56,13 @@ def method_summary(
     """
     # All states are written, also those of no taxel, so that a program finds each key.
     states = Counter(e.state.value for e in estimates)
+    apart = predicted_error(estimates)
     rms = [e.rms * 1e3 for e in estimates if e.rms is not None]
     summary: dict[str, Any] = {
         "states": {state.value: states.get(state.value, 0) for state in State},
         "predicted_rms_mm": {"mean": float(np.mean(rms)), "max": float(np.max(rms))} if rms else None,
+        "predicted_whole_skin_mm": None if apart is None else apart.whole * 1e3,
+        "predicted_among_taxels_mm": None if apart is None else apart.among * 1e3,
         "spacing_ratio": None if layout is None else spacing_ratio(layout, estimates),
     }
     if reference is not None:
@@ -104,6 +108,9 @@ def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:
     line = f"{name:8s} {states or 'no taxel seen'}"
     if predicted is not None:
         line += f"; predicted error {predicted['mean']:.2f} mm mean, {predicted['max']:.2f} max"
+    if summary["predicted_whole_skin_mm"]:
+        whole, among = summary["predicted_whole_skin_mm"], summary["predicted_among_taxels_mm"]
+        line += f" (the whole skin {whole:.2f}, taxels among each other {among:.2f})"
     if ratio is not None:
         line += f"; neighbours {ratio:.2f} of the layout's spacing apart"
     if error is not None:

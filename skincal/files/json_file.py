@@ -35,7 +35,7 @@ CONTACT_UNITS = {
 }  # fmt: skip
 """Unit after the name of each setting; empty for a plain number or where the name has it."""
 NOISE_UNITS = {
-    "force": "N", "moment": "Nm", "contact": "m", "reach": "m", "radius": "m", "pose_turn": "rad", "pose_shift": "m",
+    "force": "N", "moment": "Nm", "contact": "m", "reach": "m", "radius": "m", "skin": "m", "pose_turn": "rad", "pose_shift": "m",
 }  # fmt: skip
 
 
@@ -310,7 +310,8 @@ def _calibration_file(document: dict[str, Any]) -> CalibrationFile:
 
 
 def _read_settings(values: dict[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
-    return {name: values[_with_unit(name, units)] for name in units}
+    # What was added since has a default: files of old lack it.
+    return {name: values[key] for name in units if (key := _with_unit(name, units)) in values}
 
 
 def _read(values: dict[str, Any], keys: Keys) -> dict[str, Any]:

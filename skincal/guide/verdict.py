@@ -10,7 +10,9 @@ By the modules method the module that the poke touched is solved without it (`pr
 middle of the pads that answered; the rest is the same.
 
 This shows errors that the prediction does not know of: a wrong frame, a slipped sensor, a part that moved. It does not show
-what shifts all pokes alike.
+what shifts all pokes alike: only landmarks do. Their pokes are held out, too, and their misses compared with what is predicted
+for them (`RigAnswer.ratio`). So errors are believed only where both agree, and without landmarks it is said how far a rig may
+be off before anything is known of it.
 """
 
 from __future__ import annotations
@@ -31,8 +33,11 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_squares
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_poked
+from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
+from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.taxels.solve import Solution, solve
 
 if TYPE_CHECKING:
@@ -50,6 +55,9 @@ AGREED = 0.1
 """Chance below which they are not said to agree: at most one session in ten is denied it wrongly."""
 TELLING = 10
 """Held-out pokes below which agreement says nothing: of five, none falls outside by chance in three sessions of four."""
+AS_PREDICTED = 1.5
+"""Misses of landmarks over what is predicted for them that are still as predicted: of 21 pokes at six landmarks the ratio is
+0.7 to 1.1 on rigs that are wrong as modelled."""
 OTHERS = 2
 """Other contacts of its taxel that a held-out poke needs: from fewer nothing is predicted."""
 
@@ -83,6 +91,36 @@ class Check:
     def believed(self) -> bool:
         """Whether nothing speaks against the predicted errors."""
         return self.chance >= BELIEVED
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkAgreement:
+    """How landmarks are passed, over what is predicted."""
+
+    pokes: int
+    ratio: float
+    """Root mean square of their misses, each over its predicted standard deviation."""
+    corrected: bool
+    """A correction of the rig is in use, made without the pokes that are judged; else the rig is judged as it reports."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether they are passed as predicted."""
+        return self.ratio <= AS_PREDICTED
+
+
+def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> LandmarkAgreement | None:
+    """Return how landmarks are passed; None where too few were poked to say.
+
+    Parameters
+    ----------
+    rig : what landmark pokes say; None where nobody has looked
+    used : the correction of the rig that is in use
+    """
+    if rig is not None and rig.correction is not None:
+        ratio = rig.plain_ratio if used is None else rig.ratio
+        return LandmarkAgreement(len(rig.trust), ratio, used is not None)
+    return None if used is None or np.isnan(used.ratio) else LandmarkAgreement(used.pokes, used.ratio, True)
 
 
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
@@ -232,10 +270,28 @@ class Verdict:
     left: tuple[Left, ...]
     """Those that are not done, used or not, by channel."""
     check: Check
+    landmarks: LandmarkAgreement | None
+    """None where too few were poked to say anything."""
+    predicted: PredictedError | None
+    """Of the taxels that are estimated; None where none is."""
+    unchecked: float | None
+    """m: by how much the rig's errors may move the taxels beside what is predicted, root mean square; None under a correction,
+    whose own uncertainty is in the prediction."""
     pokes: int
     """Accepted, and not taken out."""
     seconds: float
     """s, from the first of these pokes to the end of the last, without pauses."""
+
+    @property
+    def doubted(self) -> bool:
+        """Whether anything speaks against the predicted errors."""
+        return not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
+
+    @property
+    def believed(self) -> bool:
+        """Whether what was held out speaks for them: pokes on the skin, and landmarks, which alone show a shift of the whole."""
+        tried = self.check.tells and self.check.agrees
+        return tried and self.landmarks is not None and self.landmarks.agrees
 
 
 def verdict_of(
@@ -247,6 +303,8 @@ def verdict_of(
     surface: Surface | None,
     settings: GuideSettings,
     module_model: ModuleModel | None = None,
+    landmarks: LandmarkAgreement | None = None,
+    unchecked: float | None = None,
 ) -> Verdict:
     """Return what a session has come to.
 
@@ -258,6 +316,7 @@ def verdict_of(
     evidence : gives what the contacts say of some channels
     surface : needed by the surface method
     module_model : needed by the modules method, whose errors are not checked without it
+    landmarks, unchecked : see `Verdict`
     """
     state = {estimate.channel: estimate.state for estimate in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
@@ -271,6 +330,9 @@ def verdict_of(
         used=len(used),
         left=left,
         check=check(ordered, used, evidence, guidance.method, noise, surface, module_model, estimates),
+        landmarks=landmarks,
+        predicted=predicted_error(estimates),
+        unchecked=unchecked,
         pokes=len(contacts),
         seconds=worked(*(np.array([getattr(contact, name) for contact in ordered]) for name in ("start_s", "end_s"))),
     )

@@ -167,7 +167,7 @@ def _carried(
     misses = np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
     pokes = evidence.pokes[at]
     ordered = Pulls(begins, pokes, evidence.poses[at], pairs, misses, pulls, held, rows.normals[order])
-    added, gradients = ordered.covariances(), fitted.pads.gradients
+    added, gradients = ordered.covariances(noise.skin), fitted.pads.gradients
     moves: FloatArray | None = None
     if shared is not None:
         # What the pokes do not determine has no estimate, and is not moved.

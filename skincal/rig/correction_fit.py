@@ -234,6 +234,8 @@ class RigAnswer:
     ratio: float
     """Misses of held-out pokes over what was predicted for them, root mean square; NaN where there is none. Above 1 something
     is wrong that the correction does not know of, and its uncertainty is as many times larger."""
+    plain_ratio: float
+    """The same of all pokes without a correction, over what the scene's noise and the hand make of a right rig."""
     points: int
     """How many different landmarks were poked."""
     trust: Mapping[int, float]
@@ -261,7 +263,7 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     scales, points = request.prior.scales(len(names)), len({poke.name for poke in request.landmarks})
     if len(request.landmarks) < FEWEST or points < FEWEST_POINTS:
         trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
-        return RigAnswer(None, False, float("nan"), float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
+        return RigAnswer(None, False, *[float("nan")] * 4, points, trust, {}, nothing, nothing + 1.0)
     fits: list[_Fit] = []
     for quadratic in QUADRATIC:
         fit = _Fit(request, names, replace(request.prior, quadratic=quadratic))
@@ -371,6 +373,7 @@ class _Fit:
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
             ratio=ratio,
+            plain_ratio=float(np.sqrt(before / 2.0)),
             points=len({poke.name for poke in self.landmarks}),
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
             distances=dict(zip(pokes, now.distances.tolist(), strict=True)),

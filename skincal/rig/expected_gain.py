@@ -16,16 +16,21 @@ poses and 21 at landmarks 1.0 mm is predicted, and 0.7 to 0.8 mm comes out.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.rig.correction import RigPrior, RigReadings, RigRows, RigState, rig_rows
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke, qr_factor, readings_of
+from skincal.taxels.result import Estimate
 
+POSES = 7
+"""Arm poses that an error is predicted for, those with most contacts: streamed joints make more."""
 PUSH = 10.0
 """N, of a planned poke: the middle of what a hand presses with on metal, 8 to 13 N."""
 TAXELS = 40
@@ -100,6 +105,31 @@ def expected_error(
     whole = np.concatenate(rows)
     now, after = (_expected(whole[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
     return Gain(now, after, len(planned))
+
+
+def unchecked_error(
+    estimates: Sequence[Estimate], contacts: Sequence[Contact], pokes: Sequence[LandmarkPoke], noise: NoiseSettings
+) -> float | None:
+    """Return by how much the errors of a rig that is not corrected may move the taxels, root mean square, metres.
+
+    Parameters
+    ----------
+    estimates : of one method; those without a position or a normal tell nothing
+    contacts : in whose arm poses they were poked
+    pokes : at landmarks
+
+    Returns
+    -------
+    None where no taxel is known.
+    """
+    known = [(estimate.position, estimate.normal) for estimate in estimates if estimate.position is not None]
+    pairs = [(place, normal) for place, normal in known if normal is not None]
+    often = {name for name, _ in Counter(contact.pose for contact in contacts).most_common(POSES)}
+    poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
+    if not pairs or not poses:
+        return None
+    places, normals = (np.array(values) for values in zip(*pairs, strict=True))
+    return expected_error(RigPrior(), noise, [poke for poke in pokes if poke.pose in poses], [], places, normals, poses).now
 
 
 def _landmark_rows(

@@ -16,20 +16,18 @@ from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, Landmark
 from skincal.guide.guide import Guide
 from skincal.guide.places import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
-from skincal.guide.verdict import Verdict, verdict_of
+from skincal.guide.verdict import Verdict, landmark_agreement, verdict_of
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
-from skincal.rig.correction import RigPrior
-from skincal.rig.correction_fit import LandmarkPoke
-from skincal.rig.expected_gain import Gain, PlannedPoke, expected_error
+from skincal.rig.correction import RIG, RigPrior
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_error
 from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
-POSES = 7
-"""Arm poses that the gain is predicted for, those with most contacts, beside the present one: streamed joints make more."""
 STILL_S = 1.0
 """s. Landmarks are asked for where the arm has stood so long: on its way it goes through poses in which nobody pokes."""
 
@@ -98,17 +96,34 @@ class SessionGuide:
         self._guidance = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
         return self._guidance
 
-    def verdict(self, guidance: Guidance, snapshot: Snapshot, evidence: Callable[[Collection[int]], Evidence]) -> Verdict:
+    def verdict(
+        self,
+        guidance: Guidance,
+        snapshot: Snapshot,
+        evidence: Callable[[Collection[int]], Evidence],
+        rig: RigAnswer | None = None,
+    ) -> Verdict:
         """Return what the session has come to.
 
         Parameters
         ----------
         guidance : of this snapshot
         evidence : what the contacts of this snapshot say of some channels
+        rig : what landmark pokes say; None where nobody has looked
         """
-        estimates, noise = snapshot.estimates[guidance.method], self._scene.noise
-        contacts, settings = _contacts(snapshot), GuideSettings()
-        return verdict_of(guidance, estimates, contacts, evidence, noise, self._surface, settings, self._module_model)
+        estimates, noise, used = snapshot.estimates[guidance.method], self._scene.noise, snapshot.corrections.get(RIG)
+        return verdict_of(
+            guidance,
+            estimates,
+            _contacts(snapshot),
+            evidence,
+            noise,
+            self._surface,
+            GuideSettings(),
+            self._module_model,
+            landmark_agreement(rig, used),
+            None if used is not None else unchecked_error(estimates, snapshot.contacts, self.landmarks.made(snapshot), noise),
+        )
 
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
@@ -223,17 +238,17 @@ class LandmarkGuide:
     def _plan(self, snapshot: Snapshot) -> list[LandmarkTarget]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
             return []
-        poked = [(self._key(poke.pose, poke.link_from_sensor), poke.name) for poke in self._made(snapshot)]
+        poked = [(self._key(poke.pose, poke.link_from_sensor), poke.name) for poke in self.made(snapshot)]
         return self._round.plan(snapshot.landmarks, poked, self._stance)
 
-    def _made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
+    def made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
         """Return the landmark pokes that count."""
         counting = (record.outcome for record in snapshot.pokes if not record.excluded)
         return landmark_pokes(counting, snapshot.landmarks, snapshot.at_landmarks)
 
     def rig_moves(self, snapshot: Snapshot) -> float:
         """Return by how much the rig moves estimates, by its landmark pokes: sd in each direction, metres."""
-        return rig_moves(self._made(snapshot), self._scene.noise)
+        return rig_moves(self.made(snapshot), self._scene.noise)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
         """Predict what the landmarks of this arm pose are worth for the taxels that are poked in it and in those before."""
@@ -247,7 +262,7 @@ class LandmarkGuide:
         planned = [
             PlannedPoke(target.landmark.place, self._normal(target.landmark), here, snapshot.pose) for target in self._targets
         ]
-        made, noise = [poke for poke in self._made(snapshot) if poke.pose in poses], self._scene.noise
+        made, noise = [poke for poke in self.made(snapshot) if poke.pose in poses], self._scene.noise
         return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
 
     def skip(self, *, all_of_pose: bool = False) -> None:

@@ -142,7 +142,7 @@ class Solving:
         solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last)
         for method, estimates in solved.items():
             self._alike[method].update(estimates)
-            moved = carried(self._table, list(estimates.values()), self.shared)
+            moved = carried(self._table, list(estimates.values()), self._noise, self.shared)
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules, others = (

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.result import Estimate, Method
 
@@ -30,9 +31,6 @@ SLOW = 30
 """Pokes that share what changes slowly, about a minute of work: drift of the sensor, an arm that creeps."""
 NEAR = SLOW // 2
 """Pokes at most this far from each other say how much of that there is."""
-SKIN = 0.0015
-"""m, sd of how far the face that is touched lies above the taxels: 2 to 3 mm of foam or fabric (iCub), and errors of the mesh. A
-push that leans acts so much farther along the skin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +53,8 @@ class Pulls:
     normals: FloatArray
     """(m, 3) float, unit, outward: of the skin there; zeros where unknown."""
 
-    def covariances(self) -> FloatArray:
-        """Return (g, d, d) what slow errors and the skin's thickness add to the covariances of the unknowns."""
+    def covariances(self, skin: float) -> FloatArray:
+        """Return (g, d, d) what slow errors and the skin's thickness, sd `skin`, m, add to the covariances of the unknowns."""
         of = np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.pokes))))
         moved = self.pulls @ self.pairs
         block = self.pokes // SLOW
@@ -66,7 +64,7 @@ class Pulls:
         together = np.add.reduceat(moved, first)
         slow = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(first, self.starts))
         along = np.add.reduceat((moved @ self.normals[:, :, None])[:, :, 0], self.starts)
-        added = self._slow_variances(of)[:, None, None] * slow + SKIN**2 * along[:, :, None] * along[:, None]
+        added = self._slow_variances(of)[:, None, None] * slow + skin**2 * along[:, :, None] * along[:, None]
         inverse = np.linalg.pinv(self.held, rcond=1e-9, hermitian=True)
         return inverse @ added @ inverse
 
@@ -90,7 +88,9 @@ class Pulls:
         return np.maximum(product - np.sqrt(squares), 0.0) / np.where(shared > 0, shared, np.inf)
 
 
-def carried(table: ContactTable, estimates: Sequence[Estimate], shared: SharedRows | None) -> list[Estimate]:
+def carried(
+    table: ContactTable, estimates: Sequence[Estimate], noise: NoiseSettings, shared: SharedRows | None
+) -> list[Estimate]:
     """Return the estimates of one method of `PER_TAXEL`, of different channels, with what shared errors add to them.
 
     Parameters
@@ -119,7 +119,7 @@ def carried(table: ContactTable, estimates: Sequence[Estimate], shared: SharedRo
     misses = np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
     ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
     outward = free.transpose(0, 2, 1)
-    added = outward @ ordered.covariances() @ free
+    added = outward @ ordered.covariances(noise.skin) @ free
     moves: FloatArray | None = None
     if shared is not None:
         pulled = np.add.reduceat(pulls @ shared(ordered.pokes, places, pairs), starts)
