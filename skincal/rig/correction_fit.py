@@ -231,11 +231,6 @@ class RigAnswer:
     """m: at what distance the axes pass the landmarks as reported, root mean square by trust; NaN without pokes."""
     after: float
     """m: the same for held-out pokes under a correction made without them; NaN where there is none."""
-    ratio: float
-    """Misses of held-out pokes over what was predicted for them, root mean square; NaN where there is none. Above 1 something
-    is wrong that the correction does not know of, and its uncertainty is as many times larger."""
-    plain_ratio: float
-    """The same of all pokes without a correction, over what the scene's noise and the hand make of a right rig."""
     points: int
     """How many different landmarks were poked."""
     trust: Mapping[int, float]
@@ -246,6 +241,11 @@ class RigAnswer:
     """(36 + 6 poses,) float: the correction in standard deviations of the prior."""
     known: FloatArray
     """(36 + 6 poses,) float: sd of each unknown over that of its prior, 0 to 1; 1 is not determined."""
+    ratio: float = float("nan")
+    """Misses of held-out pokes over what was predicted for them, root mean square; NaN where there is none. Above 1 something
+    is wrong that the correction does not know of, and its uncertainty is as many times larger."""
+    plain_ratio: float = float("nan")
+    """The same of all pokes without a correction, over what the scene's noise and the hand make of a right rig."""
 
 
 def _nothing() -> None:
@@ -263,7 +263,7 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     scales, points = request.prior.scales(len(names)), len({poke.name for poke in request.landmarks})
     if len(request.landmarks) < FEWEST or points < FEWEST_POINTS:
         trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
-        return RigAnswer(None, False, *[float("nan")] * 4, points, trust, {}, nothing, nothing + 1.0)
+        return RigAnswer(None, False, float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
     fits: list[_Fit] = []
     for quadratic in QUADRATIC:
         fit = _Fit(request, names, replace(request.prior, quadratic=quadratic))

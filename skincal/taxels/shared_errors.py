@@ -7,6 +7,10 @@ minimum of sum k |E (p - a)|^2 with the weights k of `contact_table`, so the err
 
 on a surface in the plane of its triangle alone. The covariance of all estimates together is that of the pokes' own noise and
 M M'. What is the same in the M of all taxels shifts the whole skin; the rest moves taxels against each other.
+
+**Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the free
+method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
+H^-1 sum 2 k sigma_f^2/|f|^2 (p - o), which is put back.
 """
 
 from __future__ import annotations
@@ -128,7 +132,17 @@ def carried(
         estimate.channel: with_shared(estimate, added[row], None if moves is None else moves[row])
         for row, estimate in enumerate(known)
     }
+    if known[0].method is Method.FREE:
+        levers = places - evidence.sensors[order]
+        share = 2.0 * noise.force**2 * (trust * evidence.weights**2)[order] / evidence.forces[order] ** 2
+        biases = np.linalg.solve(held, np.add.reduceat(share[:, None] * levers, starts)[:, :, None])[:, :, 0]
+        found = {channel: _unbiased(estimate, bias) for (channel, estimate), bias in zip(found.items(), biases, strict=True)}
     return [found.get(estimate.channel, estimate) for estimate in estimates]
+
+
+def _unbiased(estimate: Estimate, bias: FloatArray) -> Estimate:
+    """Return an estimate of the free method moved by `bias` (3,), metres, against what the noise of forces pulls it by."""
+    return replace(estimate, position=estimate.position + bias)
 
 
 def with_shared(estimate: Estimate, added: FloatArray, moved: FloatArray | None) -> Estimate:
