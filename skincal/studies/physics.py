@@ -67,7 +67,7 @@ MOMENT_OF_FORCE = 0.1
 MATRIX_ARM = 0.35
 """m: entries of E between force and moment count a moment as a force times this, as `RigPrior` assumes."""
 SLOW = 30.0
-"""Pokes over which slow noise and a wandering arm remember: about a minute, as a sensor that warms up in a moving room."""
+"""Pokes over which slow noise remembers: about a minute, as a sensor that warms up in a moving room."""
 BUMP = 0.020
 """m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
 FINGER = 0.008
@@ -87,7 +87,7 @@ class World:
     matrix: float = 0.02
     """sd of each entry of E, cross-talk included."""
     quadratic: float = 0.0
-    """Rms of each component of Q(w, w) at `FORCE` and its moment, as a share of these."""
+    """Rms of Q(w, w) over w, both as vectors in units of `FORCE` and its moment, where |w| is these."""
     hysteresis: float = 0.0
     """Share of its load that the sensor keeps after a poke: the tares before and after each see a part of it."""
     force_noise: float = 0.10
@@ -101,7 +101,7 @@ class World:
     pose_shift: float = 2 * MM
     """sd along each axis."""
     wander_turn: float = 0.0
-    """Rms about each axis by which the arm wanders within a pose, slowly (`SLOW`): servos that creep under the hand."""
+    """Rms about each axis by which the arm wanders away after it took a pose, a random walk: servos creep under the hand."""
     wander_shift: float = 0.0
     """Rms along each axis."""
     flex: float = 0.0
@@ -110,7 +110,7 @@ class World:
     aim: float = 0.7 * MM
     """sd in each direction of the skin of a poke beside its landmark: by hand."""
     landmarks: float = 0.0
-    """m: how far the place that is told for a landmark is from where it is, in some direction, the same for all its pokes."""
+    """m, sd in each direction of the place that is told for a landmark about where it is, the same for all its pokes."""
     # ---- mesh: the taxels are on the true one, the program is given another
     mesh_shift: float = 0.0
     """m, the whole mesh in some direction."""
@@ -493,8 +493,8 @@ class Sensor:
         arm = np.repeat([1.0, MATRIX_ARM], 3)
         self.matrix = np.eye(6) + world.matrix * rng.standard_normal((6, 6)) * arm[:, None] / arm
         self.scale = np.repeat([FORCE, FORCE * LEVER], 3)
-        # Of unit numbers Q has a variance of |u|^4 in each component: force and moment together make |u|^2 = 2.
-        self.quadratic = world.quadratic / 2 * rng.standard_normal((6, 6, 6))
+        # Of unit numbers Q has a variance of |u|^4 in each of six components; force and moment together make |u|^2 = 2.
+        self.quadratic = world.quadratic * np.sqrt(2 / 6) / 2 * rng.standard_normal((6, 6, 6))
         self.keeps = world.hysteresis * rng.uniform(0.5, 1.5, 6)
 
     def read(self, wrenches: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -533,6 +533,8 @@ def felt(poses: FloatArray, points: FloatArray, forces: FloatArray, flex: float)
 
 # ---- a session
 
+CYCLE = 2.5
+"""s from one poke to the next."""
 TRIES = 4
 """How often somebody pokes at a place again that no taxel answers, or too many, before going on."""
 
@@ -549,6 +551,22 @@ def _skin_pokes(
     return presses.take(rows), responses[rows]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Session:
+    """n pokes after each other, as they really are."""
+
+    poses: IntArray
+    """(n,) index of the arm pose."""
+    marks: IntArray
+    """(n,) index of the landmark; -1 on the skin."""
+    points: FloatArray
+    """(2, n, 3) float, metres, link frame."""
+    forces: FloatArray
+    """(2, n, 3) float, N."""
+    responses: FloatArray
+    """(n, taxels) float, counts."""
+
+
 def poke(
     scene: Scene, vertices: FloatArray, triangles: IntArray, world: World, seed: int, per_pose: int = 72, known: int = 10
 ) -> Poked:
@@ -562,52 +580,83 @@ def poke(
     known : pokes at landmarks in each; none where the scene has no landmarks
     """
     mesh, mount, skin, arm, sensor, hand, told, noise = np.random.default_rng([seed, 12]).spawn(8)
-    part, who = Part(vertices, triangles), Operator(world, hand)
+    part = Part(vertices, triangles)
     channels, places = taxels(scene, part, world, mount)
     gains = np.exp(world.gains * skin.standard_normal(len(channels)))
     reported = chain(scene)
-    true = np.array(list(reported.values())) @ motions(
-        world.pose_turn * arm.standard_normal((len(reported), 3)), world.pose_shift * arm.standard_normal((len(reported), 3))
-    )
-    marks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
-    known = known if len(marks) else 0
-    given = marks + world.landmarks * unit(told.standard_normal(marks.shape))
-    rounds = -(-per_pose * len(true) // len(places))
-    targets = np.concatenate([hand.permutation(len(places)) for _ in range(rounds)])
+    session = _operated(scene, part, Operator(world, hand), places, gains, (len(reported), per_pose, known), hand)
+    true = _beside(np.array(list(reported.values())), world, session.poses, arm)
+    read = Sensor(world, sensor).read(felt(true, session.points, session.forces, world.flex), noise)
+    given = [landmark.place + world.landmarks * told.standard_normal(3) for landmark in scene.landmarks]
+    contacts, pokes = _recorded(scene, session, reported, read, channels, given)
+    return Poked(contacts, pokes, channels, places, part.wrong(world, mesh))
 
-    which, names, points, forces, responses = list[int](), list[str](), [], [], []
-    for number, name in enumerate(reported):
-        of = (sum(PLAN[:number]) + np.arange(known)) % max(len(marks), 1)
-        at, push = who.press_landmarks(part, marks[of], hand)
-        own = targets[number * per_pose : (number + 1) * per_pose]
-        presses, answered = _skin_pokes(scene, part, who, places, gains, own, hand)
-        which += [*of.tolist(), *[-1] * len(answered)]
-        names += [name] * (known + len(answered))
-        points.append(np.concatenate([np.stack([at, at]), presses.points], axis=1))
-        forces.append(np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1))
-        responses += [*np.zeros((known, len(places))), *answered]
 
-    order = {name: number for number, name in enumerate(reported)}
-    wander = slow_noise(len(names), 6, arm)
-    poses = true[[order[name] for name in names]]
-    poses = poses @ motions(world.wander_turn * wander[:, :3], world.wander_shift * wander[:, 3:])
-    at, push = np.concatenate(points, axis=1), np.concatenate(forces, axis=1)
-    read = Sensor(world, sensor).read(felt(poses, at, push, world.flex), noise)
-    contacts: list[Contact] = []
-    pokes: list[KnownPoke] = []
-    asked = dict.fromkeys(names, 0)
-    for i, (name, mark) in enumerate(zip(names, which, strict=True)):
-        force, moment, pose = read[i, :3], read[i, 3:], reported[name]
-        if mark >= 0:
-            asked[name] += 1
-            planned = order[name] < len(PLAN) and asked[name] <= PLAN[order[name]]
-            pokes.append(KnownPoke(i + 1, scene.landmarks[mark].name, given[mark], force, moment, pose, name, planned))
-            continue
-        own = np.flatnonzero(responses[i] > scene.contacts.response_min)
-        contacts.append(
-            Contact(
-                poke=i + 1, start_s=2.5 * i, end_s=2.5 * i + 0.3, force=force, moment=moment, channels=channels[own],
-                responses=responses[i][own], link_from_sensor=pose, pose=name, tare_change=0.0, final=True,
+def _operated(
+    scene: Scene, part: Part, who: Operator, places: FloatArray, gains: FloatArray, sizes: tuple[int, int, int],
+    rng: np.random.Generator,
+) -> _Session:  # fmt: skip
+    """Return what is poked in (poses, pokes at the skin in each, pokes at landmarks in each)."""
+    poses, per_pose, known = sizes
+    targets = np.concatenate([rng.permutation(len(places)) for _ in range(-(-per_pose * poses // len(places)))])
+    landmarks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
+    known = known if len(landmarks) else 0
+    parts: list[_Session] = []
+    for pose in range(poses):
+        # Each arm pose goes on with the landmark after the last one that the guide asked for.
+        marks = (sum(PLAN[:pose]) + np.arange(known)) % max(len(landmarks), 1)
+        at, push = who.press_landmarks(part, landmarks[marks], rng)
+        own = targets[pose * per_pose : (pose + 1) * per_pose]
+        presses, answered = _skin_pokes(scene, part, who, places, gains, own, rng)
+        count = len(answered)
+        parts.append(
+            _Session(
+                np.full(known + count, pose), np.concatenate([marks, np.full(count, -1)]),
+                np.concatenate([np.stack([at, at]), presses.points], axis=1),
+                np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1),
+                np.concatenate([np.zeros((known, len(places))), answered]),
             )
         )  # fmt: skip
-    return Poked(contacts, pokes, channels, places, part.wrong(world, mesh))
+    return _Session(
+        np.concatenate([own.poses for own in parts]), np.concatenate([own.marks for own in parts]),
+        np.concatenate([own.points for own in parts], axis=1), np.concatenate([own.forces for own in parts], axis=1),
+        np.concatenate([own.responses for own in parts]),
+    )  # fmt: skip
+
+
+def _beside(reported: FloatArray, world: World, poses: IntArray, rng: np.random.Generator) -> FloatArray:
+    """Return (n, 4, 4) link_from_sensor as it is at each poke, of `reported` (poses, 4, 4)."""
+    off, slow = rng.standard_normal((len(reported), 6)), np.zeros((len(poses), 6))
+    for pose in range(len(reported)):
+        own = np.flatnonzero(poses == pose)[1:]
+        # The variance of a walk's step k is k: over n steps after the first place it is (n + 1)/2 on average.
+        slow[own] = np.cumsum(rng.standard_normal((len(own), 6)), axis=0) / np.sqrt((len(own) + 1) / 2)
+    true = reported @ motions(world.pose_turn * off[:, :3], world.pose_shift * off[:, 3:])
+    return true[poses] @ motions(world.wander_turn * slow[:, :3], world.wander_shift * slow[:, 3:])
+
+
+def _recorded(
+    scene: Scene, session: _Session, reported: Mapping[str, FloatArray], read: FloatArray, channels: IntArray,
+    given: list[FloatArray],
+) -> tuple[list[Contact], list[KnownPoke]]:  # fmt: skip
+    """Return what a recording keeps of the pokes, read as `read` (n, 6); the landmarks are told to be at `given`."""
+    contacts: list[Contact] = []
+    known: list[KnownPoke] = []
+    names, asked = list(reported), [0] * len(reported)
+    for i, (pose, mark) in enumerate(zip(session.poses.tolist(), session.marks.tolist(), strict=True)):
+        name, force, moment = names[pose], read[i, :3], read[i, 3:]
+        if mark >= 0:
+            asked[pose] += 1
+            planned = pose < len(PLAN) and asked[pose] <= PLAN[pose]
+            title = scene.landmarks[mark].name
+            known.append(KnownPoke(i + 1, title, given[mark], force, moment, reported[name], name, planned))
+            continue
+        own = np.flatnonzero(session.responses[i] > scene.contacts.response_min)
+        contacts.append(
+            Contact(
+                poke=i + 1, start_s=CYCLE * i, end_s=CYCLE * i + scene.contacts.still_s, force=force, moment=moment,
+                channels=channels[own], responses=session.responses[i, own], link_from_sensor=reported[name], pose=name,
+                tare_change=0.0, final=True,
+            )
+        )  # fmt: skip
+    return contacts, known

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -65,7 +65,7 @@ def part() -> tuple[Scene, Surface]:
 
 
 def inside(off: FloatArray, covariance: FloatArray) -> bool:
-    """Return whether an error (3,) lies inside the 95 % ellipsoid of a covariance (3, 3); along the surface if it has no depth."""
+    """Return whether an error (3,) lies inside the 95 % ellipsoid of a covariance (3, 3): its ellipse, if it has no depth."""
     values, axes = np.linalg.eigh(covariance)
     told = values > FLAT * values[-1]
     square = float(np.sum((axes[:, told].T @ off) ** 2 / values[told]))
@@ -130,9 +130,9 @@ def unmodelled(seeds: int = SEEDS, cases: Sequence[str] = tuple(CASES)) -> list[
 
     Returns
     -------
-    a row for each case: `case`; mean errors, mm, `uncorrected`, `21` and `70` by the modules method, with `inside_0`, `inside_21`,
-    `inside_70`, `predicted` (mm, rms, after 21) and `true_rms`; and `methods`: the same and more of each method and number
-    of landmark pokes, means over seeds
+    a row for each case: `case`; mean errors, mm, `uncorrected`, `21` and `70` by the modules method, with `inside_0`,
+    `inside_21`, `inside_70`, `predicted` (mm, rms, after 21) and `true_rms`; and `methods`: the same and more for each number
+    of landmark pokes and each method, means over seeds
     """
     jobs = [(case, seed) for case in cases for seed in range(1, seeds + 1)]
     with processes() as pool:
