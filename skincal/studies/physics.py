@@ -20,10 +20,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import spatial
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
@@ -251,7 +251,7 @@ def chain(scene: Scene) -> dict[str, FloatArray]:
             about_z = motions((angle + joint.offset) * z[None], joint.d * z[None])[0]
             about_x = motions(none, joint.a * x[None])[0] @ motions(joint.alpha * x[None], none)[0]
             base_from_link = base_from_link @ about_z @ about_x
-        found[name] = np.linalg.solve(base_from_link, scene.arm.arm.base_from_sensor)
+        found[name] = np.asarray(np.linalg.solve(base_from_link, scene.arm.arm.base_from_sensor), dtype=np.float64)
     return found
 
 
@@ -282,8 +282,8 @@ class Part:
 
     def __init__(self, vertices: FloatArray, triangles: IntArray) -> None:
         self.vertices, self.triangles = vertices, triangles
-        tree: Any = spatial.cKDTree(vertices[triangles].mean(axis=1))
-        self._tree = tree
+        spatial: Any = import_module("scipy.spatial")
+        self._tree: Any = spatial.cKDTree(vertices[triangles].mean(axis=1))
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -642,7 +642,9 @@ def _recorded(
     contacts: list[Contact] = []
     known: list[KnownPoke] = []
     names, asked = list(reported), [0] * len(reported)
-    for i, (pose, mark) in enumerate(zip(session.poses.tolist(), session.marks.tolist(), strict=True)):
+    poses: list[int] = session.poses.tolist()
+    marks: list[int] = session.marks.tolist()
+    for i, (pose, mark) in enumerate(zip(poses, marks, strict=True)):
         name, force, moment = names[pose], read[i, :3], read[i, 3:]
         if mark >= 0:
             asked[pose] += 1
