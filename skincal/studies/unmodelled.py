@@ -113,11 +113,11 @@ def _found(estimates: Sequence[Estimate], places: FloatArray, believed: bool, us
         for estimate, place in zip(estimates, places, strict=True)
         if estimate.position is not None and estimate.covariance is not None
     ]
-    off = np.linalg.norm(np.array([error for error, _ in both]), axis=1)
+    off: FloatArray = np.sqrt(np.sum(np.array([error for error, _ in both]) ** 2, axis=1))
     return Found(
         mean=1e3 * float(off.mean()),
         inside=float(np.mean([inside(error, covariance) for error, covariance in both])),
-        predicted=1e3 * float(np.sqrt(np.mean([np.trace(covariance) for _, covariance in both]))),
+        predicted=1e3 * float(np.sqrt(np.mean([float(covariance.trace()) for _, covariance in both]))),
         true_rms=1e3 * float(np.sqrt(np.mean(off**2))),
         missing=len(estimates) - len(both),
         believed=believed,
