@@ -271,7 +271,7 @@ def sideways(normals: FloatArray, rng: np.random.Generator) -> FloatArray:
     return drawn - dot(drawn, normals) * normals
 
 
-class Part:
+class Body:
     """A part's smooth skin, from the triangles of its mesh.
 
     Parameters
@@ -338,7 +338,7 @@ class Part:
         return self.vertices + shift + (world.mesh_inflate + world.mesh_bumps * bumps)[:, None] * self.normals
 
 
-def taxels(scene: Scene, part: Part, world: World, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
+def taxels(scene: Scene, part: Body, world: World, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
     """Return channels (n,) and places (n, 3) of the taxels: the plan stuck on the part, each module bent but not stretched.
 
     A module's middle lies straight from its anchor, its pads straight from there.
@@ -389,7 +389,7 @@ class Presses:
         return Presses(self.feet[:, rows], self.points[:, rows], self.forces[:, rows], self.normal_loads[:, rows])
 
 
-class Operator:
+class Hand:
     """How somebody pushes; drawn once for a session.
 
     Parameters
@@ -416,7 +416,7 @@ class Operator:
         steep = np.linalg.norm(aside, axis=1, keepdims=True)
         return unit(aside * np.minimum(1.0, self.world.friction / np.maximum(steep, 1e-9)) - normals)
 
-    def press(self, part: Part, places: FloatArray, rng: np.random.Generator) -> Presses:
+    def press(self, part: Body, places: FloatArray, rng: np.random.Generator) -> Presses:
         """Poke at places (n, 3) of the skin."""
         world, count = self.world, len(places)
         _, normals = part.nearest(places)
@@ -433,7 +433,7 @@ class Operator:
         return Presses(feet, points, forces, loads)
 
     def _touch(
-        self, part: Part, places: FloatArray, push: FloatArray, load: FloatArray, rng: np.random.Generator
+        self, part: Body, places: FloatArray, push: FloatArray, load: FloatArray, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return foot, point and force of one place that the tip presses, and the load along the normal."""
         world = self.world
@@ -444,7 +444,7 @@ class Operator:
         points = feet + world.thickness * normals + moved + world.scatter * sideways(normals, rng)
         return feet, points, forces, -along[:, 0]
 
-    def press_landmarks(self, part: Part, places: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    def press_landmarks(self, part: Body, places: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Return points and forces (n, 3) of pokes at known places (n, 3): hard ground, no foam."""
         _, normals = part.nearest(places)
         points = places + self.world.aim * sideways(normals, rng)
@@ -538,7 +538,7 @@ TRIES = 4
 
 
 def _skin_pokes(
-    scene: Scene, part: Part, who: Operator, places: FloatArray, gains: FloatArray, targets: IntArray, rng: np.random.Generator
+    scene: Scene, part: Body, who: Hand, places: FloatArray, gains: FloatArray, targets: IntArray, rng: np.random.Generator
 ) -> tuple[Presses, FloatArray]:
     """Return the pokes at `targets` (n,) that count, each of them tried a few times, and (n, taxels) what answers."""
     presses = who.press(part, places[np.tile(targets, TRIES)], rng)
@@ -578,11 +578,11 @@ def poke(
     known : pokes at landmarks in each; none where the scene has no landmarks
     """
     mesh, mount, skin, arm, sensor, hand, told, noise = np.random.default_rng([seed, 12]).spawn(8)
-    part = Part(vertices, triangles)
+    part = Body(vertices, triangles)
     channels, places = taxels(scene, part, world, mount)
     gains = np.exp(world.gains * skin.standard_normal(len(channels)))
     reported = chain(scene)
-    who = Operator(world, unit(part.nearest(places)[1].mean(axis=0)), hand)
+    who = Hand(world, unit(part.nearest(places)[1].mean(axis=0)), hand)
     session = _operated(scene, part, who, places, gains, (len(reported), per_pose, known), hand)
     true = _beside(np.array(list(reported.values())), world, session.poses, arm)
     read = Sensor(world, sensor).read(felt(true, session.points, session.forces, world.flex), noise)
@@ -592,7 +592,7 @@ def poke(
 
 
 def _operated(
-    scene: Scene, part: Part, who: Operator, places: FloatArray, gains: FloatArray, sizes: tuple[int, int, int],
+    scene: Scene, part: Body, who: Hand, places: FloatArray, gains: FloatArray, sizes: tuple[int, int, int],
     rng: np.random.Generator,
 ) -> _Session:  # fmt: skip
     """Return what is poked in (poses, pokes at the skin in each, pokes at landmarks in each)."""

@@ -103,7 +103,7 @@ def _solved(scene: Scene, surface: Surface, poked: Poked, contacts: Sequence[Con
     for method, own in estimates.items():
         of = list(own.values())
         tried = check(contacts, channels, table.evidence, method, scene.noise, surface, model, of)
-        found[method.value] = _found(of, poked.places, tried.believed and tried.agrees and tried.tells, used)
+        found[method.value] = _found(of, poked.places, tried.believed, used)
     return found
 
 

@@ -23,8 +23,8 @@ from skincal.studies.physics import (
     SCALE,
     SLOW,
     TOP,
-    Operator,
-    Part,
+    Body,
+    Hand,
     Presses,
     Sensor,
     World,
@@ -78,7 +78,7 @@ def sheet(side=0.1, cells=20):
     corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
     along, beside = corner + cells + 1, corner + 1
     lower, upper = np.stack([corner, along, beside], 1), np.stack([beside, along, along + 1], 1)
-    return Part(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1), np.concatenate([lower, upper]))
+    return Body(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1), np.concatenate([lower, upper]))
 
 
 # ---- geometry
@@ -107,7 +107,7 @@ def test_a_straight_way_around_a_tube_is_a_helix():
     corners = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.repeat(heights, ticks)], axis=1)
     row, column = (i.ravel() for i in np.meshgrid(np.arange(len(heights) - 1), np.arange(ticks), indexing="ij"))
     a, b = row * ticks + column, row * ticks + (column + 1) % ticks
-    tube = Part(corners, np.concatenate([np.stack([a, b, b + ticks], 1), np.stack([a, b + ticks, a + ticks], 1)]))
+    tube = Body(corners, np.concatenate([np.stack([a, b, b + ticks], 1), np.stack([a, b + ticks, a + ticks], 1)]))
     (end,), (way,), (normal,) = tube.march(np.array([[radius, 0, 0]]), np.array([[0, 0.03, 0.02]]))
     turned = 0.03 / radius
     np.testing.assert_allclose(end, [radius * np.cos(turned), radius * np.sin(turned), 0.02], atol=0.005 * MM)
@@ -118,14 +118,14 @@ def test_a_straight_way_around_a_tube_is_a_helix():
 def test_the_plan_lies_where_the_program_lays_it_too():
     scene, surface = part()
     own = replace(GOOD, mount_shift=0.0, mount_turn=0.0)
-    channels, places = taxels(scene, Part(surface.vertices, surface.triangles), own, rng())
+    channels, places = taxels(scene, Body(surface.vertices, surface.triangles), own, rng())
     laid = lay(scene.skin.layout, scene.skin.anchor, surface)
     assert np.linalg.norm(laid.places[channels] - places, axis=1).max() < 0.15 * MM
 
 
 def test_a_skin_is_stuck_on_beside_its_plan_and_pads_off_it_by_what_is_told():
     scene, surface = part()
-    on = Part(surface.vertices, surface.triangles)
+    on = Body(surface.vertices, surface.triangles)
     plan, beside, off = (
         np.array([taxels(scene, on, replace(GOOD, **sizes), rng(seed))[1] for seed in range(12)])
         for sizes in ({"mount_shift": 0.0, "mount_turn": 0.0}, {"mount_turn": 0.0}, {"pads": 0.3 * MM})
@@ -160,10 +160,10 @@ def test_the_program_finds_the_skin_of_a_perfect_rig():
 def test_a_push_leans_within_its_cone_and_never_slides():
     normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
     leaning = World(cone=0.9, friction=0.7)
-    push = Operator(leaning, normals[0], rng()).pushes(normals, leaning.cone, rng(2))
+    push = Hand(leaning, normals[0], rng()).pushes(normals, leaning.cone, rng(2))
     aside = np.linalg.norm(push[:, :2], axis=1) / -push[:, 2]
     assert aside.max() == pytest.approx(0.7)
-    narrow = Operator(World(), normals[0], rng()).pushes(normals, 0.3, rng(2))
+    narrow = Hand(World(), normals[0], rng()).pushes(normals, 0.3, rng(2))
     # Even in solid angle: the cosine's mean is the middle of its range.
     assert -narrow[:, 2].mean() == pytest.approx((1 + np.cos(0.3)) / 2, abs=0.001)
     assert np.abs(narrow[:, :2].mean(axis=0)).max() < 0.01
@@ -172,7 +172,7 @@ def test_a_push_leans_within_its_cone_and_never_slides():
 def test_a_lean_and_an_arc_push_to_one_side():
     normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
     for world, least in ((World(lean=0.3), 0.0), (World(arc=np.pi / 2), np.cos(np.pi / 4))):
-        who = Operator(world, normals[0], rng())
+        who = Hand(world, normals[0], rng())
         push = who.pushes(normals, 0.2, rng(2))
         mean = push.mean(axis=0)[:2]
         assert mean @ who.side[:2] > 0.99 * np.linalg.norm(mean) > 0
@@ -185,7 +185,7 @@ def test_a_lean_and_an_arc_push_to_one_side():
 def test_a_leaning_axis_crosses_the_taxels_beside_the_tip_by_thickness_and_shear():
     world = World(thickness=2.5 * MM, shear=0.1 * MM, scatter=0.0, beside=0.0, cone=0.4)
     places = np.zeros((200, 3))
-    presses = Operator(world, np.array([0.0, 0.0, 1.0]), rng()).press(sheet(), places, rng(3))
+    presses = Hand(world, np.array([0.0, 0.0, 1.0]), rng()).press(sheet(), places, rng(3))
     point, force = presses.points[0], presses.forces[0]
     crossing = point - point[:, 2:] / force[:, 2:] * force
     # The way from the outer face down to the layer, and the spring that shear is.
@@ -322,6 +322,7 @@ def test_a_landmark_is_told_wrong_by_the_same_for_all_its_pokes():
         for seed in range(1, 5)
     ]
     assert np.std([list(own.values()) for own in wrong]) == pytest.approx(1.5 * MM, rel=0.3)
+    assert all(np.linalg.matrix_rank(list(own.values())) == 3 for own in wrong)
     one = poked(replace(PERFECT, landmarks=1.5 * MM))
     assert len({(each.name, *each.place) for each in one.known}) == len(true)
     np.testing.assert_array_equal(readings(one), readings(poked()))
@@ -340,7 +341,7 @@ def test_the_guide_asks_for_21_of_70_landmark_pokes_well_spread():
 
 def test_a_wrong_mesh_is_given_and_the_taxels_stay_on_the_true_one():
     surface = part()[1]
-    on = Part(surface.vertices, surface.triangles)
+    on = Body(surface.vertices, surface.triangles)
     shifted, inflated, bumpy = (
         on.wrong(replace(GOOD, **{size: 1.5 * MM}), rng(4)) - surface.vertices
         for size in ("mesh_shift", "mesh_inflate", "mesh_bumps")
