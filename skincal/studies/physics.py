@@ -20,22 +20,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import spatial
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
-    from skincal.model.skin import Anchor, Module
 
 MM, DEGREE = 1e-3, float(np.radians(1.0))
 
-MARCH = 100
-"""Steps of a straight way on the part: 0.6 mm at most, which on a radius of 25 mm errs by less than 1e-4 of it."""
+MARCH = 50
+"""Steps of a straight way on the part: 0.8 mm at most, by which a way of 40 mm on a radius of 25 mm errs by some 0.01 mm."""
 NEAR = 12
 """Triangles looked at for the nearest point: those that meet at a corner, and their neighbours."""
 FORCE = 10.0
@@ -67,7 +66,7 @@ MOMENT_OF_FORCE = 0.1
 MATRIX_ARM = 0.35
 """m: entries of E between force and moment count a moment as a force times this, as `RigPrior` assumes."""
 SLOW = 30.0
-"""Pokes over which slow noise and a wandering arm remember: about a minute, as a sensor that warms up in a moving room."""
+"""Pokes over which slow noise remembers: about a minute, as a sensor that warms up in a moving room."""
 BUMP = 0.020
 """m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
 FINGER = 0.008
@@ -87,7 +86,7 @@ class World:
     matrix: float = 0.02
     """sd of each entry of E, cross-talk included."""
     quadratic: float = 0.0
-    """Rms of each component of Q(w, w) at `FORCE` and its moment, as a share of these."""
+    """Rms of Q(w, w) over w, both as vectors in units of `FORCE` and its moment, where |w| is these."""
     hysteresis: float = 0.0
     """Share of its load that the sensor keeps after a poke: the tares before and after each see a part of it."""
     force_noise: float = 0.10
@@ -101,16 +100,17 @@ class World:
     pose_shift: float = 2 * MM
     """sd along each axis."""
     wander_turn: float = 0.0
-    """Rms about each axis by which the arm wanders within a pose, slowly (`SLOW`): servos that creep under the hand."""
+    """Rms about each axis by which the arm wanders away after it took a pose, a random walk: servos creep under the hand."""
     wander_shift: float = 0.0
     """Rms along each axis."""
     flex: float = 0.0
-    """rad per N m: the arm bends under the poke, about the sensor. A joint of 100 N m/rad gives by 0.6 degrees at 1 N m."""
+    """rad per N m: the arm bends under the poke, about the sensor. A joint of 100 N m/rad gives by 0.6 degrees at 1 N m.
+    (What a pose's own weight bends is the same for all its pokes: an error of the pose.)"""
     # ---- landmarks
     aim: float = 0.7 * MM
     """sd in each direction of the skin of a poke beside its landmark: by hand."""
     landmarks: float = 0.0
-    """m: how far the place that is told for a landmark is from where it is, in some direction, the same for all its pokes."""
+    """m, sd in each direction of the place that is told for a landmark about where it is, the same for all its pokes."""
     # ---- mesh: the taxels are on the true one, the program is given another
     mesh_shift: float = 0.0
     """m, the whole mesh in some direction."""
@@ -171,7 +171,7 @@ CASES: Mapping[str, World] = {
         flex=0.1 * DEGREE, landmarks=0.7 * MM, mesh_bumps=0.7 * MM, gains=0.2, thickness=1 * MM, shear=0.05 * MM, pads=0.1 * MM,
     ),
     "bad": World(
-        quadratic=0.03, hysteresis=0.01, slow_force=0.2, wander_turn=DEGREE, wander_shift=2 * MM, flex=0.3 * DEGREE,
+        quadratic=0.05, hysteresis=0.01, slow_force=0.2, wander_turn=DEGREE, wander_shift=2 * MM, flex=0.3 * DEGREE,
         landmarks=1.5 * MM, mesh_bumps=1.5 * MM, gains=0.4, thickness=2.5 * MM, shear=0.1 * MM, pads=0.3 * MM,
     ),
     "gaussian": GOOD,
@@ -251,7 +251,7 @@ def chain(scene: Scene) -> dict[str, FloatArray]:
             about_z = motions((angle + joint.offset) * z[None], joint.d * z[None])[0]
             about_x = motions(none, joint.a * x[None])[0] @ motions(joint.alpha * x[None], none)[0]
             base_from_link = base_from_link @ about_z @ about_x
-        found[name] = np.linalg.solve(base_from_link, scene.arm.arm.base_from_sensor)
+        found[name] = np.asarray(np.linalg.solve(base_from_link, scene.arm.arm.base_from_sensor), dtype=np.float64)
     return found
 
 
@@ -271,7 +271,7 @@ def sideways(normals: FloatArray, rng: np.random.Generator) -> FloatArray:
     return drawn - dot(drawn, normals) * normals
 
 
-class Part:
+class Body:
     """A part's smooth skin, from the triangles of its mesh.
 
     Parameters
@@ -282,8 +282,8 @@ class Part:
 
     def __init__(self, vertices: FloatArray, triangles: IntArray) -> None:
         self.vertices, self.triangles = vertices, triangles
-        tree: Any = spatial.cKDTree(vertices[triangles].mean(axis=1))
-        self._tree = tree
+        spatial: Any = import_module("scipy.spatial")
+        self._tree: Any = spatial.cKDTree(vertices[triangles].mean(axis=1))
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -314,21 +314,20 @@ class Part:
 
         Parameters
         ----------
-        starts : (n, 3) float, on the part
+        starts : (n, 3) float, on the part; ways are along it there
         ways : (n, 3) float, metres: how far each walks, and which way
 
         Returns
         -------
         (n, 3) the ends, (n, 3) the ways as they arrive there, as long as before, and (n, 3) the normals there
         """
-        length = np.linalg.norm(ways, axis=1, keepdims=True)
         points, normals = self.nearest(starts)
         for _ in range(MARCH):
-            ways = ways - dot(ways, normals) * normals
-            ways = ways * length / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)
+            before = normals
             points, normals = self.nearest(points + ways / MARCH)
-        ways = ways - dot(ways, normals) * normals
-        return points, ways * length / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30), normals
+            # The shortest turn that takes the one normal to the other.
+            ways = ways - dot(ways, normals) / (1.0 + dot(before, normals)) * (before + normals)
+        return points, ways, normals
 
     def wrong(self, world: World, rng: np.random.Generator) -> FloatArray:
         """Return the (nv, 3) corners as the program is given them."""
@@ -339,36 +338,34 @@ class Part:
         return self.vertices + shift + (world.mesh_inflate + world.mesh_bumps * bumps)[:, None] * self.normals
 
 
-def taxels(scene: Scene, part: Part, world: World, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
-    """Return channels (n,) and places (n, 3) of the taxels: the plan stuck on the part, each module bent but not stretched."""
+def taxels(scene: Scene, part: Body, world: World, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
+    """Return channels (n,) and places (n, 3) of the taxels: the plan stuck on the part, each module bent but not stretched.
+
+    A module's middle lies straight from its anchor, its pads straight from there.
+    """
     layout = scene.skin.layout
     assert layout is not None
-    off = world.mount_shift * rng.standard_normal(2), world.mount_turn * rng.standard_normal()
-    found: dict[int, FloatArray] = {}
-    for module in layout.modules:
-        anchor = module.anchor or scene.skin.anchor
-        assert anchor is not None
-        places = _stuck_on(module, anchor, part, *off)
-        found.update(zip(module.channels.tolist(), places, strict=True))
-    channels = np.array(sorted(found))
-    places, normals = part.nearest(np.array([found[channel] for channel in channels.tolist()]))
-    return channels, part.nearest(places + world.pads * sideways(normals, rng))[0]
-
-
-def _stuck_on(module: Module, anchor: Anchor, part: Part, shift: FloatArray, turn: float) -> FloatArray:
-    """Return (k, 3) where a module's pads are: the module's middle straight from the anchor, its pads straight from there."""
+    anchors = [(module, anchor) for module in layout.modules if (anchor := module.anchor or scene.skin.anchor) is not None]
+    shift, turn = world.mount_shift * rng.standard_normal(2), world.mount_turn * rng.standard_normal()
     c, s = np.cos(turn), np.sin(turn)
-    foot, normal = part.nearest(anchor.point[None])
-    x = unit(anchor.x - dot(anchor.x[None], normal)[0] * normal[0])
-    # A drawn flat way is turned into a way on the part; the little that is added is there to have a direction.
-    way = np.array([[c, -s], [s, c]]) @ (module.place - anchor.at) + shift + 1e-9
-    y = np.cross(normal[0], x)
-    middle, ahead, up = part.march(foot, (way[0] * x + way[1] * y)[None])
-    angle = np.arctan2(way[1], way[0]) - turn
-    ahead, left = unit(ahead[0]), np.cross(up[0], unit(ahead[0]))
-    x, y = np.cos(angle) * ahead - np.sin(angle) * left, np.sin(angle) * ahead + np.cos(angle) * left
-    pads = module.pads - module.place
-    return part.march(np.tile(middle, (len(pads), 1)), pads[:, :1] * x + pads[:, 1:] * y)[0]
+    plan = np.array([module.place - anchor.at for module, anchor in anchors])
+    # A way of no length has no direction: the little that is added gives it one.
+    flat = plan @ np.array([[c, s], [-s, c]]) + shift + 1e-9
+    feet, up = part.nearest(np.array([anchor.point for _, anchor in anchors]))
+    x = np.array([anchor.x for _, anchor in anchors])
+    x = unit(x - dot(x, up) * up)
+    middles, ahead, up = part.march(feet, flat[:, :1] * x + flat[:, 1:] * np.cross(up, x))
+    # From the way as it arrives to the module's own x and y.
+    ahead, angle = unit(ahead), turn - np.arctan2(flat[:, 1:], flat[:, :1])
+    left = np.cross(up, ahead)
+    x, y = np.cos(angle) * ahead + np.sin(angle) * left, np.cos(angle) * left - np.sin(angle) * ahead
+    of = np.repeat(np.arange(len(anchors)), [len(module.channels) for module, _ in anchors])
+    pads = np.concatenate([module.pads - module.place for module, _ in anchors])
+    places, _, normals = part.march(middles[of], pads[:, :1] * x[of] + pads[:, 1:] * y[of])
+    places, _ = part.nearest(places + world.pads * sideways(normals, rng))
+    channels = np.concatenate([module.channels for module, _ in anchors])
+    order = np.argsort(channels)
+    return channels[order], places[order]
 
 
 # ---- contact
@@ -392,18 +389,19 @@ class Presses:
         return Presses(self.feet[:, rows], self.points[:, rows], self.forces[:, rows], self.normal_loads[:, rows])
 
 
-class Operator:
+class Hand:
     """How somebody pushes; drawn once for a session.
 
     Parameters
     ----------
     world : sizes
-    rng : draws the side from which he pushes
+    up : (3,) float, unit, outward: of the skin on average
+    rng : draws the side to which the operator leans, one along the skin
     """
 
-    def __init__(self, world: World, rng: np.random.Generator) -> None:
+    def __init__(self, world: World, up: FloatArray, rng: np.random.Generator) -> None:
         self.world = world
-        self.side = unit(rng.standard_normal(3))
+        self.side = unit(sideways(up[None], rng)[0])
 
     def pushes(self, normals: FloatArray, cone: float, rng: np.random.Generator) -> FloatArray:
         """Return (n, 3) unit pushes on skin with outward `normals` (n, 3), inside the cone of friction."""
@@ -418,7 +416,7 @@ class Operator:
         steep = np.linalg.norm(aside, axis=1, keepdims=True)
         return unit(aside * np.minimum(1.0, self.world.friction / np.maximum(steep, 1e-9)) - normals)
 
-    def press(self, part: Part, places: FloatArray, rng: np.random.Generator) -> Presses:
+    def press(self, part: Body, places: FloatArray, rng: np.random.Generator) -> Presses:
         """Poke at places (n, 3) of the skin."""
         world, count = self.world, len(places)
         _, normals = part.nearest(places)
@@ -435,7 +433,7 @@ class Operator:
         return Presses(feet, points, forces, loads)
 
     def _touch(
-        self, part: Part, places: FloatArray, push: FloatArray, load: FloatArray, rng: np.random.Generator
+        self, part: Body, places: FloatArray, push: FloatArray, load: FloatArray, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return foot, point and force of one place that the tip presses, and the load along the normal."""
         world = self.world
@@ -446,7 +444,7 @@ class Operator:
         points = feet + world.thickness * normals + moved + world.scatter * sideways(normals, rng)
         return feet, points, forces, -along[:, 0]
 
-    def press_landmarks(self, part: Part, places: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    def press_landmarks(self, part: Body, places: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Return points and forces (n, 3) of pokes at known places (n, 3): hard ground, no foam."""
         _, normals = part.nearest(places)
         points = places + self.world.aim * sideways(normals, rng)
@@ -493,8 +491,8 @@ class Sensor:
         arm = np.repeat([1.0, MATRIX_ARM], 3)
         self.matrix = np.eye(6) + world.matrix * rng.standard_normal((6, 6)) * arm[:, None] / arm
         self.scale = np.repeat([FORCE, FORCE * LEVER], 3)
-        # Of unit numbers Q has a variance of |u|^4 in each component: force and moment together make |u|^2 = 2.
-        self.quadratic = world.quadratic / 2 * rng.standard_normal((6, 6, 6))
+        # Of unit numbers Q has a variance of |u|^4 in each of six components; force and moment together make |u|^2 = 2.
+        self.quadratic = world.quadratic * np.sqrt(2 / 6) / 2 * rng.standard_normal((6, 6, 6))
         self.keeps = world.hysteresis * rng.uniform(0.5, 1.5, 6)
 
     def read(self, wrenches: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -533,12 +531,14 @@ def felt(poses: FloatArray, points: FloatArray, forces: FloatArray, flex: float)
 
 # ---- a session
 
+CYCLE = 2.5
+"""s from one poke to the next."""
 TRIES = 4
 """How often somebody pokes at a place again that no taxel answers, or too many, before going on."""
 
 
 def _skin_pokes(
-    scene: Scene, part: Part, who: Operator, places: FloatArray, gains: FloatArray, targets: IntArray, rng: np.random.Generator
+    scene: Scene, part: Body, who: Hand, places: FloatArray, gains: FloatArray, targets: IntArray, rng: np.random.Generator
 ) -> tuple[Presses, FloatArray]:
     """Return the pokes at `targets` (n,) that count, each of them tried a few times, and (n, taxels) what answers."""
     presses = who.press(part, places[np.tile(targets, TRIES)], rng)
@@ -547,6 +547,22 @@ def _skin_pokes(
     good = ((count > 0) & (count <= scene.contacts.taxels_max)).reshape(TRIES, -1)
     rows = (good.argmax(axis=0) * len(targets) + np.arange(len(targets)))[good.any(axis=0)]
     return presses.take(rows), responses[rows]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Session:
+    """n pokes after each other, as they really are."""
+
+    poses: IntArray
+    """(n,) index of the arm pose."""
+    marks: IntArray
+    """(n,) index of the landmark; -1 on the skin."""
+    points: FloatArray
+    """(2, n, 3) float, metres, link frame."""
+    forces: FloatArray
+    """(2, n, 3) float, N."""
+    responses: FloatArray
+    """(n, taxels) float, counts."""
 
 
 def poke(
@@ -562,52 +578,86 @@ def poke(
     known : pokes at landmarks in each; none where the scene has no landmarks
     """
     mesh, mount, skin, arm, sensor, hand, told, noise = np.random.default_rng([seed, 12]).spawn(8)
-    part, who = Part(vertices, triangles), Operator(world, hand)
+    part = Body(vertices, triangles)
     channels, places = taxels(scene, part, world, mount)
     gains = np.exp(world.gains * skin.standard_normal(len(channels)))
     reported = chain(scene)
-    true = np.array(list(reported.values())) @ motions(
-        world.pose_turn * arm.standard_normal((len(reported), 3)), world.pose_shift * arm.standard_normal((len(reported), 3))
-    )
-    marks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
-    known = known if len(marks) else 0
-    given = marks + world.landmarks * unit(told.standard_normal(marks.shape))
-    rounds = -(-per_pose * len(true) // len(places))
-    targets = np.concatenate([hand.permutation(len(places)) for _ in range(rounds)])
+    who = Hand(world, unit(part.nearest(places)[1].mean(axis=0)), hand)
+    session = _operated(scene, part, who, places, gains, (len(reported), per_pose, known), hand)
+    true = _beside(np.array(list(reported.values())), world, session.poses, arm)
+    read = Sensor(world, sensor).read(felt(true, session.points, session.forces, world.flex), noise)
+    given = [landmark.place + world.landmarks * told.standard_normal(3) for landmark in scene.landmarks]
+    contacts, pokes = _recorded(scene, session, reported, read, channels, given)
+    return Poked(contacts, pokes, channels, places, part.wrong(world, mesh))
 
-    which, names, points, forces, responses = list[int](), list[str](), [], [], []
-    for number, name in enumerate(reported):
-        of = (sum(PLAN[:number]) + np.arange(known)) % max(len(marks), 1)
-        at, push = who.press_landmarks(part, marks[of], hand)
-        own = targets[number * per_pose : (number + 1) * per_pose]
-        presses, answered = _skin_pokes(scene, part, who, places, gains, own, hand)
-        which += [*of.tolist(), *[-1] * len(answered)]
-        names += [name] * (known + len(answered))
-        points.append(np.concatenate([np.stack([at, at]), presses.points], axis=1))
-        forces.append(np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1))
-        responses += [*np.zeros((known, len(places))), *answered]
 
-    order = {name: number for number, name in enumerate(reported)}
-    wander = slow_noise(len(names), 6, arm)
-    poses = true[[order[name] for name in names]]
-    poses = poses @ motions(world.wander_turn * wander[:, :3], world.wander_shift * wander[:, 3:])
-    at, push = np.concatenate(points, axis=1), np.concatenate(forces, axis=1)
-    read = Sensor(world, sensor).read(felt(poses, at, push, world.flex), noise)
-    contacts: list[Contact] = []
-    pokes: list[KnownPoke] = []
-    asked = dict.fromkeys(names, 0)
-    for i, (name, mark) in enumerate(zip(names, which, strict=True)):
-        force, moment, pose = read[i, :3], read[i, 3:], reported[name]
-        if mark >= 0:
-            asked[name] += 1
-            planned = order[name] < len(PLAN) and asked[name] <= PLAN[order[name]]
-            pokes.append(KnownPoke(i + 1, scene.landmarks[mark].name, given[mark], force, moment, pose, name, planned))
-            continue
-        own = np.flatnonzero(responses[i] > scene.contacts.response_min)
-        contacts.append(
-            Contact(
-                poke=i + 1, start_s=2.5 * i, end_s=2.5 * i + 0.3, force=force, moment=moment, channels=channels[own],
-                responses=responses[i][own], link_from_sensor=pose, pose=name, tare_change=0.0, final=True,
+def _operated(
+    scene: Scene, part: Body, who: Hand, places: FloatArray, gains: FloatArray, sizes: tuple[int, int, int],
+    rng: np.random.Generator,
+) -> _Session:  # fmt: skip
+    """Return what is poked in (poses, pokes at the skin in each, pokes at landmarks in each)."""
+    poses, per_pose, known = sizes
+    targets = np.concatenate([rng.permutation(len(places)) for _ in range(-(-per_pose * poses // len(places)))])
+    landmarks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
+    known = known if len(landmarks) else 0
+    parts: list[_Session] = []
+    for pose in range(poses):
+        # Each arm pose goes on with the landmark after the last one that the guide asked for.
+        marks = (sum(PLAN[:pose]) + np.arange(known)) % max(len(landmarks), 1)
+        at, push = who.press_landmarks(part, landmarks[marks], rng)
+        own = targets[pose * per_pose : (pose + 1) * per_pose]
+        presses, answered = _skin_pokes(scene, part, who, places, gains, own, rng)
+        count = len(answered)
+        parts.append(
+            _Session(
+                np.full(known + count, pose), np.concatenate([marks, np.full(count, -1)]),
+                np.concatenate([np.stack([at, at]), presses.points], axis=1),
+                np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1),
+                np.concatenate([np.zeros((known, len(places))), answered]),
             )
         )  # fmt: skip
-    return Poked(contacts, pokes, channels, places, part.wrong(world, mesh))
+    return _Session(
+        np.concatenate([own.poses for own in parts]), np.concatenate([own.marks for own in parts]),
+        np.concatenate([own.points for own in parts], axis=1), np.concatenate([own.forces for own in parts], axis=1),
+        np.concatenate([own.responses for own in parts]),
+    )  # fmt: skip
+
+
+def _beside(reported: FloatArray, world: World, poses: IntArray, rng: np.random.Generator) -> FloatArray:
+    """Return (n, 4, 4) link_from_sensor as it is at each poke, of `reported` (poses, 4, 4)."""
+    off, slow = rng.standard_normal((len(reported), 6)), np.zeros((len(poses), 6))
+    for pose in range(len(reported)):
+        own = np.flatnonzero(poses == pose)[1:]
+        # The variance of a walk's step k is k: over n steps after the first place it is (n + 1)/2 on average.
+        slow[own] = np.cumsum(rng.standard_normal((len(own), 6)), axis=0) / np.sqrt((len(own) + 1) / 2)
+    true = reported @ motions(world.pose_turn * off[:, :3], world.pose_shift * off[:, 3:])
+    return true[poses] @ motions(world.wander_turn * slow[:, :3], world.wander_shift * slow[:, 3:])
+
+
+def _recorded(
+    scene: Scene, session: _Session, reported: Mapping[str, FloatArray], read: FloatArray, channels: IntArray,
+    given: list[FloatArray],
+) -> tuple[list[Contact], list[KnownPoke]]:  # fmt: skip
+    """Return what a recording keeps of the pokes, read as `read` (n, 6); the landmarks are told to be at `given`."""
+    contacts: list[Contact] = []
+    known: list[KnownPoke] = []
+    names, asked = list(reported), [0] * len(reported)
+    poses: list[int] = session.poses.tolist()
+    marks: list[int] = session.marks.tolist()
+    for i, (pose, mark) in enumerate(zip(poses, marks, strict=True)):
+        name, force, moment = names[pose], read[i, :3], read[i, 3:]
+        if mark >= 0:
+            asked[pose] += 1
+            planned = pose < len(PLAN) and asked[pose] <= PLAN[pose]
+            title = scene.landmarks[mark].name
+            known.append(KnownPoke(i + 1, title, given[mark], force, moment, reported[name], name, planned))
+            continue
+        own = np.flatnonzero(session.responses[i] > scene.contacts.response_min)
+        contacts.append(
+            Contact(
+                poke=i + 1, start_s=CYCLE * i, end_s=CYCLE * i + scene.contacts.still_s, force=force, moment=moment,
+                channels=channels[own], responses=session.responses[i, own], link_from_sensor=reported[name], pose=name,
+                tare_change=0.0, final=True,
+            )
+        )  # fmt: skip
+    return contacts, known
