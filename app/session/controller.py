@@ -135,6 +135,8 @@ class Controller(QObject):
         super().__init__(parent)
         self._documents = documents
         self._threads = ThreadService("background", self)
+        self._endings = ThreadService("ending", self)
+        """Copies recordings that are kept, and ends them, in that order; each is waited for, also as the window closes."""
         self._processes = ProcessService()
         self._news = False
         """The background brought something that is not shown yet."""
@@ -185,18 +187,22 @@ class Controller(QObject):
         server, self._server = self._server, None
         if server is not None:
             server.release()
-        recording, self._recording = self._recording, None
         reviewing, self._reviewing = self._reviewing, None
         if reviewing is not None:
             reviewing.stop()
             reviewing.deleteLater()
-        storage, self._storage = self._storage, None
         self._part = self._shown = None
         self._links, self._truth, self._sent, self._schedule = (), b"", "", TickSchedule()
-        if recording is not None:
-            self.compute(recording.end)
-        elif storage is not None:
+        storage = self._storage
+        if not self._end_recording() and storage is not None:
             self.compute(storage.finish)
+
+    def _end_recording(self) -> bool:
+        """End the recording in the background; return whether there was one."""
+        recording, self._recording, self._storage = self._recording, None, None
+        if recording is not None:
+            self._endings.submit(recording.end, lambda _: None, self._say_failure)
+        return recording is not None
 
     def stop(self) -> None:
         """Stop the timer, then the readers: nothing comes to the window any more."""
@@ -208,7 +214,8 @@ class Controller(QObject):
     def close(self) -> None:
         """Stop, end the process behind the links, and close the journal, in that order."""
         self.stop()
-        recording, self._recording = self._recording, None
+        storage = self._storage
+        ended = self._end_recording()
         if self._server is not None:
             self._server.stop()
             self._server = None
@@ -217,13 +224,12 @@ class Controller(QObject):
             self._reviewing = None
         self._processes.close()
         self._threads.close()
-        try:
-            if recording is not None:
-                recording.end()
-            elif self._storage is not None:
-                self._storage.finish()
-        finally:
-            self._storage = None
+        if not ended and storage is not None:
+            storage.finish()
+        # Without a limit: a slow disk must not cost what the operator recorded or keeps.
+        self._endings.wait()
+        self._endings.deliver()
+        self._endings.close()
 
     def _start_server(self, command: tuple[str, ...]) -> None:
         self._server = DeviceProcess(self)
@@ -338,7 +344,7 @@ class Controller(QObject):
         drained = recording.drain(DRAIN_S)
         recording.pipeline.tick(time.monotonic_ns())
         if recording.journal_failure and self.running is Running.STREAMING:
-            self.said.emit(Message(refused_words(recording.journal_failure), error=True))
+            self._say_failure(refused_words(recording.journal_failure))
             self.pause()
         return drained
 
@@ -365,7 +371,7 @@ class Controller(QObject):
         self._reviewing.follow(snapshot)
 
     def _review_failed(self, sentence: str) -> None:
-        self.said.emit(Message(sentence, error=True))
+        self._say_failure(sentence)
         self.reviewed.emit(None)
 
     # What the operator wants
@@ -391,7 +397,7 @@ class Controller(QObject):
         try:
             self._recording.go_on()
         except InputError as failure:
-            self.said.emit(Message(str(failure), error=True))
+            self._say_failure(str(failure))
             return
         self._set_running(Running.STREAMING)
 
@@ -402,7 +408,7 @@ class Controller(QObject):
         try:
             self._recording.pipeline.act(action, time.monotonic_ns())
         except InputError as error:
-            self.said.emit(Message(str(error), error=True))
+            self._say_failure(str(error))
             return False
         pipeline = self._recording.pipeline
         # Where all taxels are to be solved, that begins in the next tick.
@@ -417,7 +423,7 @@ class Controller(QObject):
         if self._recording.pipeline.session.unsolved <= AT_ONCE:
             self._recording.pipeline.snapshot()
             return False
-        self.said.emit(Message(STILL_SOLVING, error=True))
+        self._say_failure(STILL_SOLVING)
         return True
 
     def act_all(self, actions: Iterable[Action]) -> None:
@@ -430,7 +436,7 @@ class Controller(QObject):
         """Copy a temporary recording to where it stays."""
         if self._recording is not None and self.can_keep:
             self._recording.sync()
-            self.compute(self._recording.storage.keep, self._kept)
+            self._endings.submit(self._recording.storage.keep, self._kept, self._say_failure)
 
     def _kept(self, folder: Path) -> None:
         self.said.emit(Message(kept_words(folder)))
@@ -509,10 +515,15 @@ class Controller(QObject):
 
     def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
         self.prepare()
+        # It may be the session that was open until now.
+        self._endings.wait()
         return resume_pipeline(folder, links)
 
-    def _fail(self, sentence: str) -> None:
+    def _say_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))
+
+    def _fail(self, sentence: str) -> None:
+        self._say_failure(sentence)
         if self._recording is None:
             self._set_running(Running.OFFLINE)
 

@@ -42,6 +42,9 @@ class Storage:
         self._documents = documents
         self._temporary = Path(tempfile.mkdtemp(prefix="skincal-")) if request.temporary else None
         self.kept: Path | None = None
+        """Where the whole of it was copied to."""
+        self._target: Path | None = None
+        """Where it is to be copied to: also while that was tried in vain."""
         given = request.session or request.folder
         self.folder = given or (self._temporary or documents) / "session"
 
@@ -58,17 +61,23 @@ class Storage:
         InputError
             The folder cannot be written.
         """
-        target = self.kept or dated_folder(self._documents, datetime.now().astimezone())
-        self._copy(target)
-        self.kept = target
-        return target
+        self._target = self._target or dated_folder(self._documents, datetime.now().astimezone())
+        self._copy(self._target)
+        self.kept = self._target
+        return self.kept
 
     def finish(self) -> None:
-        """Bring the kept copy up to date, then remove the temporary folder; call after the journal is closed."""
+        """Bring the copy that was asked for up to date, then remove the temporary folder; call after the journal is closed.
+
+        Raises
+        ------
+        InputError
+            The copy cannot be written; the temporary folder stays.
+        """
         if self._temporary is None:
             return
-        if self.kept is not None and self.folder.exists():
-            self._copy(self.kept)
+        if self._target is not None and self.folder.exists():
+            self._copy(self._target)
         shutil.rmtree(self._temporary, ignore_errors=True)
         self._temporary = None
 
@@ -79,7 +88,9 @@ class Storage:
                 left_out = shutil.ignore_patterns(LOCK_NAME, other)
                 shutil.copytree(self.folder, target, ignore=left_out, dirs_exist_ok=True)
         except (OSError, shutil.Error) as error:
-            raise InputError(f"{target}: the session cannot be kept there ({error}); free some space and try again.") from error
+            raise InputError(
+                f"{target}: the session cannot be kept there ({error}). It stays in {self.folder}; free some space."
+            ) from error
 
     def words(self) -> str:
         """Return where the recording is, for the foot of the window."""

@@ -9,9 +9,13 @@ import time
 from pathlib import Path
 
 import pytest
+from PySide6.QtCore import QStandardPaths
 
+from app import run
 from app.__main__ import main
 from app.preflight import LIBRARIES, X_LIBRARIES, objection
+from app.session.opening import OpenRequest
+from app.state.policies import Running
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 60
@@ -134,3 +138,13 @@ def test_the_window_as_a_process_ends_clean_when_it_is_told_to(tmp_path):
     assert window.returncode == 0, said
     assert "Traceback" not in said
     assert not list(tmp_path.glob("skincal-*"))
+
+
+def test_a_log_that_cannot_be_written_leaves_the_window_at_work(bench, tmp_path, monkeypatch):
+    (tmp_path / "data").write_text("a file where the folder should be")
+    monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(tmp_path / "data" / "skincal"))
+    said = []
+    monkeypatch.setattr(bench.window, "tell", said.append)
+    run.begin(bench.window, OpenRequest(session=tmp_path / "none"))
+    bench.until(lambda: bench.controller.running is Running.OFFLINE, 20_000)
+    assert any("the log cannot be written" in message.text for message in said)

@@ -1,6 +1,7 @@
 """A recording that is paused goes on in the next segment, and where it cannot, nothing is lost."""
 
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -98,3 +99,58 @@ def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path,
     temporary.finish()
     assert len(load(kept).session.contacts) >= 3
     assert replay(kept).findings == ()
+
+
+SLOW_S = 2.5
+"""s. Longer than closing waits for work that nobody would miss."""
+
+
+def slow(monkeypatch, owner, name):
+    """Make a function slow, as a slow disk does."""
+    real = getattr(owner, name)
+
+    def slowly(*arguments, **options):
+        time.sleep(SLOW_S)
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, slowly)
+
+
+def test_a_copy_that_is_under_way_as_the_window_closes_is_whole(bench, monkeypatch):
+    bench.open_served("flat-patch")
+    temporary = bench.controller._recording.storage.folder
+    slow(monkeypatch, shutil, "copytree")
+    bench.controller.keep()
+    bench.window.close()
+    assert not temporary.parent.exists()
+    (kept,) = bench.documents.iterdir()
+    assert replay(kept).findings == ()
+
+
+def test_a_copy_that_fails_is_said_after_another_session_is_opened_and_costs_nothing(bench, recorded, monkeypatch):
+    bench.open_served("flat-patch")
+    temporary = bench.controller._recording.storage.folder
+    bench.documents.write_text("a file where the folder should be")
+    slow(monkeypatch, shutil, "copytree")
+    bench.controller.keep()
+    bench.open(OpenRequest(session=recorded))
+    bench.until(lambda: any(message.error and str(temporary) in message.text for message in bench.messages), 20_000)
+    bench.window.close()
+    assert replay(temporary).findings == ()
+    shutil.rmtree(temporary.parent)
+
+
+def test_a_session_that_another_takes_the_place_of_is_ended_before_the_program(bench, recorded, tmp_path, monkeypatch):
+    ended = []
+    finish = Storage.finish
+
+    def slowly(storage):
+        time.sleep(SLOW_S)
+        finish(storage)
+        ended.append(storage.folder)
+
+    bench.open(OpenRequest(session=recorded))
+    monkeypatch.setattr(Storage, "finish", slowly)
+    bench.window.open(OpenRequest(session=tmp_path / "none"))
+    bench.window.close()
+    assert recorded in ended
