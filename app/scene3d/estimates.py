@@ -48,7 +48,8 @@ LARGEST = 0.15
 DISC_LIFT = 6e-4
 """m. Discs float this far above the part."""
 
-OTHER = {Method.FREE: Method.SURFACE, Method.SURFACE: Method.FREE, Method.MODULES: Method.SURFACE}
+BESIDE = (Method.SURFACE, Method.FREE, Method.MODULES)
+"""Lines lead to the first of these that there is beside the method that is shown; without a mesh there is no surface method."""
 
 
 class EstimatesLayer(Layer):
@@ -60,9 +61,9 @@ class EstimatesLayer(Layer):
         self.static = static
         self.balls = Balls(pixels=12.0)
         self.marks = Segments(pixels=2.0)
-        self.differences = Segments(pixels=1.5) if static.surface is not None else None
-        self.alternative: Segments | None = None
-        """Where else the selected taxel may lie; made when a taxel is selected that may."""
+        self.differences = Segments(pixels=1.5)
+        self.alternative = Segments(pixels=1.5)
+        """Where else the selected taxel may lie."""
         self.shown: IntArray = np.empty(0, dtype=np.int64)
         """(k,) channels that have a ball, in the order of `places`."""
         self.places: FloatArray = np.empty((0, 3))
@@ -70,14 +71,12 @@ class EstimatesLayer(Layer):
         """(k,) whether each is drawn: not on the far side of the part."""
         self._hues: ColourArray = np.empty((0, 3), dtype=np.uint8)
         self._normals: FloatArray = np.empty((0, 3))
-        self._renderer = renderer
         self._ink: ColourArray = np.zeros(3, dtype=np.uint8)
         self._faint: ColourArray = np.zeros(3, dtype=np.uint8)
         self._key: object = None
         self._compared = False
-        for shape in (self.balls, self.marks, self.differences):
-            if shape is not None:
-                renderer.AddActor(shape.actor)
+        for shape in (self.balls, self.marks, self.differences, self.alternative):
+            renderer.AddActor(shape.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
@@ -121,11 +120,7 @@ class EstimatesLayer(Layer):
         """Draw a line from the selected taxel to its rival, or along which a blind one lies."""
         row = self.static.row.get(-1 if state.selected is None else state.selected, len(estimates))
         ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else np.empty((0, 2, 3))
-        if self.alternative is None and len(ends):
-            self.alternative = Segments(pixels=1.5)
-            self._renderer.AddActor(self.alternative.actor)
-        if self.alternative is not None:
-            self.alternative.join(ends, self._ink)
+        self.alternative.join(ends, self._ink)
 
     def _show_marks(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
         row = self.static.row
@@ -166,9 +161,9 @@ class EstimatesLayer(Layer):
         return self.static.places[rows] + LIFT * normals, normals.copy()
 
     def _show_differences(self, state: View3DState, rows: list[int]) -> None:
-        if self.differences is None:
-            return
-        others = state.snapshot.estimates.get(OTHER[state.method], ()) if state.difference else ()
+        found = state.snapshot.estimates
+        beside = next((method for method in BESIDE if method is not state.method and method in found), None)
+        others = found[beside] if beside is not None and state.difference else ()
         paired = [i for i, row in enumerate(rows) if row < len(others) and others[row].position is not None]
         there = _positions([others[rows[i]] for i in paired])
         self.differences.join(np.stack([self.places[paired], there], axis=1), self._faint)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import threading
 import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +45,8 @@ def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
     assert bare.list_layers() == EVERY[2:]
     assert make_view(qtbot, surface=False).list_layers() == EVERY[1:]
     actors = bare._stage.renderer.GetActors()
-    assert actors.GetNumberOfItems() == 12, (
-        "balls, marks, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare; no differences"
+    assert actors.GetNumberOfItems() == 14, (
+        "balls, marks, lines to the other method and to a rival, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare"
     )
 
 
@@ -104,6 +105,17 @@ def test_the_other_method_shows_its_own_estimates(view):
     assert (pixels(view) != second).any(axis=-1).sum() > 30, "a line leads to the other method's estimate"
     view.set_difference(False)
     np.testing.assert_array_equal(pixels(view), second)
+
+
+@pytest.mark.parametrize("shown", [Method.FREE, Method.MODULES])
+def test_without_a_mesh_lines_lead_to_the_other_method_that_there_is(qtbot, shown):
+    view = make_view(qtbot, surface=False)
+    session = snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.0))}, {3: estimate(3, (-0.004, 0.015, 0.0))})
+    free, other = (session.estimates[method] for method in (Method.FREE, Method.SURFACE))
+    view.show_moment(replace(session, estimates={Method.FREE: free, Method.MODULES: other}), None, shown, None)
+    before = pixels(view)
+    view.set_difference(True)
+    assert (pixels(view) != before).any(axis=-1).sum() > 30
 
 
 def test_nothing_is_drawn_when_nothing_changed(view):

@@ -105,21 +105,23 @@ SLOW_S = 2.5
 """s. Longer than closing waits for work that nobody would miss."""
 
 
-def slow(monkeypatch, owner, name):
-    """Make a function slow, as a slow disk does."""
-    real = getattr(owner, name)
+@pytest.fixture
+def slow_copy(monkeypatch):
+    """The next copy of a folder begins late, as on a slow disk."""
+    copy = shutil.copytree
 
     def slowly(*arguments, **options):
+        monkeypatch.setattr(shutil, "copytree", copy)
         time.sleep(SLOW_S)
-        return real(*arguments, **options)
+        return copy(*arguments, **options)
 
-    monkeypatch.setattr(owner, name, slowly)
+    return lambda: monkeypatch.setattr(shutil, "copytree", slowly)
 
 
-def test_a_copy_that_is_under_way_as_the_window_closes_is_whole(bench, monkeypatch):
+def test_a_copy_that_is_under_way_as_the_window_closes_is_whole(bench, slow_copy):
     bench.open_served("flat-patch")
     temporary = bench.controller._recording.storage.folder
-    slow(monkeypatch, shutil, "copytree")
+    slow_copy()
     bench.controller.keep()
     bench.window.close()
     assert not temporary.parent.exists()
@@ -127,11 +129,11 @@ def test_a_copy_that_is_under_way_as_the_window_closes_is_whole(bench, monkeypat
     assert replay(kept).findings == ()
 
 
-def test_a_copy_that_fails_is_said_after_another_session_is_opened_and_costs_nothing(bench, recorded, monkeypatch):
+def test_a_copy_that_fails_is_said_after_another_session_is_opened_and_costs_nothing(bench, recorded, slow_copy):
     bench.open_served("flat-patch")
     temporary = bench.controller._recording.storage.folder
     bench.documents.write_text("a file where the folder should be")
-    slow(monkeypatch, shutil, "copytree")
+    slow_copy()
     bench.controller.keep()
     bench.open(OpenRequest(session=recorded))
     bench.until(lambda: any(message.error and str(temporary) in message.text for message in bench.messages), 20_000)
@@ -145,11 +147,13 @@ def test_a_session_that_another_takes_the_place_of_is_ended_before_the_program(b
     finish = Storage.finish
 
     def slowly(storage):
-        time.sleep(SLOW_S)
+        if storage.folder == recorded:
+            time.sleep(SLOW_S)
         finish(storage)
         ended.append(storage.folder)
 
     bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
     monkeypatch.setattr(Storage, "finish", slowly)
     bench.window.open(OpenRequest(session=tmp_path / "none"))
     bench.window.close()
