@@ -19,6 +19,13 @@ from app.scene3d.camera import Sight
 from app.scene3d.scene_state import ColourArray, Look, View3DState
 from skincal.geometry import FloatArray, IntArray
 
+HEAD_SHARE = 0.4
+"""Of an arrow's length at most in a stroke of its head, so that a short arrow is not all head."""
+SPREAD = float(np.radians(28.0))
+"""rad. Angle of these strokes with the arrow."""
+ALONG = 1e-6
+"""Sine. A camera that is turned away by less looks along the arrow."""
+
 Text = TypeVar("Text", vtkTextActor, vtkBillboardTextActor3D)
 
 
@@ -183,6 +190,30 @@ def crosses(centres: FloatArray, normals: FloatArray, radius: float) -> FloatArr
     first, second = tangents(normals)
     strokes = np.stack([first + second, first - second], axis=1) * (radius / np.sqrt(2))
     return np.stack([centres[:, None] - strokes, centres[:, None] + strokes], axis=2)
+
+
+def heads(shafts: FloatArray, towards: FloatArray, longest: float) -> FloatArray:
+    """Return the strokes of the heads of arrows, flat to the camera: (k, 2, 3) float, metres, two strokes an arrow.
+
+    An arrow that the camera looks along is seen as a dot and has no head.
+
+    Parameters
+    ----------
+    shafts : (n, 2, 3) float, metres, each from its tail to its tip
+    towards : (3,) float, to the camera
+    longest : metres, length of a stroke at most
+    """
+    ways = shafts[:, 1] - shafts[:, 0]
+    lengths = np.sqrt(np.sum(ways * ways, axis=1))
+    sides = np.cross(ways, towards)
+    widths = np.sqrt(np.sum(sides * sides, axis=1))
+    seen = widths > ALONG * lengths
+    along = ways[seen] / lengths[seen, None]
+    across = sides[seen] / widths[seen, None]
+    size = np.minimum(longest, HEAD_SHARE * lengths[seen])[:, None]
+    tips = shafts[seen, 1]
+    ends = [tips + size * (hand * np.sin(SPREAD) * across - np.cos(SPREAD) * along) for hand in (1.0, -1.0)]
+    return np.concatenate([np.stack([end, tips], axis=1) for end in ends])
 
 
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:

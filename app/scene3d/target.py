@@ -10,7 +10,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
 from app.scene3d.scene_state import Look, StaticScene, View3DState
-from app.scene3d.shapes import Layer, Segments, rings, tangents
+from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import skin_point
@@ -21,12 +21,8 @@ TOOL = 0.035
 """m. Length of the arrow, a tool's tip: as long as a drawn force axis outside the part."""
 HEAD = 7e-3
 """m. Length of each of the two strokes of the arrow's head."""
-SPREAD = float(np.radians(28.0))
-"""rad. Angle of these strokes with the arrow."""
 SPOKES = 4
 """Lines of the cone, from the tip to its rim."""
-ALONG = 1e-6
-"""Sine. A camera that looks along the arrow sees a dot: either side of it will do."""
 LEAST_PIXELS = 13.0
 """Radius of the ring at least, on the screen: on a whole body a ring of its own size would not be found."""
 RIM_LIFT, CORE_LIFT = 3e-3, 5e-3
@@ -101,33 +97,20 @@ class TargetLayer(Layer):
 
 
 def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:
-    """Return the strokes of an arrow that ends at the origin and points along `push`, (3,) float, unit.
+    """Return the shaft and the head's two strokes of an arrow that ends at the origin, (3, 2, 3) float, metres.
 
-    Parameters
-    ----------
-    towards : (3,) float, to the camera, which sees both strokes of the head
-
-    Returns
-    -------
-    (3, 2, 3) float, metres: the shaft, then the head
+    It points along `push`, (3,) float, unit; the camera, `towards` which (3,) leads, sees both strokes.
     """
-    side = np.cross(push, towards)
-    length = float(np.linalg.norm(side))
-    side = side / length if length > ALONG else tangents(push[None])[0][0]
-    tails = [-TOOL * push, *(HEAD * (np.sin(SPREAD) * each - np.cos(SPREAD) * push) for each in (side, -side))]
-    return np.stack([np.array(tails), np.zeros((3, 3))], axis=1)
+    shaft = np.array([[-TOOL * push, np.zeros(3)]])
+    strokes = heads(shaft, towards, HEAD)
+    # A camera that looks along the arrow sees a dot: either side of it will do.
+    return np.concatenate([shaft, strokes if len(strokes) else heads(shaft, -tangents(push[None])[1][0], HEAD)])
 
 
 def cone(push: FloatArray, angle: float) -> FloatArray:
-    """Return the rim and the lines of a cone that opens from the origin against `push`, (3,) float, unit.
+    """Return the rim and the lines of a cone, (36 + 4, 2, 3) float, metres.
 
-    Parameters
-    ----------
-    angle : rad, between its axis and its side
-
-    Returns
-    -------
-    (36 + 4, 2, 3) float, metres
+    It opens from the origin against `push`, (3,) float, unit; `angle`, rad, lies between its axis and its side.
     """
     rim = rings((-TOOL * np.cos(angle) * push)[None], push[None], TOOL * float(np.sin(angle)), sides=36).reshape(-1, 2, 3)
     tops = rim[:: len(rim) // SPOKES, 0]

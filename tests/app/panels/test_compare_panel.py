@@ -11,10 +11,10 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
 from app.panels.compare_panel import ComparePanel
-from app.scene3d.estimates import heads
 from app.scene3d.scene_state import DARK as DARK_LOOK
 from app.scene3d.scene_state import LIGHT as LIGHT_LOOK
 from app.scene3d.scene_state import Cloud, Comparison, Tint
+from app.scene3d.shapes import heads
 from app.session.opening import OpenRequest
 from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.text.compare_text import (
@@ -456,12 +456,12 @@ def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_s
 
 def test_heads_end_at_the_tips_and_one_seen_end_on_has_none():
     shafts = np.array([[[0, 0, 0], [0.01, 0, 0]], [[0, 0, 0], [0, 0, 0.01]], [[0, 0, 0], [0, 0, 0]]], dtype=float)
-    found = heads(shafts, np.array([0.0, 0.0, 1.0]))
+    found = heads(shafts, np.array([0.0, 0.0, 1.0]), 2.4e-3)
     assert found.shape == (2, 2, 3)
     np.testing.assert_allclose(found[:, 1], [[0.01, 0, 0]] * 2)
     assert (found[:, 0, 0] < 0.01).all()
     assert found[0, 0, 1] == pytest.approx(-found[1, 0, 1])
-    assert heads(np.empty((0, 2, 3)), np.array([0.0, 0.0, 1.0])).shape == (0, 2, 3)
+    assert heads(np.empty((0, 2, 3)), np.array([0.0, 0.0, 1.0]), 2.4e-3).shape == (0, 2, 3)
 
 
 # The whole window

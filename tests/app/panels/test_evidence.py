@@ -166,9 +166,9 @@ def ends(layer: EstimatesLayer) -> np.ndarray:
 
 def test_a_line_joins_the_selected_taxel_to_its_rival(layer):
     layer.show(moment(estimate(3, (0, 0, 0)), 1))
-    assert layer.alternative is None
+    assert not layer.alternative.actor.GetVisibility()
     layer.show(moment(ambiguous(), 2, selected=None))
-    assert layer.alternative is None
+    assert not layer.alternative.actor.GetVisibility()
     layer.show(moment(ambiguous(), 2))
     made = layer.alternative
     assert made.actor.GetVisibility()
@@ -176,13 +176,10 @@ def test_a_line_joins_the_selected_taxel_to_its_rival(layer):
     assert np.allclose(
         np.linalg.norm(ends(layer)[1:] - [0.034, 0, 0], axis=2), np.linalg.norm(ends(layer)[1, 0] - [0.034, 0, 0])
     )
-    count = layer._renderer.GetViewProps().GetNumberOfItems()
     layer.show(moment(ambiguous(), 3, selected=4))
     assert not made.actor.GetVisibility()
     layer.show(moment(ambiguous(), 4))
-    assert layer.alternative is made
     assert made.actor.GetVisibility()
-    assert layer._renderer.GetViewProps().GetNumberOfItems() == count
 
 
 def test_the_line_of_a_taxel_that_is_blind_is_drawn_where_it_is_selected(layer):
