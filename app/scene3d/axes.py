@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import islice
 
 import numpy as np
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState
 from app.scene3d.shapes import Balls, Layer, Segments
@@ -26,17 +25,15 @@ class AxesLayer(Layer):
 
     name = "axes"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
         self.static = static
+        self.past = Segments(pixels=1.5)
         self.current = Segments(pixels=5.0)
         self.contact = Balls(pixels=13.0)
-        self.past = Segments(pixels=1.5)
         self._middle = static.extent.mean(axis=0) if len(static.extent) else np.zeros(3)
         self._look: Look | None = None
         self._past_key: object = None
         self._axis: bytes = b""
-        for shape in (self.past, self.current, self.contact):
-            renderer.AddActor(shape.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
 from app.scene3d.scene_state import DARK, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
@@ -57,7 +56,7 @@ class EstimatesLayer(Layer):
 
     name = "estimates"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
         self.static = static
         self.balls = Balls(pixels=12.0)
         self.marks = Segments(pixels=2.0)
@@ -74,8 +73,6 @@ class EstimatesLayer(Layer):
         self._ink = self._faint = np.zeros(3, dtype=np.uint8)
         self._key: object = None
         self._compared = False
-        for shape in (self.balls, self.marks, self.differences, self.alternative):
-            renderer.AddActor(shape.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
@@ -189,11 +186,10 @@ class UncertaintyLayer(Layer):
 
     name = "uncertainty"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
         self.static = static
         self.lines = Segments(pixels=1.5)
         self._key: object = None
-        renderer.AddActor(self.lines.actor)
 
     def show(self, state: View3DState) -> bool:
         """Show the regions of a moment; return whether anything changed."""
@@ -242,17 +238,15 @@ class CompareLayer(Layer):
 
     name = "compare"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
-        self.dots = Dots(pixels=DOT_PIXELS[1])
+    def __init__(self, static: StaticScene) -> None:
         self.arrows = Segments(pixels=2.0)
+        self.dots = Dots(pixels=DOT_PIXELS[1])
         self.dots.actor.GetProperty().SetRenderPointsAsSpheres(True)
         self._look = DARK
         self._shown: Comparison | None = None
         self._sight: Sight | None = None
         self._part = static.extent
         self._normals = static.skin_normals
-        for shape in (self.arrows, self.dots):
-            renderer.AddActor(shape.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""

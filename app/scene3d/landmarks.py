@@ -61,7 +61,6 @@ class LandmarksLayer(Layer):
         """How many times larger than its own size each is drawn."""
         self._look: Look | None = None
         self._sight: Sight | None = None
-        renderer.AddActor(self.marks.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""

@@ -9,11 +9,13 @@ The modules as planned: outlines in their hues, the taxels of the plan as faint 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkRenderer
+from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp
 
 from app.scene3d.scene_state import HUES, ColourArray, Look, Shaded, StaticScene, unit
 from app.scene3d.shapes import Dots, Layer, Segments, cells, closed, written
@@ -34,7 +36,7 @@ class SurfaceLayer(Layer):
 
     name = "surface"
 
-    def __init__(self, renderer: vtkRenderer, shaded: Shaded) -> None:
+    def __init__(self, shaded: Shaded) -> None:
         mesh = _polydata(shaded)
         self._normals = shaded.normals
         self._tinted = vtkPolyData()
@@ -43,8 +45,10 @@ class SurfaceLayer(Layer):
         self.outside = _side(mesh, hidden="back")
         self.inside.GetProperty().LightingOff()
         self.outside.GetProperty().SetOpacity(FRONT_OPACITY)
-        for actor in (self.inside, self.outside):
-            renderer.AddActor(actor)
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return the inner side, which is drawn first, then the outer."""
+        return self.inside, self.outside
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
@@ -98,7 +102,7 @@ class ModulesLayer(Layer):
 
     name = "modules"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene, layout: Layout, laid: LaidSkin) -> None:
+    def __init__(self, static: StaticScene, layout: Layout, laid: LaidSkin) -> None:
         self.outlines = Segments(pixels=2.0)
         self.outlines.join(*_outline_segments(layout, laid))
         self.dots = Dots(pixels=3.0)
@@ -106,8 +110,10 @@ class ModulesLayer(Layer):
         self.places = (static.places + LIFT * static.normals)[self.known]
         self.hues = static.hues[self.known]
         self.numbers = _numbers(layout, laid) if len(layout.modules) <= MOST_NUMBERS else []
-        for actor in (self.outlines.actor, self.dots.actor, *self.numbers):
-            renderer.AddActor(actor)
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return outlines and dots, then the numbers before them."""
+        return *super().props(), *self.numbers
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""

@@ -6,6 +6,7 @@ while the number of points stays, and swaps them otherwise; the actor stays in e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkTextActor
+from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp, vtkTextActor
 
 from app.scene3d.camera import Sight
 from app.scene3d.scene_state import ColourArray, Look, View3DState
@@ -30,10 +31,14 @@ Text = TypeVar("Text", vtkTextActor, vtkBillboardTextActor3D)
 
 
 class Layer:
-    """One kind of thing in the picture; its constructor makes its actors."""
+    """One kind of thing in the picture; its constructor makes what it draws."""
 
     name: ClassVar[str]
     """What the layer shows, in one word."""
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return what goes into the renderer, in the order of drawing: its shapes."""
+        return [shape.actor for shape in vars(self).values() if isinstance(shape, DrawnShape)]
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme; called before the first `show`."""

@@ -8,7 +8,7 @@ may be added to any scene, and be asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -18,7 +18,7 @@ import vtkmodules.vtkRenderingOpenGL2  # noqa: F401
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkCommand, vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor2D, vtkLight, vtkPolyDataMapper2D, vtkRenderer, vtkTextActor
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkLight, vtkPolyDataMapper2D, vtkProp, vtkRenderer, vtkTextActor
 
 from app.scene3d import camera
 from app.scene3d.axes import AxesLayer
@@ -46,7 +46,7 @@ class HintsLayer(Layer):
 
     name = "hints"
 
-    def __init__(self, renderer: vtkRenderer) -> None:
+    def __init__(self) -> None:
         self._xy = np.zeros((12, 3), dtype=np.float32)
         points = vtkPoints()
         points.SetData(numpy_to_vtk(self._xy))
@@ -61,8 +61,10 @@ class HintsLayer(Layer):
         self.texts = [written(vtkTextActor(), letter) for letter in LETTERS]
         self.length = written(vtkTextActor())
         self._sight: Sight | None = None
-        for actor in (self.lines, *self.texts, self.length):
-            renderer.AddViewProp(actor)
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return the lines, then the letters."""
+        return self.lines, *self.texts, self.length
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
@@ -124,11 +126,13 @@ class Stage:
         self.static = static
         self.moved = False
         """The operator moved the camera: it is theirs from then on."""
-        self.estimates = EstimatesLayer(renderer, static)
-        self.compare = CompareLayer(renderer, static)
+        self.estimates = EstimatesLayer(static)
         self.landmarks = LandmarksLayer(renderer, static)
-        self.target = TargetLayer(renderer, static)
-        self.layers = self._build(renderer, static)
+        self.target, self.compare = TargetLayer(static), CompareLayer(static)
+        self.layers = self._build(static)
+        for layer in self.layers:
+            for prop in layer.props():
+                renderer.AddViewProp(prop)
         self.turner = Turner(static.surface, camera.level_of(static.extent))
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
@@ -137,15 +141,15 @@ class Stage:
         self._observer = renderer.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(look)
 
-    def _build(self, renderer: vtkRenderer, static: StaticScene) -> tuple[Layer, ...]:
+    def _build(self, static: StaticScene) -> tuple[Layer, ...]:
         layers: list[Layer] = []
         layout = static.scene.skin.layout
         if static.shaded is not None:
-            layers.append(SurfaceLayer(renderer, static.shaded))
+            layers.append(SurfaceLayer(static.shaded))
         if layout is not None and static.laid is not None and np.isfinite(static.places[:, 0]).any():
-            layers.append(ModulesLayer(renderer, static, layout, static.laid))
-        others = (self.estimates, AxesLayer(renderer, static), UncertaintyLayer(renderer, static))
-        return (*layers, *others, self.landmarks, self.target, self.compare, HintsLayer(renderer))
+            layers.append(ModulesLayer(static, layout, static.laid))
+        others = (self.estimates, AxesLayer(static), UncertaintyLayer(static), self.landmarks)
+        return (*layers, *others, self.target, self.compare, HintsLayer())
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""

@@ -6,7 +6,6 @@ Ring and arrow are drawn twice, broad in black and narrow in white upon it, so t
 from __future__ import annotations
 
 import numpy as np
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
 from app.scene3d.scene_state import Look, StaticScene, View3DState
@@ -35,7 +34,7 @@ class TargetLayer(Layer):
 
     name = "target"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
         self.static = static
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
@@ -50,8 +49,6 @@ class TargetLayer(Layer):
         self._scale = 1.0
         """How many times larger than its own size it is drawn."""
         self._sight: Sight | None = None
-        for shape in (self.rim, self.core, self.cone):
-            renderer.AddActor(shape.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the cone's colour, between ink and what is not to be in the way; black and white are seen in every theme."""

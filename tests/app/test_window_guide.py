@@ -11,7 +11,6 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.panels.inspect_panel import InspectPanel
 from app.panels.taxel_map import TaxelMap
@@ -37,7 +36,7 @@ TILT = float(np.radians(28.0))
 
 @pytest.fixture
 def layer():
-    return TargetLayer(vtkRenderer(), StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
+    return TargetLayer(StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
 
 
 def moment(asked: Target | None, generation: int = 1) -> View3DState:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.panels.inspect_panel import InspectPanel, poke_cells
 from app.panels.pokes_panel import PokesPanel
@@ -151,7 +150,7 @@ def test_the_map_marks_an_ambiguous_taxel_by_a_shape_of_its_own(qtbot, size):
 
 @pytest.fixture
 def layer():
-    made = EstimatesLayer(vtkRenderer(), StaticScene(SCENE, None, None, PLAN.channels.tolist()))
+    made = EstimatesLayer(StaticScene(SCENE, None, None, PLAN.channels.tolist()))
     made.set_colours(scene_state.DARK)
     return made
 
