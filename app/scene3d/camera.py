@@ -137,7 +137,7 @@ def project(renderer: vtkRenderer, points: FloatArray) -> FloatArray:
 
 
 def ray(renderer: vtkRenderer, x: float, y: float) -> tuple[FloatArray, FloatArray]:
-    """Return the line of sight through a pixel, counted from the lower left: the camera's place and a unit vector away from it."""
+    """Return the line of sight through a pixel, from the lower left: the camera's place and a unit vector away from it."""
     camera = renderer.GetActiveCamera()
     width, height = renderer.GetSize()
     right, up, back = stand_of(camera).axes

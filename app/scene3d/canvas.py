@@ -132,12 +132,7 @@ class Loaded:
 
 
 def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int], state: View3DState | None) -> Loaded:
-    """Import what the canvas needs and make what needs no widget.
-
-    Parameters
-    ----------
-    size : pixels of the picture to come
-    state : what to show first, if known
+    """Import what the canvas needs and make what needs no widget, for a first picture of so many pixels.
 
     Raises
     ------

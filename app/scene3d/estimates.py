@@ -240,8 +240,7 @@ class CompareLayer(Layer):
 
     def __init__(self, static: StaticScene) -> None:
         self.arrows = Segments(pixels=2.0)
-        self.dots = Dots(pixels=DOT_PIXELS[1])
-        self.dots.actor.GetProperty().SetRenderPointsAsSpheres(True)
+        self.dots = Dots(pixels=DOT_PIXELS[1], render_points_as_spheres=True)
         self._look = DARK
         self._shown: Comparison | None = None
         self._sight: Sight | None = None

@@ -158,21 +158,13 @@ def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> Floa
 
 
 def strokes(places: FloatArray, normals: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Return diamonds about `places` across `normals`, and the crosses that join their corners.
+    """Return diamonds about `places`, (n, 3), across `normals`, (n, 3) unit, and the crosses that join their corners.
 
-    Parameters
-    ----------
-    places, normals : (n, 3) float, metres and unit
-    radius : metres, from the middle to the corners
-
-    Returns
-    -------
-    (n, 4, 2, 3) float, the sides; (n, 2, 2, 3) float, the cross
+    All in metres: (n, 4, 2, 3) the sides, (n, 2, 2, 3) the crosses; `radius` is from the middle to the corners.
     """
     first, second = tangents(normals)
     corners = places[:, None] + radius * np.stack([first, second, -first, -second], axis=1)
-    sides = np.array([closed(each) for each in corners]).reshape(-1, 4, 2, 3)
-    return sides, np.stack([corners[:, ::2], corners[:, 1::2]], axis=1)
+    return closed(corners), np.stack([corners[:, ::2], corners[:, 1::2]], axis=1)
 
 
 def _pale(look: Look) -> ColourArray:

@@ -87,11 +87,7 @@ class HiddenWindow:
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.renderer = vtkRenderer()
-        self._window = vtkRenderWindow()
-        self._window.SetMultiSamples(NO_SAMPLES)
-        self._window.SetShowWindow(False)
-        self._window.SetOffScreenRendering(True)
-        self._window.SetSize(*size)
+        self._window = vtkRenderWindow(multi_samples=NO_SAMPLES, show_window=False, off_screen_rendering=True, size=size)
         self._window.AddRenderer(self.renderer)
         self._pixels = vtkUnsignedCharArray()
 
@@ -110,13 +106,8 @@ class HiddenWindow:
     def png(self) -> bytes:
         """Return a new picture as the content of a PNG file."""
         self._window.Render()
-        grabber = vtkWindowToImageFilter()
-        grabber.SetInput(self._window)
-        grabber.ShouldRerenderOff()
-        grabber.ReadFrontBufferOff()
-        writer = vtkPNGWriter()
-        writer.SetInputConnection(grabber.GetOutputPort())
-        writer.WriteToMemoryOn()
+        grabber = vtkWindowToImageFilter(input=self._window, should_rerender=False, read_front_buffer=False)
+        writer = vtkPNGWriter(input_connection=grabber.GetOutputPort(), write_to_memory=True)
         writer.Write()
         return vtk_to_numpy(writer.GetResult()).tobytes()
 
@@ -139,11 +130,7 @@ def picture(
     path: Path,
     size: tuple[int, int] = (1280, 800),
 ) -> None:
-    """Draw what the window's 3D view shows of a session, as a PNG file.
-
-    Parameters
-    ----------
-    size : width and height, pixels
+    """Draw what the window's 3D view shows of a session, as a PNG file of so many pixels.
 
     Raises
     ------

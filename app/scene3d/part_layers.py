@@ -15,7 +15,7 @@ import numpy as np
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp
+from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp, vtkProperty
 
 from app.scene3d.scene_state import HUES, ColourArray, Look, Shaded, StaticScene, unit
 from app.scene3d.shapes import Dots, Layer, Segments, cells, closed, written
@@ -41,10 +41,8 @@ class SurfaceLayer(Layer):
         self._normals = shaded.normals
         self._tinted = vtkPolyData()
         self._tinted.ShallowCopy(mesh)
-        self.inside = _side(self._tinted, hidden="front")
-        self.outside = _side(mesh, hidden="back")
-        self.inside.GetProperty().LightingOff()
-        self.outside.GetProperty().SetOpacity(FRONT_OPACITY)
+        self.inside = _side(self._tinted, frontface_culling=True, lighting=False)
+        self.outside = _side(mesh, backface_culling=True, opacity=FRONT_OPACITY)
 
     def props(self) -> Sequence[vtkProp]:
         """Return the inner side, which is drawn first, then the outer."""
@@ -58,29 +56,17 @@ class SurfaceLayer(Layer):
         self._tinted.GetPointData().SetScalars(numpy_to_vtk(colours, deep=True))
 
 
-def _side(mesh: vtkPolyData, hidden: str) -> vtkActor:
-    mapper = vtkPolyDataMapper()
+def _side(mesh: vtkPolyData, **look: float) -> vtkActor:
+    mapper = vtkPolyDataMapper(static=True)
     mapper.SetInputData(mesh)
     mapper.SetColorModeToDirectScalars()
-    mapper.SetStatic(True)
-    actor = vtkActor()
-    actor.SetMapper(mapper)
-    look = actor.GetProperty()
-    look.SetBackfaceCulling(hidden == "back")
-    look.SetFrontfaceCulling(hidden == "front")
-    look.SetAmbient(0.25)
-    look.SetDiffuse(0.75)
-    look.SetSpecular(0.0)
-    return actor
+    return vtkActor(mapper=mapper, property=vtkProperty(ambient=0.25, diffuse=0.75, specular=0.0, **look))
 
 
 def _polydata(shaded: Shaded) -> vtkPolyData:
     points, normals, triangles = shaded
-    mesh = vtkPolyData()
-    places = vtkPoints()
-    places.SetData(numpy_to_vtk(points.astype(np.float32), deep=True))
-    mesh.SetPoints(places)
-    mesh.SetPolys(cells(triangles))
+    places = vtkPoints(data=numpy_to_vtk(points.astype(np.float32), deep=True))
+    mesh = vtkPolyData(points=places, polys=cells(triangles))
     mesh.GetPointData().SetNormals(numpy_to_vtk(normals.astype(np.float32), deep=True))
     return mesh
 

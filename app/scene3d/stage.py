@@ -1,6 +1,4 @@
-"""A scale bar and the link's axes, drawn flat over the picture.
-
-The layers of one scene in one renderer, and the camera before them.
+"""The stage: the layers of one scene in one renderer, and the camera before them; over all, a scale bar and the link's axes.
 
 Only what the scene supports is built: no mesh, no surface layer; no layout, or a layout without a place, no outlines. Landmarks
 may be added to any scene, and be asked for.
@@ -18,7 +16,16 @@ import vtkmodules.vtkRenderingOpenGL2  # noqa: F401
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkCommand, vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor2D, vtkLight, vtkPolyDataMapper2D, vtkProp, vtkRenderer, vtkTextActor
+from vtkmodules.vtkRenderingCore import (
+    VTK_LIGHT_TYPE_HEADLIGHT,
+    vtkActor2D,
+    vtkLight,
+    vtkPolyDataMapper2D,
+    vtkProp,
+    vtkProperty2D,
+    vtkRenderer,
+    vtkTextActor,
+)
 
 from app.scene3d import camera
 from app.scene3d.axes import AxesLayer
@@ -48,16 +55,10 @@ class HintsLayer(Layer):
 
     def __init__(self) -> None:
         self._xy = np.zeros((12, 3), dtype=np.float32)
-        points = vtkPoints()
-        points.SetData(numpy_to_vtk(self._xy))
-        self._data = vtkPolyData()
-        self._data.SetPoints(points)
-        self._data.SetLines(cells(np.arange(12).reshape(-1, 2)))
+        self._points = vtkPoints(data=numpy_to_vtk(self._xy))
         mapper = vtkPolyDataMapper2D()
-        mapper.SetInputData(self._data)
-        self.lines = vtkActor2D()
-        self.lines.SetMapper(mapper)
-        self.lines.GetProperty().SetLineWidth(2.0)
+        mapper.SetInputData(vtkPolyData(points=self._points, lines=cells(np.arange(12).reshape(-1, 2))))
+        self.lines = vtkActor2D(mapper=mapper, property=vtkProperty2D(line_width=2.0))
         self.texts = [written(vtkTextActor(), letter) for letter in LETTERS]
         self.length = written(vtkTextActor())
         self._sight: Sight | None = None
@@ -79,8 +80,8 @@ class HintsLayer(Layer):
         self._sight = sight
         self._xy[:6, :2] = self._axes(sight)
         self._xy[6:, :2] = self._bar(sight)
-        self._data.GetPoints().GetData().Modified()
-        self._data.GetPoints().Modified()
+        self._points.GetData().Modified()
+        self._points.Modified()
 
     def _axes(self, sight: Sight) -> FloatArray:
         turned = np.stack([sight.eye.right, sight.eye.up], axis=1)
@@ -114,12 +115,7 @@ REACH = 14.0
 
 
 class Stage:
-    """Layers, lights and camera of a scene.
-
-    Parameters
-    ----------
-    renderer : of any window: on the screen or not
-    """
+    """Layers, lights and camera of a scene, in the renderer of any window: on the screen or not."""
 
     def __init__(self, renderer: vtkRenderer, static: StaticScene, look: Look) -> None:
         self.renderer = renderer
@@ -225,12 +221,7 @@ class Stage:
         return None if row is None else int(self.estimates.shown[row])
 
     def pick_surface(self, x: float, y: float) -> FloatArray | None:
-        """Return the point of the part that is seen at a place of the picture, (3,) float, metres; None beside the part.
-
-        Parameters
-        ----------
-        x, y : pixels from the lower left
-        """
+        """Return the point of the part that is seen at a pixel, (3,) float, metres; None beside the part; x, y as in `pick`."""
         surface = self.static.surface
         return None if surface is None else seen_point(surface, *ray(self.renderer, x, y))
 
@@ -252,23 +243,13 @@ def _light(renderer: vtkRenderer) -> None:
     """One light at the camera: on software OpenGL a second one costs as much as the mesh."""
     renderer.RemoveAllLights()
     renderer.SetAutomaticLightCreation(False)
-    light = vtkLight()
-    light.SetLightTypeToHeadlight()
-    renderer.AddLight(light)
+    renderer.AddLight(vtkLight(light_type=VTK_LIGHT_TYPE_HEADLIGHT))
 
 
 def nearest_at(screen: FloatArray, x: float, y: float, ball: float) -> int | None:
-    """Return the row of the point that a click means.
+    """Return the row of the point that a click means: the foremost ball that it hits, else the nearest within `REACH`.
 
-    Parameters
-    ----------
-    screen : (n, 3) float, from `project`
-    x, y : pixels from the lower left
-    ball : pixels, radius of a drawn ball
-
-    Returns
-    -------
-    The foremost of the balls that the click hits; else the nearest within `REACH`; else None.
+    `screen` is (n, 3) float, from `project`; x and y are pixels from the lower left, as `ball`, the radius of a drawn ball.
     """
     away = np.hypot(screen[:, 0] - x, screen[:, 1] - y)
     away[~(np.abs(screen[:, 2]) <= 1.0)] = np.inf
