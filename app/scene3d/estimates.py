@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.scene3d.camera import Sight
-from app.scene3d.scene_state import DARK, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
+from app.scene3d.scene_state import ColourArray, Comparison, Look, StaticScene, Tint, View3DState
 from app.scene3d.shapes import Balls, Dots, Layer, Segments, crosses, heads, rings
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
@@ -57,6 +57,7 @@ class EstimatesLayer(Layer):
     name = "estimates"
 
     def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.static = static
         self.balls = Balls(pixels=12.0)
         self.marks = Segments(pixels=2.0)
@@ -187,6 +188,7 @@ class UncertaintyLayer(Layer):
     name = "uncertainty"
 
     def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.static = static
         self.lines = Segments(pixels=1.5)
         self._key: object = None
@@ -239,44 +241,30 @@ class CompareLayer(Layer):
     name = "compare"
 
     def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.arrows = Segments(pixels=2.0)
         self.dots = Dots(pixels=DOT_PIXELS[1], render_points_as_spheres=True)
-        self._look = DARK
         self._shown: Comparison | None = None
-        self._sight: Sight | None = None
         self._part = static.extent
         self._normals = static.skin_normals
-
-    def set_colours(self, look: Look) -> None:
-        """Take the colours of a theme."""
-        self._look = look
-        if self._shown is not None:
-            self._draw(self._shown)
 
     def show(self, state: View3DState) -> bool:
         """Show what is compared in a moment; return whether anything changed."""
         if state.comparison is self._shown:
             return False
         self._shown = state.comparison
-        if self._shown is not None:
-            self._draw(self._shown)
-        else:
+        if self._shown is None:
             self.dots.clear()
             self.arrows.clear()
+        self.draw()
         return True
 
-    def fit_to(self, sight: Sight) -> None:
+    def draw(self) -> None:
         """Keep the dots' size on the part, all before it, and the arrows' heads flat to the camera; leave out the far side."""
-        if self._shown is None or sight.same(self._sight):
+        shown, sight = self._shown, self.sight
+        if shown is None or sight is None:
             return
-        self._sight = sight
         self.dots.actor.GetProperty().SetPointSize(float(np.clip(DOT * sight.scale, *DOT_PIXELS)))
-        self._draw(self._shown)
-
-    def _draw(self, shown: Comparison) -> None:
-        sight = self._sight
-        if sight is None:
-            return
         near = ~(self._normals @ sight.towards < FAR_SIDE)
         dots = [_known(cloud.places, near) for cloud in shown.clouds]
         tints = [np.tile(self._colour(cloud.tint), (len(places), 1)) for cloud, places in zip(shown.clouds, dots, strict=True)]
@@ -286,7 +274,7 @@ class CompareLayer(Layer):
         self.arrows.join(sight.bring_before(strokes, self._part), self._colour(Tint.TO))
 
     def _colour(self, tint: Tint) -> ColourArray:
-        return np.array(self._look.tints[tint], np.uint8)
+        return np.array(self.look.tints[tint], np.uint8)
 
 
 def _known(rows: FloatArray, near: NDArray[np.bool_]) -> FloatArray:

@@ -37,8 +37,11 @@ class SurfaceLayer(Layer):
     name = "surface"
 
     def __init__(self, shaded: Shaded) -> None:
-        mesh = _polydata(shaded)
-        self._normals = shaded.normals
+        super().__init__()
+        points, self._normals, triangles = shaded
+        places = vtkPoints(data=numpy_to_vtk(points.astype(np.float32), deep=True))
+        mesh = vtkPolyData(points=places, polys=cells(triangles))
+        mesh.GetPointData().SetNormals(numpy_to_vtk(self._normals.astype(np.float32), deep=True))
         self._tinted = vtkPolyData()
         self._tinted.ShallowCopy(mesh)
         self.inside = _side(self._tinted, frontface_culling=True, lighting=False)
@@ -63,14 +66,6 @@ def _side(mesh: vtkPolyData, **look: float) -> vtkActor:
     return vtkActor(mapper=mapper, property=vtkProperty(ambient=0.25, diffuse=0.75, specular=0.0, **look))
 
 
-def _polydata(shaded: Shaded) -> vtkPolyData:
-    points, normals, triangles = shaded
-    places = vtkPoints(data=numpy_to_vtk(points.astype(np.float32), deep=True))
-    mesh = vtkPolyData(points=places, polys=cells(triangles))
-    mesh.GetPointData().SetNormals(numpy_to_vtk(normals.astype(np.float32), deep=True))
-    return mesh
-
-
 LIFT = 4e-4
 """m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""
 TOWARD_CORNER = 0.8
@@ -89,6 +84,7 @@ class ModulesLayer(Layer):
     name = "modules"
 
     def __init__(self, static: StaticScene, layout: Layout, laid: LaidSkin) -> None:
+        super().__init__()
         self.outlines = Segments(pixels=2.0)
         self.outlines.join(*_outline_segments(layout, laid))
         self.dots = Dots(pixels=3.0)

@@ -17,7 +17,7 @@ from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp, vtkProperty, vtkTextActor
 
 from app.scene3d.camera import Sight
-from app.scene3d.scene_state import ColourArray, Look, View3DState
+from app.scene3d.scene_state import DARK, ColourArray, Look, View3DState
 from skincal.geometry import FloatArray, IntArray
 
 HEAD_SHARE = 0.4
@@ -36,12 +36,19 @@ class Layer:
     name: ClassVar[str]
     """What the layer shows, in one word."""
 
+    def __init__(self) -> None:
+        self.look = DARK
+        self.sight: Sight | None = None
+        """From where the picture is seen; None before the first."""
+
     def props(self) -> Sequence[vtkProp]:
         """Return what goes into the renderer, in the order of drawing: its shapes."""
         return [shape.actor for shape in vars(self).values() if isinstance(shape, DrawnShape)]
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme; called before the first `show`."""
+        self.look = look
+        self.draw()
 
     def show(self, state: View3DState) -> bool:  # noqa: ARG002
         """Change arrays in place for a moment of the session; return whether anything changed."""
@@ -49,6 +56,12 @@ class Layer:
 
     def fit_to(self, sight: Sight) -> None:
         """Fit what depends on the camera, before each picture."""
+        if not sight.same(self.sight):
+            self.sight = sight
+            self.draw()
+
+    def draw(self) -> None:
+        """Write the arrays that depend on the theme or the camera."""
 
 
 def cells(connectivity: IntArray) -> vtkCellArray:

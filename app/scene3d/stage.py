@@ -54,6 +54,7 @@ class HintsLayer(Layer):
     name = "hints"
 
     def __init__(self) -> None:
+        super().__init__()
         self._xy = np.zeros((12, 3), dtype=np.float32)
         self._points = vtkPoints(data=numpy_to_vtk(self._xy))
         mapper = vtkPolyDataMapper2D()
@@ -61,25 +62,20 @@ class HintsLayer(Layer):
         self.lines = vtkActor2D(mapper=mapper, property=vtkProperty2D(line_width=2.0))
         self.texts = [written(vtkTextActor(), letter) for letter in LETTERS]
         self.length = written(vtkTextActor())
-        self._sight: Sight | None = None
 
     def props(self) -> Sequence[vtkProp]:
         """Return the lines, then the letters."""
         return self.lines, *self.texts, self.length
 
-    def set_colours(self, look: Look) -> None:
-        """Take the colours of a theme."""
-        self.lines.GetProperty().SetColor(*unit(look.faint))
-        for text in (*self.texts, self.length):
-            text.GetTextProperty().SetColor(*unit(look.faint))
-
-    def fit_to(self, sight: Sight) -> None:
+    def draw(self) -> None:
         """Draw the axes as they lie in the picture, and a bar of a round length."""
-        if sight.same(self._sight):
+        self.lines.GetProperty().SetColor(*unit(self.look.faint))
+        for text in (*self.texts, self.length):
+            text.GetTextProperty().SetColor(*unit(self.look.faint))
+        if self.sight is None:
             return
-        self._sight = sight
-        self._xy[:6, :2] = self._axes(sight)
-        self._xy[6:, :2] = self._bar(sight)
+        self._xy[:6, :2] = self._axes(self.sight)
+        self._xy[6:, :2] = self._bar(self.sight)
         self._points.GetData().Modified()
         self._points.Modified()
 

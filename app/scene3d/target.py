@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.scene3d.camera import Sight
-from app.scene3d.scene_state import Look, StaticScene, View3DState
+from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
@@ -35,25 +34,17 @@ class TargetLayer(Layer):
     name = "target"
 
     def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.static = static
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
         self.cone = Segments(pixels=1.5)
         self._key = b""
-        self._soft = BLACK
         self._leeway = 0.0
         """rad, half angle of the cone."""
         self._target: Target | None = None
         self._at: FloatArray = np.zeros(3)
         """(3,) float, metres: where the target's line meets the skin."""
-        self._scale = 1.0
-        """How many times larger than its own size it is drawn."""
-        self._sight: Sight | None = None
-
-    def set_colours(self, look: Look) -> None:
-        """Take the cone's colour, between ink and what is not to be in the way; black and white are seen in every theme."""
-        self._soft = ((np.array(look.ink, float) + look.faint) / 2.0).astype(np.uint8)
-        self._draw()
 
     def show(self, state: View3DState) -> bool:
         """Show the target of a moment; return whether anything changed."""
@@ -67,30 +58,25 @@ class TargetLayer(Layer):
             # A believed place lies above or below the skin; seen from outside, the ring must not. A landmark is where it is.
             surface = None if target.landmark else self.static.surface
             self._at = skin_point(surface, target.place, target.normal)
-        self._draw()
+        self.draw()
         return True
 
-    def fit_to(self, sight: Sight) -> None:
+    def draw(self) -> None:
         """Keep the ring large enough to be found when the camera goes away, and the arrow's head flat to the camera."""
-        if not sight.same(self._sight):
-            self._scale, self._sight = max(1.0, LEAST_PIXELS / (RING * sight.scale)), sight
-            self._draw()
-
-    def _draw(self) -> None:
-        ends = np.empty((0, 2, 3)) if self._target is None else self._strokes(self._target)
+        target, sight = self._target, self.sight
+        # How many times larger than its own size it is drawn.
+        scale = 1.0 if sight is None else max(1.0, LEAST_PIXELS / (RING * sight.scale))
+        ends = soft = np.empty((0, 2, 3))
+        if target is not None:
+            ring = rings(np.zeros((1, 3)), target.normal[None], RING, sides=36).reshape(-1, 2, 3)
+            towards = np.zeros(3) if sight is None else sight.towards
+            ends = self._at + scale * np.concatenate([ring, arrow(target.push, towards)])
+            if self._leeway:
+                soft = self._at + scale * cone(target.push, self._leeway)
         for shape, colour, by in ((self.rim, BLACK, RIM_LIFT), (self.core, WHITE, CORE_LIFT)):
-            lifted = ends if self._sight is None else self._sight.lift(ends, by * self._scale)
-            shape.join(lifted, colour)
-        soft = np.empty((0, 2, 3))
-        if self._target is not None and self._leeway:
-            soft = self._at + self._scale * cone(self._target.push, self._leeway)
-        self.cone.join(soft, self._soft)
-
-    def _strokes(self, target: Target) -> FloatArray:
-        """Return the sides of the ring and the strokes of the arrow, (n, 2, 3) float, metres, on the skin."""
-        towards = np.zeros(3) if self._sight is None else self._sight.towards
-        ring = rings(np.zeros((1, 3)), target.normal[None], RING, sides=36).reshape(-1, 2, 3)
-        return self._at + self._scale * np.concatenate([ring, arrow(target.push, towards)])
+            shape.join(ends if sight is None else sight.lift(ends, by * scale), colour)
+        # Between ink and what is not to be in the way; black and white are seen in every theme.
+        self.cone.join(soft, ((np.array(self.look.ink, float) + self.look.faint) / 2.0).astype(np.uint8))
 
 
 def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:

@@ -343,8 +343,8 @@ class Controller(QObject):
     def _take_in(self, recording: Recording) -> bool:
         drained = recording.drain(DRAIN_S)
         recording.pipeline.tick(time.monotonic_ns())
-        if recording.journal_failure and self.running is Running.STREAMING:
-            self._say_failure(refused_words(recording.journal_failure))
+        if recording.pipeline.journal_failure and self.running is Running.STREAMING:
+            self._say_failure(refused_words(recording.pipeline.journal_failure))
             self.pause()
         return drained
 
@@ -435,7 +435,7 @@ class Controller(QObject):
     def keep(self) -> None:
         """Copy a temporary recording to where it stays."""
         if self._recording is not None and self.can_keep:
-            self._recording.sync()
+            self._recording.pipeline.sync()
             self._endings.submit(self._recording.storage.keep, self._kept, self._say_failure)
 
     def _kept(self, folder: Path) -> None:

@@ -29,13 +29,8 @@ if TYPE_CHECKING:
 class Storage:
     """The folder of one recording.
 
-    A recording without a folder of its own goes into a temporary one. `keep` copies it at once, and `finish` copies what
-    was recorded after that and removes the temporary folder.
-
-    Parameters
-    ----------
-    request : says where the recording goes
-    documents : folder under which kept sessions are put, each in a folder of its date and time
+    A recording without a folder of its own goes into a temporary one. `keep` copies it at once into a folder of its date and
+    time under `documents`, and `finish` copies what was recorded after that and removes the temporary folder.
     """
 
     def __init__(self, request: OpenRequest, documents: Path) -> None:
@@ -98,12 +93,7 @@ class Storage:
 
 
 class Recording:
-    """One session while it is open.
-
-    Parameters
-    ----------
-    pipeline : with an open journal
-    """
+    """One session while it is open, its pipeline with an open journal."""
 
     def __init__(self, pipeline: Pipeline, storage: Storage) -> None:
         self.pipeline = pipeline
@@ -136,10 +126,7 @@ class Recording:
         return not self._queue.empty()
 
     def drain(self, limit_s: float = float("inf")) -> bool:
-        """Let the pipeline work on what arrived, for at most `limit_s`; return whether there was anything.
-
-        What the disk no longer takes is said by `journal_failure`.
-        """
+        """Let the pipeline work on what arrived, for at most `limit_s`; return whether there was anything."""
         end = time.perf_counter() + limit_s
         drained = False
         while not self._queue.empty():
@@ -151,15 +138,6 @@ class Recording:
             if time.perf_counter() > end:
                 break
         return drained
-
-    @property
-    def journal_failure(self) -> str:
-        """Why nothing is recorded any more; empty while all is well."""
-        return self.pipeline.journal_failure
-
-    def sync(self) -> None:
-        """Force what is recorded onto the medium."""
-        self.pipeline.sync()
 
     def go_on(self) -> None:
         """Read again, in a new segment of the journal.

@@ -43,12 +43,7 @@ SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
 
 
 class PressCoach:
-    """Follows a poke in progress beside the poke that is asked for.
-
-    Parameters
-    ----------
-    surface : of the part; None where the scene has none
-    """
+    """Follows a poke in progress beside the poke that is asked for."""
 
     def __init__(self, surface: Surface | None) -> None:
         self._surface = surface

@@ -33,13 +33,7 @@ class LinkLook(Enum):
 
 
 def link_look(health: LinkHealth, now_ns: int, *, connected: bool = True) -> LinkLook:
-    """Return how a link is doing.
-
-    Parameters
-    ----------
-    now_ns : host's monotonic clock
-    connected : the program reads its devices
-    """
+    """Return how a link is doing, by the host's monotonic clock; `connected` where the program reads its devices."""
     if not connected:
         return LinkLook.AWAY
     if health.state in (LinkState.LOST, LinkState.FAILED):
