@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QFontDatabase, QPalette
 from PySide6.QtWidgets import QApplication
 
-from skincal.taxels.result import Method
+if TYPE_CHECKING:
+    from skincal.taxels.result import Method
 
 HUES = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7")
 """Okabe and Ito 2008, without black: module i has hue i modulo 7."""
@@ -89,7 +91,7 @@ HEADLINE_PT = 28
 
 def method_hue(colours: Colours, method: Method) -> str:
     """Return the hue of a method's curves."""
-    return colours.methods[list(Method).index(method)]
+    return colours.methods[list(type(method)).index(method)]
 
 
 def system_colours() -> Colours:

@@ -23,7 +23,7 @@ from app.panels.widgets import ElidedLabel
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.message import Message
 from app.theme import GAP, Choice, Colours, Theme
 

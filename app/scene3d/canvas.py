@@ -13,15 +13,14 @@ from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent, QResizeEvent
+from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
 from PySide6.QtWidgets import QWidget
-
-from app.scene3d.scene_state import Look, StaticScene, View3DState
 
 if TYPE_CHECKING:
     from pyvistaqt import QtInteractor
 
     from app.scene3d.offscreen import HiddenWindow
+    from app.scene3d.scene_state import Look, StaticScene, View3DState
     from app.scene3d.stage import Stage
 
     AnyCanvas: TypeAlias = "QtInteractor | RasterCanvas"
@@ -94,11 +93,6 @@ class RasterCanvas(QWidget):
         painter = QPainter(self)
         painter.drawImage(0, 0, self._image)
         painter.end()
-
-    def resizeEvent(self, event: QResizeEvent) -> None:
-        """Have the next picture drawn in the new size."""
-        self._stale = True
-        super().resizeEvent(event)
 
     def _refresh(self) -> None:
         density = self.devicePixelRatioF()

@@ -17,15 +17,14 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, resume_pipeline
 from app.session.recording import Recording, Storage, stop_all
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
-from app.workers.processes import ProcessService
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from app.workers.processes import ReviewClient
+    from app.workers.processes import ProcessService, ReviewClient
     from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
     from skincal.guide.guidance import Guidance
@@ -137,7 +136,8 @@ class Controller(QObject):
         self._threads = ThreadService("background", self)
         self._endings = ThreadService("ending", self)
         """Copies recordings that are kept, and ends them, in that order; each is waited for, also as the window closes."""
-        self._processes = ProcessService()
+        self._processes: ProcessService | None = None
+        """Made with the first review."""
         self._news = False
         """The background brought something that is not shown yet."""
         self._server: DeviceProcess | None = None
@@ -222,7 +222,8 @@ class Controller(QObject):
         if self._reviewing is not None:
             self._reviewing.stop()
             self._reviewing = None
-        self._processes.close()
+        if self._processes is not None:
+            self._processes.close()
         self._threads.close()
         if not ended and storage is not None:
             storage.finish()
@@ -363,8 +364,9 @@ class Controller(QObject):
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process work out what landmark pokes say of the rig."""
         if self._reviewing is None:
-            from app.workers.processes import ReviewClient
+            from app.workers.processes import ProcessService, ReviewClient
 
+            self._processes = self._processes or ProcessService()
             self._reviewing = ReviewClient(session, self._processes, self)
             self._reviewing.reviewed.connect(self.reviewed)
             self._reviewing.failed.connect(self._review_failed)

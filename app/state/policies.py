@@ -13,6 +13,7 @@ from enum import Enum
 
 import numpy as np
 
+from app.state.running import Running
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase
@@ -27,15 +28,6 @@ from skincal.session.corrections import offered
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, State
-
-
-class Running(Enum):
-    """What the program does with its devices."""
-
-    OPENING = "opening"
-    STREAMING = "streaming"
-    PAUSED = "paused"
-    OFFLINE = "no device"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

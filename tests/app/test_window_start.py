@@ -44,6 +44,12 @@ def test_a_command_imports_no_qt(arguments):
     assert "Traceback" not in done.stderr
 
 
+def test_the_window_is_on_the_screen_before_anything_heavy_is_imported():
+    heavy = ("numpy", "wasmtime", "vtkmodules", "pyqtgraph", "skincal.session.session")
+    done = python(f"import sys, app.run; sys.exit(', '.join(name for name in {heavy} if name in sys.modules) or 0)")
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["--scene", "flat-patch", "--help"]])
 def test_help_lists_the_options_of_the_window(arguments, capsys):
     assert main(arguments) == 0
