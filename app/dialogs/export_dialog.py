@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, quiet
 from app.text.compare_text import saved_words
 from app.text.message import Message
 from app.text.outcomes import METHOD_NAMES
@@ -110,7 +110,7 @@ class ExportDialog(QDialog):
         """Say that the file is written and what was found on the way."""
         self.write.setEnabled(True)
         found = count(len(sentences), "remark") if sentences else "nothing to remark"
-        put(self.outcome, f"\N{CHECK MARK} Written to {self.path.text()}: {found}.")
+        self.outcome.setText(f"\N{CHECK MARK} Written to {self.path.text()}: {found}.")
         self.findings.clear()
         self.findings.addItems(list(sentences))
         self.findings.setVisible(bool(sentences))
@@ -118,7 +118,7 @@ class ExportDialog(QDialog):
     def show_failure(self, sentence: str) -> None:
         """Say why there is no file."""
         self.write.setEnabled(True)
-        put(self.outcome, f"\N{BALLOT X} {sentence}")
+        self.outcome.setText(f"\N{BALLOT X} {sentence}")
         self.path.setFocus()
 
     def reject(self) -> None:
@@ -128,7 +128,7 @@ class ExportDialog(QDialog):
 
     def _forget(self) -> None:
         """Take away what was said of another file."""
-        put(self.outcome, "")
+        self.outcome.setText("")
         self.findings.hide()
 
     def _row(self) -> tuple[str, str, str, str]:
@@ -136,7 +136,7 @@ class ExportDialog(QDialog):
 
     def _format_chosen(self) -> None:
         name, _, ending, about = self._row()
-        put(self.about, about)
+        self.about.setText(about)
         self.method.setEnabled(name in ("icub", "ply"))
         if self._named_by_hand:
             self.path.setText(str(Path(self.path.text()).with_suffix(ending)))
@@ -162,7 +162,7 @@ class ExportDialog(QDialog):
     def _write(self) -> None:
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
         self.write.setEnabled(False)
-        put(self.outcome, "Writing \N{HORIZONTAL ELLIPSIS}")
+        self.outcome.setText("Writing \N{HORIZONTAL ELLIPSIS}")
         self.write_requested.emit(self._row()[0], Path(self.path.text()), self.method.currentData())
 
 

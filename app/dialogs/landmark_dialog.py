@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, quiet
 from app.scene3d.view import View3D
 from app.text.message import Message
 from app.theme import GAP
@@ -96,7 +96,7 @@ class LandmarkDialog(QDialog):
         name = self.name.text().strip()
         refused = objection_to(name, self._taken)
         if refused:
-            put(self.objection, f"\N{BALLOT X} {refused}")
+            self.objection.setText(f"\N{BALLOT X} {refused}")
             self.name.setFocus()
             return
         self.given.emit(name, self.place())

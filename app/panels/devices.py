@@ -6,10 +6,10 @@ from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from app.panels.widgets import ElidedLabel, Painted, embolden, on_panel, put, quiet
+from app.panels.widgets import ElidedLabel, Painted, digits_font, embolden, on_panel, quiet
 from app.state.view_state import LinkLook, ViewState
 from app.text.outcomes import LinkWords, link_lines
-from app.theme import GAP, LIGHT, Colours, digits_font
+from app.theme import GAP, Colours
 from app.units import count
 from skincal.model.readings import LinkHealth
 
@@ -23,8 +23,8 @@ REFRESH_S = 0.25
 class LinkIcon(Painted):
     """State of a link by shape: full disc, hollow ring, bar in a ring, cross, square."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setFixedSize(ICON_PX, ICON_PX)
         self._look = LinkLook.WAITING
 
@@ -35,16 +35,10 @@ class LinkIcon(Painted):
             self.setToolTip(look.value)
             self.update()
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the shape."""
-        colours = self._colours
-        colour = QColor(
-            {
-                LinkLook.STREAMING: colours.accent,
-                LinkLook.SILENT: colours.warn,
-                LinkLook.LOST: colours.bad,
-            }.get(self._look, colours.muted)
-        )
+        inks = {LinkLook.STREAMING: colours.accent, LinkLook.SILENT: colours.warn, LinkLook.LOST: colours.bad}
+        colour = QColor(inks.get(self._look, colours.muted))
         painter.setPen(QPen(colour, 2))
         area = QRectF(3, 3, ICON_PX - 6, ICON_PX - 6)
         if self._look is LinkLook.STREAMING:
@@ -64,16 +58,16 @@ class LinkIcon(Painted):
 class LinkCard(QFrame):
     """One link."""
 
-    def __init__(self, address: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, address: str) -> None:
+        super().__init__()
         self.setObjectName("card")
         self.icon = LinkIcon()
         self.name = QLabel()
         embolden(self.name)
         self.rate = QLabel()
-        self.rate.setFont(digits_font(13, bold=True))
+        self.rate.setFont(digits_font(13))
         self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
-        self.about = ElidedLabel()
+        self.about = ElidedLabel("muted")
         self._address = address
         self.detail = quiet(wrap=True)
         self.losses = QLabel()
@@ -90,36 +84,31 @@ class LinkCard(QFrame):
         grid.addWidget(self.losses, 3, 1, 1, 2)
 
     def set(self, words: LinkWords, health: LinkHealth) -> None:
-        """Show how the link does; labels that are the same are left alone."""
+        """Show how the link does."""
         self.icon.set(words.look)
-        put(self.name, words.name)
-        put(self.rate, words.rate)
+        self.name.setText(words.name)
+        self.rate.setText(words.rate)
         carried = ", ".join(stream.value for stream in health.carries)
         about = [health.format or "format not known yet", self._address]
         # What a link carries is said only where its name does not say it.
         if carried != words.name:
             about.insert(0, carried)
         self.about.setText(f"last bytes {words.age}  \N{MIDDLE DOT}  " + "  \N{MIDDLE DOT}  ".join(filter(None, about)))
-        put(self.detail, words.detail)
+        self.detail.setText(words.detail)
         self.detail.setVisible(bool(words.detail))
         lost = "\n".join(f"{n:,}  {reason}".replace(",", "\N{NARROW NO-BREAK SPACE}") for reason, n in words.losses)
-        put(self.losses, f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost"))
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self.icon.set_colours(colours)
-        self.about.set_colour(QColor(colours.muted))
+        self.losses.setText(f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost"))
 
 
 class DevicesPanel(QScrollArea):
     """One card a link, and what was lost between them."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.cards: dict[str, LinkCard] = {}
         self.unpaired = quiet(wrap=True)
-        self._addresses: dict[str, str] = {}
-        self._colours = LIGHT
+        self.addresses: dict[str, str] = {}
+        """Where each link is connected to."""
         self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0
         inner = on_panel(self)
@@ -133,10 +122,6 @@ class DevicesPanel(QScrollArea):
             "vanishes is taken up again by itself."
         )
 
-    def set_addresses(self, addresses: dict[str, str]) -> None:
-        """Say where each link is connected to."""
-        self._addresses = addresses
-
     def show_state(self, state: ViewState) -> None:
         """Show the links; numbers change a few times a second, states at once."""
         links = link_lines(state)
@@ -146,32 +131,22 @@ class DevicesPanel(QScrollArea):
         self._shown, self._shown_s = looks, state.now_s
         for words, health in zip(links, state.live.links, strict=True):
             self._card(words.name).set(words, health)
-        for name in set(self.cards) - {words.name for words in links}:
-            self.cards.pop(name).deleteLater()
         missing = state.live.losses_unpaired
-        put(self.unpaired, f"{count(missing, 'skin frame')} without a wrench." if missing else "")
+        self.unpaired.setText(f"{count(missing, 'skin frame')} without a wrench." if missing else "")
 
     def _card(self, name: str) -> LinkCard:
         if name not in self.cards:
-            card = LinkCard(self._addresses.get(name, ""))
-            card.set_colours(self._colours)
-            self.cards[name] = card
+            self.cards[name] = LinkCard(self.addresses.get(name, ""))
             # Above the line of unpaired frames and the stretch.
-            self._column.insertWidget(len(self.cards) - 1, card)
+            self._column.insertWidget(len(self.cards) - 1, self.cards[name])
         return self.cards[name]
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        for card in self.cards.values():
-            card.set_colours(colours)
 
 
 class LinkChips(QWidget):
     """The links in one short line, for the foot of the window."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._row = QHBoxLayout(self)
         self._row.setContentsMargins(0, 0, GAP, 0)
         self._row.setSpacing(4)
@@ -179,7 +154,6 @@ class LinkChips(QWidget):
         self.behind = QLabel()
         self.behind.hide()
         self._row.addWidget(self.behind)
-        self._colours = LIGHT
         self._shown_s = 0.0
         self._looks: tuple[object, ...] = ()
 
@@ -192,34 +166,20 @@ class LinkChips(QWidget):
         if looks == self._looks and state.now_s - self._shown_s < 4 * REFRESH_S:
             return
         self._looks, self._shown_s = looks, state.now_s
-        if {words.name for words in links} != set(self._chips):
-            self._rebuild([words.name for words in links])
         for words in links:
-            icon, label = self._chips[words.name]
+            icon, label = self._chips.get(words.name) or self._add(words.name)
             icon.set(words.look)
-            put(label, words.short)
+            label.setText(words.short)
 
     def _show_behind(self, behind_s: float) -> None:
         """Say that the program works on older readings than the newest; shown in whole seconds."""
         late = behind_s >= BEHIND_SAID_S
-        put(self.behind, f"catching up, {round(behind_s)} s behind" if late else "")
+        self.behind.setText(f"catching up, {round(behind_s)} s behind" if late else "")
         self.behind.setVisible(late)
 
-    def _rebuild(self, names: list[str]) -> None:
-        for icon, label in self._chips.values():
-            icon.deleteLater()
-            label.deleteLater()
-        self._chips = {}
-        for name in names:
-            icon, label = LinkIcon(), quiet()
-            icon.set_colours(self._colours)
-            label.setContentsMargins(0, 0, GAP, 0)
-            self._row.addWidget(icon)
-            self._row.addWidget(label)
-            self._chips[name] = (icon, label)
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        for icon, _ in self._chips.values():
-            icon.set_colours(colours)
+    def _add(self, name: str) -> tuple[LinkIcon, QLabel]:
+        icon, label = self._chips[name] = LinkIcon(), quiet()
+        label.setContentsMargins(0, 0, GAP, 0)
+        self._row.addWidget(icon)
+        self._row.addWidget(label)
+        return icon, label

@@ -22,11 +22,11 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QAction, QColor
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QVBoxLayout, QWidget
 
-from app.panels.widgets import put, quiet
+from app.panels.widgets import quiet, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
-from app.theme import GAP, LIGHT, Colours
+from app.theme import GAP
 from app.units import DASH, ChannelNames, degrees, in_millimetres, number
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -54,7 +54,6 @@ class PokeTable(QAbstractTableModel):
         self._estimates: Mapping[int, Estimate] = {}
         self._doubting: Mapping[int, Sequence[Estimate]] = {}
         self._at_landmarks: Mapping[int, str] = {}
-        self._colours = LIGHT
 
     def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
         """Show another snapshot's pokes; the view learns of what changed alone."""
@@ -83,10 +82,6 @@ class PokeTable(QAbstractTableModel):
         if changed:
             rows = [len(new) - 1 - i for i in changed]
             self.dataChanged.emit(self.index(min(rows), 0), self.index(max(rows), len(HEADINGS) - 1))
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
 
     def record(self, row: int) -> PokeRecord:
         """Return the record of a row."""
@@ -128,11 +123,12 @@ class PokeTable(QAbstractTableModel):
         return None
 
     def _colour(self, record: PokeRecord, column: int) -> QColor | None:
+        colours = theme_colours()
         if record.excluded:
-            return QColor(self._colours.muted)
+            return QColor(colours.muted)
         if isinstance(record.outcome, Rejection) and record.outcome.poke not in self._at_landmarks:
-            return QColor(self._colours.bad if column == 1 else self._colours.muted)
-        return QColor(self._colours.accent) if column == 1 else None
+            return QColor(colours.bad if column == 1 else colours.muted)
+        return QColor(colours.accent) if column == 1 else None
 
     def _hint(self, record: PokeRecord) -> str:
         outcome = record.outcome
@@ -192,8 +188,8 @@ class PokesPanel(QWidget):
     taxel_wanted = Signal(int)
     """A poke was chosen by hand: the channel that answered it most."""
 
-    def __init__(self, names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, names: ChannelNames) -> None:
+        super().__init__()
         self.model = PokeTable(names)
         self.table = QTableView()
         self.table.setModel(self.model)
@@ -241,12 +237,7 @@ class PokesPanel(QWidget):
             return
         self._generation = generation
         self.model.show(state.snapshot, state.by_channel())
-        put(self.tally, tally_words(state.snapshot))
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self.model.set_colours(colours)
-        self.table.viewport().update()
+        self.tally.setText(tally_words(state.snapshot))
 
     def selected(self) -> tuple[int, ...]:
         """Return the numbers of the selected pokes, ascending."""

@@ -11,7 +11,7 @@ marks are put again only when the estimates change; a tick draws the few taxels 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,14 +29,14 @@ from PySide6.QtGui import (
     QPolygonF,
     QResizeEvent,
 )
-from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip, QWidget
+from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip
 
-from app.panels.widgets import Painted
+from app.panels.widgets import Painted, mix, theme_colours
 from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.outcomes import MARK_WORDS
-from app.theme import HUES, Colours, mix
+from app.theme import HUES, Colours
 from app.units import ChannelNames, number
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
@@ -154,7 +154,7 @@ def fit(plan: MapPlan, width: float, height: float) -> Fit:
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
-    """Draw one taxel.
+    """Draw one taxel; below `SMALL` there is no room for quarters and halves: a ring or a dot has the strength of its state.
 
     Parameters
     ----------
@@ -163,27 +163,38 @@ def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue
     hue : of the module
     crossed : colour of the cross of a taxel that is not used
     """
-    circle = QRectF(centre.x() - radius, centre.y() - radius, 2 * radius, 2 * radius)
+    # On whole pixels, or a small square's corners are as soft as a dot's.
+    reach = radius if radius >= SMALL else float(max(1, round(radius)))
+    circle = QRectF(centre.x() - reach, centre.y() - reach, 2 * reach, 2 * reach)
     if mark is Mark.DEAD:
-        _draw_cross(painter, centre, 0.8 * radius, crossed)
-        return
-    if mark is Mark.DONE:
+        arm = 0.8 * reach
+        painter.setPen(QPen(crossed, max(1.0, 0.3 * arm)))
+        for sign in (-1, 1):
+            painter.drawLine(centre + QPointF(-arm, -sign * arm), centre + QPointF(arm, sign * arm))
+    elif mark is Mark.DONE:
         painter.fillRect(circle, hue)
-        return
-    painter.setPen(QPen(hue, max(1.0, 0.26 * radius)))
-    painter.setBrush(QBrush(hue) if mark is Mark.GOOD else Qt.BrushStyle.NoBrush)
+    elif radius < SMALL:
+        _draw_dot(painter, circle, mark, hue)
+    else:
+        painter.setPen(QPen(hue, max(1.0, 0.26 * radius)))
+        painter.setBrush(QBrush(hue) if mark is Mark.GOOD else Qt.BrushStyle.NoBrush)
+        painter.drawEllipse(circle)
+        if mark in _FILLED:
+            painter.setPen(Qt.PenStyle.NoPen)
+            painter.setBrush(QBrush(hue))
+            painter.drawPie(circle, 90 * 16, -_FILLED[mark] * 16)
+
+
+def _draw_dot(painter: QPainter, circle: QRectF, mark: Mark, hue: QColor) -> None:
+    colour = QColor(hue)
+    colour.setAlphaF(_STRENGTH[mark])
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.setBrush(QBrush(colour))
     painter.drawEllipse(circle)
-    if mark in _FILLED:
-        painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(QBrush(hue))
-        painter.drawPie(circle, 90 * 16, -_FILLED[mark] * 16)
-
-
-def _draw_cross(painter: QPainter, centre: QPointF, reach: float, colour: QColor) -> None:
-    painter.setPen(QPen(colour, max(1.0, 0.3 * reach)))
-    for sign in (-1, 1):
-        start = QPointF(centre.x() - reach, centre.y() - sign * reach)
-        painter.drawLine(start, QPointF(centre.x() + reach, centre.y() + sign * reach))
+    if mark in _HOLLOW:
+        painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_Clear)
+        painter.drawEllipse(circle.adjusted(1.0, 1.0, -1.0, -1.0))
+        painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceOver)
 
 
 def draw_wedge(painter: QPainter, centre: QPointF, reach: float, colour: QColor, around: QColor) -> None:
@@ -200,26 +211,19 @@ def draw_wedge(painter: QPainter, centre: QPointF, reach: float, colour: QColor,
     painter.drawPolygon(QPolygonF([QPointF(centre.x() + reach * x, centre.y() + reach * y) for x, y in corners]))
 
 
-def draw_small(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
-    """Draw one taxel too small for quarters and halves: a ring, a dot, a square once done, a cross; parameters as above."""
-    # On whole pixels, or the square's corners are as soft as a dot's.
-    reach = float(max(1, round(radius)))
-    circle = QRectF(centre.x() - reach, centre.y() - reach, 2 * reach, 2 * reach)
-    if mark is Mark.DEAD:
-        _draw_cross(painter, centre, 0.8 * reach, crossed)
-        return
-    if mark is Mark.DONE:
-        painter.fillRect(circle, hue)
-        return
-    colour = QColor(hue)
-    colour.setAlphaF(_STRENGTH[mark])
-    painter.setPen(Qt.PenStyle.NoPen)
-    painter.setBrush(QBrush(colour))
-    painter.drawEllipse(circle)
-    if mark in _HOLLOW:
-        painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_Clear)
-        painter.drawEllipse(circle.adjusted(1.0, 1.0, -1.0, -1.0))
-        painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceOver)
+def blank(width: float, height: float, ratio: float) -> QPixmap:
+    """Return an empty picture; in device pixels, `ratio` of them a pixel, since a dense screen would show it blurred."""
+    picture = QPixmap(math.ceil(width * ratio), math.ceil(height * ratio))
+    picture.setDevicePixelRatio(ratio)
+    picture.fill(Qt.GlobalColor.transparent)
+    return picture
+
+
+def soft(picture: QPixmap) -> QPainter:
+    """Return what paints into a picture, with soft edges; to be ended."""
+    painter = QPainter(picture)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    return painter
 
 
 class Stamps:
@@ -232,9 +236,7 @@ class Stamps:
     """
 
     def __init__(self, radius: float, ratio: float, crossed: QColor) -> None:
-        self._radius = radius
-        self._ratio = ratio
-        self._crossed = crossed
+        self._radius, self._ratio, self._crossed = radius, ratio, crossed
         self._made: dict[tuple[int, str], QPixmap] = {}
         self.reach = math.ceil(1.2 * radius) + 1.0
         """Pixels from a stamp's corner to its centre."""
@@ -243,20 +245,11 @@ class Stamps:
         """Return the stamp of a mark's value in a hue."""
         key = (mark, hue)
         if key not in self._made:
-            self._made[key] = self._make(Mark(mark), QColor(hue))
+            stamp = self._made[key] = blank(2 * self.reach, 2 * self.reach, self._ratio)
+            painter = soft(stamp)
+            draw_mark(painter, QPointF(self.reach, self.reach), self._radius, Mark(mark), QColor(hue), self._crossed)
+            painter.end()
         return self._made[key]
-
-    def _make(self, mark: Mark, hue: QColor) -> QPixmap:
-        side = math.ceil(2 * self.reach * self._ratio)
-        stamp = QPixmap(side, side)
-        stamp.setDevicePixelRatio(self._ratio)
-        stamp.fill(Qt.GlobalColor.transparent)
-        painter = QPainter(stamp)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        draw = draw_small if self._radius < SMALL else draw_mark
-        draw(painter, QPointF(self.reach, self.reach), self._radius, mark, hue, self._crossed)
-        painter.end()
-        return stamp
 
 
 class TaxelMap(Painted):
@@ -266,8 +259,8 @@ class TaxelMap(Painted):
     mark_dead_requested = Signal(int)
     revive_requested = Signal(int)
 
-    def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames) -> None:
+        super().__init__()
         self._plan: MapPlan = plan_map(scene.skin.layout, channels)
         self._settings = scene.contacts
         self._width = scene.skin.channels
@@ -288,6 +281,8 @@ class TaxelMap(Painted):
         self._selected: int | None = None
         self._generation: tuple[object, ...] = ()
         self._base = self._states = QPixmap()
+        self._drawn_in = theme_colours()
+        """The colours of these two."""
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAccessibleName("map of the taxels")
@@ -326,11 +321,6 @@ class TaxelMap(Painted):
             self._levels = levels
         if changed:
             self.update()
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        super().set_colours(colours)
-        self._base = self._states = QPixmap()
 
     def channel_at(self, point: QPointF) -> int | None:
         """Return the channel whose mark is nearest to a point of the widget, None where none is near."""
@@ -420,33 +410,41 @@ class TaxelMap(Painted):
         best = int(np.argmin(cost))
         return int(self._plan.channels[best]) if math.isfinite(cost[best]) else None
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the modules, the answers, the states, the selection and the target, in that order."""
+        if colours is not self._drawn_in:
+            self._base = self._states = QPixmap()
+            self._drawn_in = colours
         if self._base.isNull():
-            self._base = self._drawn(self._draw_modules)
+            self._base = self._drawn(self._draw_modules, colours)
         if self._states.isNull():
-            self._states = self._drawn(self._draw_states)
+            self._states = self._drawn(self._draw_states, colours)
         painter.drawPixmap(0, 0, self._base)
-        self._draw_answers(painter)
+        self._draw_answers(painter, QColor(colours.text))
         painter.drawPixmap(0, 0, self._states)
-        self._draw_selection(painter)
-        self._draw_target(painter)
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        if self._selected is not None and self._selected in self._plan.channels:
+            self._ring(painter, self._selected, self._radius() * 1.75, ((4.0, colours.panel), (2.0, colours.text)))
+        if self._target is not None:
+            # White in black, outside the ring of a selected one.
+            radius = max(TARGET_LEAST, self._radius() * TARGET_SHARE)
+            self._ring(painter, self._target, radius, ((6.5, "black"), (2.5, "white")))
 
-    def _drawn(self, draw: Callable[[QPainter], None]) -> QPixmap:
-        # In device pixels: a dense screen would show it blurred.
-        ratio = self.devicePixelRatioF()
-        pixmap = QPixmap(math.ceil(self.width() * ratio), math.ceil(self.height() * ratio))
-        pixmap.setDevicePixelRatio(ratio)
-        pixmap.fill(Qt.GlobalColor.transparent)
-        painter = QPainter(pixmap)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        draw(painter)
+    def _ring(self, painter: QPainter, channel: int, radius: float, pens: Sequence[tuple[float, str]]) -> None:
+        for width, colour in pens:
+            painter.setPen(QPen(QColor(colour), width))
+            painter.drawEllipse(self.place_of(channel), radius, radius)
+
+    def _drawn(self, draw: Callable[[QPainter, Colours], None], colours: Colours) -> QPixmap:
+        picture = blank(self.width(), self.height(), self.devicePixelRatioF())
+        painter = soft(picture)
+        draw(painter, colours)
         painter.end()
-        return pixmap
+        return picture
 
-    def _draw_modules(self, painter: QPainter) -> None:
+    def _draw_modules(self, painter: QPainter, colours: Colours) -> None:
         room = np.array([self._room().left(), self._room().top()])
-        panel = self._colours.panel
+        panel = colours.panel
         looks = [(QPen(mix(hue, panel, 0.45), 1.2), mix(panel, hue, 0.07), mix(panel, hue, 0.2)) for hue in HUES]
         for index, outline in enumerate(self._plan.outlines):
             pen, brush, ink = looks[index % len(HUES)]
@@ -470,9 +468,8 @@ class TaxelMap(Painted):
         area = QRectF(sum(xs) / len(xs) - size, sum(ys) / len(ys) - size, 2 * size, 2 * size)
         painter.drawText(area, Qt.AlignmentFlag.AlignCenter, text)
 
-    def _draw_answers(self, painter: QPainter) -> None:
+    def _draw_answers(self, painter: QPainter, colour: QColor) -> None:
         painter.setPen(Qt.PenStyle.NoPen)
-        colour = QColor(self._colours.text)
         radius = self._radius()
         levels = self._levels[self._plan.channels]
         for row in np.flatnonzero(levels > 0):
@@ -482,57 +479,34 @@ class TaxelMap(Painted):
             reach = radius * (1.3 + 0.5 * level)
             painter.drawEllipse(QPointF(float(self._places[row, 0]), float(self._places[row, 1])), reach, reach)
 
-    def _draw_states(self, painter: QPainter) -> None:
+    def _draw_states(self, painter: QPainter, colours: Colours) -> None:
         values = self._marks[self._plan.channels].tolist()
-        hues = [hue or self._colours.muted for hue in self._hues]
-        stamps = Stamps(self._radius(), self.devicePixelRatioF(), QColor(self._colours.muted))
-        for value, hue, (x, y) in zip(values, hues, (self._places - stamps.reach).tolist(), strict=True):
-            painter.drawPixmap(QPointF(x, y), stamps.get(value, hue))
-        self._draw_rivals(painter)
-        self._draw_legend(painter)
+        radius, text, panel = self._radius(), QColor(colours.text), QColor(colours.panel)
+        stamps = Stamps(radius, self.devicePixelRatioF(), QColor(colours.muted))
+        for value, hue, (x, y) in zip(values, self._hues, (self._places - stamps.reach).tolist(), strict=True):
+            painter.drawPixmap(QPointF(x, y), stamps.get(value, hue or colours.muted))
+        # A wedge at the upper right of each taxel that may as well lie elsewhere.
+        away = 0.9 * radius
+        for x, y in self._places[np.isin(self._plan.channels, list(self._rivals))].tolist():
+            draw_wedge(painter, QPointF(x + away, y - away), max(WEDGE_LEAST, WEDGE_SHARE * radius), text, panel)
+        self._draw_legend(painter, text, panel, QColor(colours.muted))
 
-    def _draw_rivals(self, painter: QPainter) -> None:
-        """Put a wedge at the upper right of each taxel that may as well lie elsewhere."""
-        reach = max(WEDGE_LEAST, WEDGE_SHARE * self._radius())
-        away = 0.9 * self._radius()
-        for row in np.flatnonzero(np.isin(self._plan.channels, list(self._rivals))):
-            x, y = self._places[row].tolist()
-            draw_wedge(painter, QPointF(x + away, y - away), reach, QColor(self._colours.text), QColor(self._colours.panel))
-
-    def _draw_legend(self, painter: QPainter) -> None:
+    def _draw_legend(self, painter: QPainter, text: QColor, panel: QColor, muted: QColor) -> None:
         painter.setFont(self.font())
         counted = np.bincount(self._marks[self._plan.channels], minlength=len(Mark))
-        y = self.height() - LEGEND_PX / 2 - 1
-        x = float(MARGIN_PX + 6)
+        at = QPointF(MARGIN_PX + 6, self.height() - LEGEND_PX / 2 - 1)
+
+        def count(words: str) -> None:
+            nonlocal at
+            width = painter.fontMetrics().horizontalAdvance(words)
+            painter.setPen(muted)
+            painter.drawText(QRectF(at.x() + 9, at.y() - 9, width + 4, 18), Qt.AlignmentFlag.AlignVCenter, words)
+            at += QPointF(width + 26, 0)
+
         for mark in Mark:
-            if mark is not Mark.UNSEEN and counted[mark.value] == 0:
-                continue
-            draw_mark(painter, QPointF(x, y), 5.0, mark, QColor(self._colours.text), QColor(self._colours.text))
-            text = f"{_SHORT[mark]} {counted[mark.value]}"
-            painter.setPen(QColor(self._colours.muted))
-            width = painter.fontMetrics().horizontalAdvance(text)
-            painter.drawText(QRectF(x + 9, y - 9, width + 4, 18), Qt.AlignmentFlag.AlignVCenter, text)
-            x += width + 26
+            if mark is Mark.UNSEEN or counted[mark.value]:
+                draw_mark(painter, at, 5.0, mark, text, text)
+                count(f"{_SHORT[mark]} {counted[mark.value]}")
         if self._rivals:
-            draw_wedge(painter, QPointF(x, y), 5.0, QColor(self._colours.text), QColor(self._colours.panel))
-            painter.setPen(QColor(self._colours.muted))
-            painter.drawText(QRectF(x + 9, y - 9, 120, 18), Qt.AlignmentFlag.AlignVCenter, f"2 places {len(self._rivals)}")
-
-    def _draw_selection(self, painter: QPainter) -> None:
-        if self._selected is None or self._selected not in self._plan.channels:
-            return
-        centre, radius = self.place_of(self._selected), self._radius() * 1.75
-        painter.setBrush(Qt.BrushStyle.NoBrush)
-        for width, colour in ((4.0, self._colours.panel), (2.0, self._colours.text)):
-            painter.setPen(QPen(QColor(colour), width))
-            painter.drawEllipse(centre, radius, radius)
-
-    def _draw_target(self, painter: QPainter) -> None:
-        """Draw a white ring in a black one around the taxel that is to be poked, outside the ring of a selected one."""
-        if self._target is None:
-            return
-        centre, radius = self.place_of(self._target), max(TARGET_LEAST, self._radius() * TARGET_SHARE)
-        painter.setBrush(Qt.BrushStyle.NoBrush)
-        for width, colour in ((6.5, Qt.GlobalColor.black), (2.5, Qt.GlobalColor.white)):
-            painter.setPen(QPen(QColor(colour), width))
-            painter.drawEllipse(centre, radius, radius)
+            draw_wedge(painter, at, 5.0, text, panel)
+            count(f"2 places {len(self._rivals)}")

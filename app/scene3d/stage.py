@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 # Drawing code behind the classes below: each registers itself as it is imported.
-import vtkmodules.vtkRenderingFreeType  # noqa: F401
+import vtkmodules.vtkRenderingFreeType
 import vtkmodules.vtkRenderingOpenGL2  # noqa: F401
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkCommand, vtkPoints

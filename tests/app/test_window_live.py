@@ -32,7 +32,7 @@ from skincal.session.replay import replay
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method, State
 from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import changed, pixels
+from tests.app.window_support import changed, is_elided, pixels
 
 
 def known(snapshot) -> dict[tuple[Method, int], bytes]:
@@ -172,7 +172,7 @@ def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     head = bench.window.session_view.workspace.progress
     head.setText("84 of 84 taxels estimated, 312 pokes, 21 at landmarks, 14 rejected, 12 excluded")
-    assert not head.is_elided()
+    assert not is_elided(head)
 
 
 def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):

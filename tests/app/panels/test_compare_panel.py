@@ -45,7 +45,7 @@ from tests.app.scene3d_support import box, estimate, laid, scene
 from tests.app.view3d_on_screen import KEPT, make_view, turn
 from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, frame, session
+from tests.app.window_support import NAMES, PLAN, SCENE, frame, session, show_in
 
 METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
 FREE, SURFACE = (Source(PlaceOrigin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
@@ -210,7 +210,8 @@ def make_panel(qtbot, of: Part, methods=METHODS):
     qtbot.addWidget(panel)
     with qtbot.waitExposed(panel):
         panel.show()
-    panel.set_colours(DARK)
+    show_in(DARK)
+    panel.show_again()
     return panel
 
 

@@ -15,20 +15,36 @@ from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.inspect_panel import InspectPanel
 from app.panels.message_bar import MessageBar
 from app.panels.now_panel import NowPanel
-from app.panels.plot_panel import CurvesPanel
+from app.panels.plots import CurvesPanel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.rig_panel import ArmPanel
 from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map
+from app.panels.widgets import theme_colours
+from app.session_view import RIGHT_PX
 from app.state.policies import Mark
 from app.text.message import Message
-from app.theme import DARK, HUES, LIGHT, Choice, Colours, Theme, qpalette
+from app.theme import DARK, HUES, LIGHT, Choice, Colours
 from app.units import ChannelNames
-from app.workspace import RIGHT_PX
+from app.window import Theme, qpalette
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.model.readings import LinkState, Stream
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
-from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, changed, frame, link, pixels, reading, session, slip, touch
+from tests.app.window_support import (
+    NAMES,
+    PLAN,
+    SCENE,
+    arm_scene,
+    changed,
+    frame,
+    link,
+    pixels,
+    reading,
+    session,
+    show_in,
+    slip,
+    touch,
+)
 
 BOTH = (Method.SURFACE, Method.FREE)
 
@@ -47,12 +63,11 @@ class Paints(QObject):
 
 
 def shown(qtbot, widget, size=(420, 300)):
+    show_in(DARK)
     widget.resize(*size)
     qtbot.addWidget(widget)
     with qtbot.waitExposed(widget):
         widget.show()
-    if hasattr(widget, "set_colours"):
-        widget.set_colours(DARK)
     return widget
 
 
@@ -81,19 +96,19 @@ def test_text_can_be_read_on_everything_it_stands_on(colours: Colours):
     assert (high + 0.05) / (low + 0.05) >= 4.5
 
 
-def test_the_theme_is_the_operators_or_the_desktops(qapp):
-    before, sheet = qapp.palette(), qapp.styleSheet()
+def test_the_theme_is_the_operators_or_the_desktops(qapp, qtbot):
     theme = Theme(Choice.DARK)
-    seen: list[Colours] = []
-    theme.changed.connect(seen.append)
     assert qapp.palette().window().color() == QColor(DARK.window)
-    theme.choose(Choice.LIGHT)
-    assert seen == [LIGHT]
+    assert theme_colours() is DARK
+    with qtbot.waitSignal(theme.changed):
+        theme.choose(Choice.LIGHT)
     assert qapp.palette().windowText().color() == qpalette(LIGHT).windowText().color()
-    theme.choose(Choice.SYSTEM)
-    assert theme.colours in (DARK, LIGHT)
-    qapp.setPalette(before)
-    qapp.setStyleSheet(sheet)
+    assert theme_colours() is LIGHT
+    for scheme, colours in ((Qt.ColorScheme.Dark, DARK), (Qt.ColorScheme.Light, LIGHT)):
+        qapp.styleHints().setColorScheme(scheme)
+        theme.choose(Choice.SYSTEM)
+        assert theme_colours() is colours
+    qapp.styleHints().unsetColorScheme()
 
 
 def test_now_says_what_happens_and_the_ring_fills(qtbot):
@@ -338,7 +353,7 @@ def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
 
 def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     panel, chips = shown(qtbot, DevicesPanel()), shown(qtbot, LinkChips(), (300, 24))
-    panel.set_addresses({"wrench": "/dev/ttyUSB0"})
+    panel.addresses = {"wrench": "/dev/ttyUSB0"}
 
     def show(health, now_s):
         at = frame(view=reading(links=(health,), losses_unpaired=2), now_s=now_s)
