@@ -74,7 +74,9 @@ COMMANDS: tuple[Command, ...] = (
         "pedals", "Poke", "Pedals\N{HORIZONTAL ELLIPSIS}", ("F3",), "Learn the keys of foot pedals for Space, Backspace and N"
     ),
     Command("method", "View", "Next method", ("V",), "Show the next method's estimates; the guide follows it"),
-    Command("difference", "View", "Lines to the other method", ("X",), "Join each estimate to the surface method's, or that to the free one's", checkable=True),
+    Command(
+        "difference", "View", "Lines to the other method", ("X",), "Join each estimate to the surface method's", checkable=True
+    ),
     Command("guide", "View", "Guide", ("G",), "Say and show what to poke next", checkable=True),
     Command("sounds", "View", SOUNDS, ("M",), "Hear contact, enough, verdict, taxel done, device lost", checkable=True),
     Command("speech", "View", "Say why a poke is rejected", ("Shift+M",), "With the voice of the system", checkable=True),
