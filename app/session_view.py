@@ -19,7 +19,7 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.commands import Commands
-from app.dialogs.export_dialog import ExportDialog, ask_layout
+from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
@@ -37,6 +37,7 @@ from app.sound.cues import CueMemory, due_cue
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
+from app.text.compare_text import saved_words
 from app.text.message import Message
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -567,9 +568,7 @@ class SessionView(QObject):
     def ask_reference(self, parent: QWidget) -> None:
         """Ask for a file with known places of the taxels, and show the error against it."""
         kinds = "Known places (*.json *.txt *.ini);;All files (*)"
-        # A folder that is not there yet would stand in the dialog as a file's name.
-        folder = self._documents if self._documents.is_dir() else Path.home()
-        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(folder), kinds)
+        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(self._folder()), kinds)
         if path:
             self.compare_with(Path(path))
 
@@ -582,12 +581,31 @@ class SessionView(QObject):
         self._controller.compute(
             lambda: load_reference(path, part.scene.link, channels),
             self._take_reference,
-            lambda sentence: self.said.emit(Message(sentence, error=True)),
+            self._say_failure,
         )
 
     def ask_layout(self, mend: LayoutMend) -> None:
-        """Ask for a file and save the corrected layout there."""
-        ask_layout(self.workspace, self._documents, self.workspace.part.scene, mend, self._controller.compute, self.said.emit)
+        """Ask for a file, write the corrected layout there, and say where it is or why it is not."""
+        scene = self.workspace.part.scene
+        given, name = scene.skin.layout, str(self._folder() / f"{scene.name}-corrected.modules.toml")
+        chosen, _ = QFileDialog.getSaveFileName(self.workspace, "Save the corrected layout", name, "Layout (*.toml)")
+        if given is None or not chosen:
+            return
+        path = Path(chosen)
+
+        def write() -> None:
+            from skincal.files.layout_file import write_layout
+
+            write_layout(given, mend, path)
+
+        self._controller.compute(write, lambda _: self.said.emit(Message(saved_words(path, mend))), self._say_failure)
+
+    def _folder(self) -> Path:
+        # A folder that is not there yet would stand in a dialog as a file's name.
+        return self._documents if self._documents.is_dir() else Path.home()
+
+    def _say_failure(self, sentence: str) -> None:
+        self.said.emit(Message(sentence, error=True))
 
     def offer(self, reference: Reference) -> None:
         """Compare estimates with it, where the panel of errors is open."""
@@ -609,7 +627,7 @@ class SessionView(QObject):
         try:
             self.workspace.view.screenshot(Path(path))
         except InputError as error:
-            self.said.emit(Message(str(error), error=True))
+            self._say_failure(str(error))
 
     # Coming and going
 

@@ -1,10 +1,8 @@
-"""Write files: the calibration, with format, method and place, then what the lint says about it; the corrected layout."""
+"""The dialog that writes the calibration: format, method and place, then what the lint says about it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
@@ -23,12 +21,8 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.widgets import plain_buttons, quiet
-from app.text.compare_text import saved_words
-from app.text.message import Message
 from app.text.outcomes import METHOD_NAMES
 from app.units import count
-from skincal.model.scene import Scene
-from skincal.modules.health import LayoutMend
 from skincal.taxels.result import Method
 
 FORMATS: tuple[tuple[str, str, str, str], ...] = (
@@ -140,13 +134,12 @@ class ExportDialog(QDialog):
         self.method.setEnabled(name in ("icub", "ply"))
         if self._named_by_hand:
             self.path.setText(str(Path(self.path.text()).with_suffix(ending)))
-        else:
-            self._name()
+        self._name()
 
     def _name(self) -> None:
         if not self._named_by_hand:
-            name, _, ending, _ = self._row()
-            method = f"-{self.method.currentText()}" if name in ("icub", "ply") else ""
+            _, _, ending, _ = self._row()
+            method = f"-{self.method.currentText()}" if self.method.isEnabled() else ""
             self.path.setText(str(self._stem.with_name(f"{self._stem.name}{method}{ending}")))
 
     def _edited(self) -> None:
@@ -164,41 +157,3 @@ class ExportDialog(QDialog):
         self.write.setEnabled(False)
         self.outcome.setText("Writing \N{HORIZONTAL ELLIPSIS}")
         self.write_requested.emit(self._row()[0], Path(self.path.text()), self.method.currentData())
-
-
-class Compute(Protocol):
-    """Does work beside the window, and hands over its result or the sentence why there is none."""
-
-    def __call__(self, work: Callable[[], Any], done: Callable[[Any], None], failed: Callable[[str], None]) -> None:
-        """Start the work."""
-        ...
-
-
-def ask_layout(
-    parent: QWidget, documents: Path, scene: Scene, mend: LayoutMend, compute: Compute, say: Callable[[Message], None]
-) -> None:
-    """Ask for a file, write the corrected layout there, and say where it is or why it is not.
-
-    Parameters
-    ----------
-    documents : where files go unless the operator says otherwise
-    scene : whose layout it is
-    mend : of that layout
-    """
-    given = scene.skin.layout
-    if given is None:
-        return
-    # A folder that is not there yet would stand in the dialog as a file's name.
-    folder = documents if documents.is_dir() else Path.home()
-    name = str(folder / f"{scene.name}-corrected.modules.toml")
-    chosen, _ = QFileDialog.getSaveFileName(parent, "Save the corrected layout", name, "Layout (*.toml)")
-    if not chosen:
-        return
-    path = Path(chosen)
-
-    def write() -> None:
-        from skincal.files.layout_file import write_layout
-
-        write_layout(given, mend, path)
-
-    compute(write, lambda _: say(Message(saved_words(path, mend))), lambda sentence: say(Message(sentence, error=True)))
