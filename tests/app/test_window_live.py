@@ -48,7 +48,7 @@ def known(snapshot) -> dict[tuple[Method, int], bytes]:
 def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.open_served()
     window, workspace = bench.window, bench.window.session_view.workspace
-    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Rig"]
+    assert list(workspace.panels) == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Rig"]
     bench.until_all_is_there()
     bench.until(lambda: window.session_view.state.guidance.landmark is not None)
     bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
