@@ -292,11 +292,9 @@ class SessionView(QObject):
         workspace.tabs.currentChanged.connect(self._tab_opened)
         workspace.error_course.source_chosen.connect(self.follow_again)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
-        for panel in (workspace.map, workspace.inspect):
-            panel.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
-            panel.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
+        workspace.inspect.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
+        workspace.inspect.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
         self.picking.said.connect(self.said)
-        workspace.pokes.actions_offered = [self._commands.actions[name] for name in ("exclude", "undo")]
         workspace.rig.correct_requested.connect(self._controller.act)
         workspace.rig.uncorrect_requested.connect(lambda of: self._controller.act(Uncorrect(of)))
         if workspace.rig.arm is not None:

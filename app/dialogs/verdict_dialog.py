@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
-from PySide6.QtWidgets import QDialog, QDialogButtonBox, QFormLayout, QHeaderView, QLabel, QTreeWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QDialog,
+    QDialogButtonBox,
+    QFormLayout,
+    QFrame,
+    QHeaderView,
+    QLabel,
+    QTreeWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from app.panels.widgets import embolden, plain_buttons, put_rows, quiet, table
 from app.text.verdict_text import figures, left_words, sentence
@@ -46,6 +56,9 @@ class VerdictDialog(QDialog):
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
         self.left = table("what is not done", HEADINGS)
         self.left.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        self.left.setUniformRowHeights(False)
+        self.left.setWordWrap(True)
+        self.left.setFrameShape(QFrame.Shape.NoFrame)
         put_rows(self.left, [(names.short(left.channel), left_words(left)) for left in verdict.left])
         self._channels = [left.channel for left in verdict.left]
         self.buttons = QDialogButtonBox()

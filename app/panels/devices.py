@@ -2,57 +2,38 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
-from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QScrollArea, QVBoxLayout
 
-from app.panels.widgets import ElidedLabel, Painted, digits_font, embolden, on_panel, quiet
+from app.panels.widgets import ElidedLabel, digits_font, embolden, on_panel, quiet, theme_colours
 from app.state.view_state import LinkLook, ViewState
 from app.text.outcomes import LinkWords, link_lines
-from app.theme import GAP, Colours
+from app.theme import GAP
 from app.units import count
 from skincal.model.readings import LinkHealth
 
-ICON_PX = 18
 BEHIND_SAID_S = 0.6
 """s. A shorter delay is not said: a hand does not notice it."""
 REFRESH_S = 0.25
 """s between two changes of the numbers of a device: faster ones cannot be read."""
 
 
-class LinkIcon(Painted):
-    """State of a link by shape: full disc, hollow ring, bar in a ring, cross, square."""
+_SIGNS = {
+    LinkLook.STREAMING: ("\N{BLACK CIRCLE}", "accent"),
+    LinkLook.WAITING: ("\N{WHITE CIRCLE}", "muted"),
+    LinkLook.SILENT: ("\N{WHITE UP-POINTING TRIANGLE}", "warn"),
+    LinkLook.LOST: ("\N{MULTIPLICATION X}", "bad"),
+    LinkLook.ENDED: ("\N{WHITE SQUARE}", "muted"),
+    LinkLook.AWAY: ("\N{WHITE CIRCLE}", "muted"),
+}
+"""The state of a link by shape, and which of the theme's colours says it again."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.setFixedSize(ICON_PX, ICON_PX)
-        self._look = LinkLook.WAITING
+SIGN_PX = 18
 
-    def set(self, look: LinkLook) -> None:
-        """Show another state."""
-        if look is not self._look:
-            self._look = look
-            self.setToolTip(look.value)
-            self.update()
 
-    def paint(self, painter: QPainter, colours: Colours) -> None:
-        """Paint the shape."""
-        inks = {LinkLook.STREAMING: colours.accent, LinkLook.SILENT: colours.warn, LinkLook.LOST: colours.bad}
-        colour = QColor(inks.get(self._look, colours.muted))
-        painter.setPen(QPen(colour, 2))
-        area = QRectF(3, 3, ICON_PX - 6, ICON_PX - 6)
-        if self._look is LinkLook.STREAMING:
-            painter.setBrush(colour)
-            painter.drawEllipse(area)
-        elif self._look is LinkLook.LOST:
-            painter.drawLine(area.topLeft(), area.bottomRight())
-            painter.drawLine(area.topRight(), area.bottomLeft())
-        elif self._look is LinkLook.SILENT:
-            painter.drawPolygon(QPolygonF([QPointF(ICON_PX / 2, 3), area.bottomRight(), area.bottomLeft()]))
-        elif self._look is LinkLook.ENDED:
-            painter.drawRect(area.adjusted(1, 1, -1, -1))
-        else:
-            painter.drawEllipse(area)
+def _sign(look: LinkLook) -> str:
+    sign, ink = _SIGNS[look]
+    return f'<span style="font-size:{SIGN_PX}px; font-weight:bold; color:{getattr(theme_colours(), ink)}">{sign}</span>'
 
 
 class LinkCard(QFrame):
@@ -61,7 +42,7 @@ class LinkCard(QFrame):
     def __init__(self, address: str) -> None:
         super().__init__()
         self.setObjectName("card")
-        self.icon = LinkIcon()
+        self.sign = QLabel()
         self.name = QLabel()
         embolden(self.name)
         self.rate = QLabel()
@@ -76,7 +57,7 @@ class LinkCard(QFrame):
         grid.setContentsMargins(GAP, GAP, GAP, GAP)
         grid.setVerticalSpacing(3)
         grid.setColumnStretch(1, 1)
-        grid.addWidget(self.icon, 0, 0)
+        grid.addWidget(self.sign, 0, 0)
         grid.addWidget(self.name, 0, 1)
         grid.addWidget(self.rate, 0, 2)
         grid.addWidget(self.about, 1, 1, 1, 2)
@@ -85,7 +66,8 @@ class LinkCard(QFrame):
 
     def set(self, words: LinkWords, health: LinkHealth) -> None:
         """Show how the link does."""
-        self.icon.set(words.look)
+        self.sign.setText(_sign(words.look))
+        self.sign.setToolTip(words.look.value)
         self.name.setText(words.name)
         self.rate.setText(words.rate)
         carried = ", ".join(stream.value for stream in health.carries)
@@ -125,7 +107,7 @@ class DevicesPanel(QScrollArea):
     def show_state(self, state: ViewState) -> None:
         """Show the links; numbers change a few times a second, states at once."""
         links = link_lines(state)
-        looks = tuple((words.name, words.look, words.detail) for words in links)
+        looks = (theme_colours(), *((words.name, words.look, words.detail) for words in links))
         if looks == self._shown and state.now_s - self._shown_s < REFRESH_S:
             return
         self._shown, self._shown_s = looks, state.now_s
@@ -142,44 +124,26 @@ class DevicesPanel(QScrollArea):
         return self.cards[name]
 
 
-class LinkChips(QWidget):
-    """The links in one short line, for the foot of the window."""
+class LinkChips(QLabel):
+    """The links in one short line, for the foot of the window, and how far behind the readings the program is."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._row = QHBoxLayout(self)
-        self._row.setContentsMargins(0, 0, GAP, 0)
-        self._row.setSpacing(4)
-        self._chips: dict[str, tuple[LinkIcon, QLabel]] = {}
-        self.behind = QLabel()
-        self.behind.hide()
-        self._row.addWidget(self.behind)
+        self.setContentsMargins(0, 0, GAP, 0)
+        self.setMinimumHeight(SIGN_PX)
+        self.setProperty("quiet", True)
+        self.setTextFormat(Qt.TextFormat.RichText)
+        self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0
-        self._looks: tuple[object, ...] = ()
 
     def show_state(self, state: ViewState) -> None:
-        """Show state and rate of each link, and how far behind the readings the program is."""
-        self._show_behind(state.behind_s)
+        """Show state and rate of each link, and that the program works on older readings than the newest."""
         links = link_lines(state)
-        looks = tuple((words.name, words.look) for words in links)
+        late = f"catching up, {round(state.behind_s)} s behind" if state.behind_s >= BEHIND_SAID_S else ""
+        shown = (theme_colours(), late, *((words.name, words.look) for words in links))
         # The foot of the window is seen from the corner of the eye: once a second is enough.
-        if looks == self._looks and state.now_s - self._shown_s < 4 * REFRESH_S:
+        if shown == self._shown and state.now_s - self._shown_s < 4 * REFRESH_S:
             return
-        self._looks, self._shown_s = looks, state.now_s
-        for words in links:
-            icon, label = self._chips.get(words.name) or self._add(words.name)
-            icon.set(words.look)
-            label.setText(words.short)
-
-    def _show_behind(self, behind_s: float) -> None:
-        """Say that the program works on older readings than the newest; shown in whole seconds."""
-        late = behind_s >= BEHIND_SAID_S
-        self.behind.setText(f"catching up, {round(behind_s)} s behind" if late else "")
-        self.behind.setVisible(late)
-
-    def _add(self, name: str) -> tuple[LinkIcon, QLabel]:
-        icon, label = self._chips[name] = LinkIcon(), quiet()
-        label.setContentsMargins(0, 0, GAP, 0)
-        self._row.addWidget(icon)
-        self._row.addWidget(label)
-        return icon, label
+        self._shown, self._shown_s = shown, state.now_s
+        chips = [late, *(f"{_sign(words.look)}&nbsp;{words.short}" for words in links)]
+        self.setText("&nbsp;&nbsp; ".join(filter(None, chips)))

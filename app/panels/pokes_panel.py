@@ -15,12 +15,11 @@ from PySide6.QtCore import (
     QItemSelectionModel,
     QModelIndex,
     QPersistentModelIndex,
-    QPoint,
     Qt,
     Signal,
 )
-from PySide6.QtGui import QAction, QColor
-from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QVBoxLayout, QWidget
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
 
 from app.panels.widgets import quiet, theme_colours
 from app.state.view_state import ViewState
@@ -72,16 +71,9 @@ class PokeTable(QAbstractTableModel):
             self._records = records
             self.endInsertRows()
         self._records = records
-        self._announce_changes(old, records)
-
-    def _announce_changes(self, old: Sequence[PokeRecord], new: Sequence[PokeRecord]) -> None:
-        if new:
-            # What a poke counts for, and its tilt, follow the estimates, and these all pokes.
-            self.dataChanged.emit(self.index(0, 1), self.index(len(new) - 1, 4))
-        changed = [i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a is not b and a != b]
-        if changed:
-            rows = [len(new) - 1 - i for i in changed]
-            self.dataChanged.emit(self.index(min(rows), 0), self.index(max(rows), len(HEADINGS) - 1))
+        # What a poke counts for, and its tilt, follow the estimates, and these all pokes; only rows on the screen are read.
+        if records:
+            self.dataChanged.emit(self.index(0, 0), self.index(len(records) - 1, len(HEADINGS) - 1))
 
     def record(self, row: int) -> PokeRecord:
         """Return the record of a row."""
@@ -195,7 +187,6 @@ class PokesPanel(QWidget):
         self.table.setModel(self.model)
         self.tally = quiet(wrap=True)
         self.tally.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
-        self.actions_offered: list[QAction] = []
         self._generation: tuple[object, object] = (None, None)
         self._prepare()
         column = QVBoxLayout(self)
@@ -215,7 +206,6 @@ class PokesPanel(QWidget):
         table.setShowGrid(False)
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
-        table.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         table.verticalHeader().hide()
         table.verticalHeader().setDefaultSectionSize(table.fontMetrics().height() + 8)
         table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -228,7 +218,6 @@ class PokesPanel(QWidget):
             if text:
                 header.resizeSection(column, table.fontMetrics().horizontalAdvance(text) + 12)
         table.selectionModel().selectionChanged.connect(self._selection_changed)
-        table.customContextMenuRequested.connect(self._menu)
 
     def show_state(self, state: ViewState) -> None:
         """Show the pokes of a tick; nothing happens where they are the same."""
@@ -260,11 +249,6 @@ class PokesPanel(QWidget):
             peak = peak_channel(self.model.record(rows[0].row()).outcome)
             if peak is not None:
                 self.taxel_wanted.emit(peak)
-
-    def _menu(self, place: QPoint) -> None:
-        menu = QMenu(self)
-        menu.addActions(self.actions_offered)
-        menu.popup(self.table.viewport().mapToGlobal(place))
 
 
 def tally_words(snapshot: Snapshot) -> str:

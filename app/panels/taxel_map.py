@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PySide6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import (
     QBrush,
     QColor,
-    QContextMenuEvent,
     QHelpEvent,
     QKeyEvent,
     QMouseEvent,
@@ -29,7 +28,7 @@ from PySide6.QtGui import (
     QPolygonF,
     QResizeEvent,
 )
-from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip
+from PySide6.QtWidgets import QSizePolicy, QToolTip
 
 from app.panels.widgets import Painted, mix, theme_colours
 from app.state.policies import Mark, answer_levels, marks
@@ -99,11 +98,6 @@ class MapPlan:
     labels: tuple[str, ...]
     """One a module."""
 
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest and the highest corner of everything, (2,) float each."""
-        points = np.concatenate([self.places, *self.outlines])
-        return points.min(axis=0) - self.spacing, points.max(axis=0) + self.spacing
-
 
 def plan_map(layout: Layout | None, channels: IntArray) -> MapPlan:
     """Place the channels of a skin on a flat map.
@@ -131,26 +125,26 @@ def plan_map(layout: Layout | None, channels: IntArray) -> MapPlan:
 class Fit:
     """From the plan to pixels: one scale for both axes, y down, a quarter turn where that shows more."""
 
-    scale: float
-    shift: tuple[float, float]
+    scale: float = 1.0
+    shift: tuple[float, float] = (0.0, 0.0)
     turned: bool = False
 
     def pixels(self, points: FloatArray) -> FloatArray:
         """Return (n, 2) pixels of (n, 2) points of the plan."""
-        own = points[:, ::-1] if self.turned else points * np.array([1.0, -1.0])
-        return own * self.scale + np.array(self.shift)
+        own = points[:, ::-1] if self.turned else points * (1.0, -1.0)
+        return own * self.scale + self.shift
 
 
-def fit(plan: MapPlan, width: float, height: float) -> Fit:
-    """Return how a plan fills `width` x `height` pixels, in the middle and with its proportions kept."""
-    low, high = plan.bounds()
-    size = np.maximum(high - low, 1e-9)
-    plain = min(width / size[0], height / size[1])
-    turned = min(width / size[1], height / size[0])
-    middle = (low + high) / 2
-    if turned > TURN_GAIN * plain:
-        return Fit(turned, (width / 2 - middle[1] * turned, height / 2 - middle[0] * turned), turned=True)
-    return Fit(plain, (width / 2 - middle[0] * plain, height / 2 + middle[1] * plain))
+def fit(plan: MapPlan, room: QRectF) -> Fit:
+    """Return how a plan fills a room, in the middle and with its proportions kept."""
+    points = np.concatenate([plan.places, *plan.outlines])
+    low, high = points.min(axis=0) - plan.spacing, points.max(axis=0) + plan.spacing
+    across, up = np.maximum(high - low, 1e-9)
+    plain = min(room.width() / across, room.height() / up)
+    turned = min(room.width() / up, room.height() / across)
+    made = Fit(turned, turned=True) if turned > TURN_GAIN * plain else Fit(plain)
+    x, y = made.pixels((low + high)[None] / 2)[0].tolist()
+    return replace(made, shift=(room.center().x() - x, room.center().y() - y))
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
@@ -256,8 +250,6 @@ class TaxelMap(Painted):
     """The flat map of a skin."""
 
     taxel_clicked = Signal(int)
-    mark_dead_requested = Signal(int)
-    revive_requested = Signal(int)
 
     def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames) -> None:
         super().__init__()
@@ -268,7 +260,7 @@ class TaxelMap(Painted):
         owners = [names.module_index(int(channel)) for channel in channels]
         self._hues = ["" if owner < 0 else HUES[owner % len(HUES)] for owner in owners]
         """One a channel of the plan; empty where there is no module."""
-        self._fit = Fit(1.0, (0.0, 0.0))
+        self._fit = Fit()
         self._places: FloatArray = np.zeros((len(channels), 2))
         self._marks: IntArray = np.zeros(self._width, dtype=np.int64)
         self._levels: FloatArray = np.zeros(self._width)
@@ -301,7 +293,6 @@ class TaxelMap(Painted):
 
     def show_state(self, state: ViewState) -> None:
         """Show states, answers and the selection of a tick; draws nothing where all are the same."""
-        changed = False
         self._guidance = state.guidance
         generation = (state.revision, state.method, state.guidance is None)
         if generation != self._generation:
@@ -309,18 +300,17 @@ class TaxelMap(Painted):
             self._marks = marks(state.estimates, self._width, done_channels(state.guidance))
             self._rivals = frozenset(e.channel for e in state.estimates if e.rival is not None)
             self._states = QPixmap()
-            changed = True
+            self.update()
         target = None if state.target is None else state.target.channel
         if (state.selected, target) != (self._selected, self._target):
             self._selected, self._target = state.selected, target
-            changed = True
+            self.update()
         if len(state.live.skin) == self._width:
             self._answers = state.live.skin
             levels = answer_levels(state.live.skin, self._settings)
-            changed |= not np.array_equal(levels, self._levels)
-            self._levels = levels
-        if changed:
-            self.update()
+            if not np.array_equal(levels, self._levels):
+                self._levels = levels
+                self.update()
 
     def channel_at(self, point: QPointF) -> int | None:
         """Return the channel whose mark is nearest to a point of the widget, None where none is near."""
@@ -338,16 +328,16 @@ class TaxelMap(Painted):
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Fit the plan into the new size."""
         super().resizeEvent(event)
-        room = self._room()
-        self._fit = fit(self._plan, room.width(), room.height())
-        self._places = self._fit.pixels(self._plan.places) + np.array([room.left(), room.top()])
+        width, height = self.width() - 2 * MARGIN_PX, self.height() - LEGEND_PX - 2 * MARGIN_PX
+        self._fit = fit(self._plan, QRectF(MARGIN_PX, MARGIN_PX, max(10, width), max(10, height)))
+        self._places = self._fit.pixels(self._plan.places)
         self._base = self._states = QPixmap()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Select the taxel under the pointer."""
         self.setFocus(Qt.FocusReason.MouseFocusReason)
         channel = self.channel_at(event.position())
-        if channel is not None and event.button() in (Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton):
+        if channel is not None and event.button() is Qt.MouseButton.LeftButton:
             self.taxel_clicked.emit(channel)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
@@ -359,19 +349,6 @@ class TaxelMap(Painted):
         channel = self._next(step)
         if channel is not None:
             self.taxel_clicked.emit(channel)
-
-    def contextMenuEvent(self, event: QContextMenuEvent) -> None:
-        """Offer to leave a taxel out, or to use it again."""
-        channel = self.channel_at(QPointF(event.pos()))
-        if channel is None:
-            return
-        menu = QMenu(self)
-        name = self._names.short(channel)
-        if self._marks[channel] == Mark.DEAD.value:
-            menu.addAction(f"Use {name} again", lambda: self.revive_requested.emit(channel))
-        else:
-            menu.addAction(f"Do not use {name}", lambda: self.mark_dead_requested.emit(channel))
-        menu.popup(event.globalPos())
 
     def event(self, event: QEvent) -> bool:
         """Say which taxel is under the pointer."""
@@ -389,11 +366,6 @@ class TaxelMap(Painted):
         name = f"{self._names.short(channel)}  ({self._names.long(channel)})"
         needs = "" if self._guidance is None else needs_words(self._guidance, channel)
         return "\n".join(filter(None, (name, f"{state}{rival}", needs, f"answers {answer} above its baseline")))
-
-    def _room(self) -> QRectF:
-        return QRectF(
-            MARGIN_PX, MARGIN_PX, max(10, self.width() - 2 * MARGIN_PX), max(10, self.height() - LEGEND_PX - 2 * MARGIN_PX)
-        )
 
     def _radius(self) -> float:
         return max(1.0, self._plan.spacing * self._fit.scale * SHARE_OF_SPACING)
@@ -443,12 +415,11 @@ class TaxelMap(Painted):
         return picture
 
     def _draw_modules(self, painter: QPainter, colours: Colours) -> None:
-        room = np.array([self._room().left(), self._room().top()])
         panel = colours.panel
         looks = [(QPen(mix(hue, panel, 0.45), 1.2), mix(panel, hue, 0.07), mix(panel, hue, 0.2)) for hue in HUES]
         for index, outline in enumerate(self._plan.outlines):
             pen, brush, ink = looks[index % len(HUES)]
-            corners = (self._fit.pixels(outline) + room).tolist()
+            corners = self._fit.pixels(outline).tolist()
             painter.setPen(pen)
             painter.setBrush(brush)
             painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in corners]))

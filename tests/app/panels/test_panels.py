@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QObject, QPoint, Qt
+from PySide6.QtCore import QEvent, QObject, QPoint, QRectF, Qt
 from PySide6.QtGui import QColor, QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QWidget
@@ -179,7 +179,7 @@ def test_the_map_keeps_the_proportions_and_the_hand_of_the_layout(taxels):
 @pytest.mark.parametrize("size", [(900.0, 120.0), (120.0, 900.0), (300.0, 300.0)])
 def test_a_map_of_any_shape_stays_inside(size):
     plan = plan_map(PLAN, PLAN.channels)
-    placed = fit(plan, *size).pixels(np.concatenate([plan.places, *plan.outlines]))
+    placed = fit(plan, QRectF(0, 0, *size)).pixels(np.concatenate([plan.places, *plan.outlines]))
     assert (placed >= 0).all()
     assert (placed <= np.array(size)).all()
 
@@ -363,10 +363,10 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     assert "/dev/ttyUSB0" in card.about.text()
     assert "3  checksum does not fit" in card.losses.text()
     assert "2 skin frames" in panel.unpaired.text()
-    good = pixels(card.icon)
+    good = pixels(card.sign)
     card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 vanished; plug it in again."), 100.2)
     assert card.detail.text() == "/dev/ttyUSB0 vanished; plug it in again."
-    assert changed(good, pixels(card.icon)) > 50
+    assert changed(good, pixels(card.sign)) > 50
     card = show(link(), 105.0)
     assert card.rate.text() == "silent"
 
