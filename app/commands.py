@@ -97,13 +97,7 @@ _THEMES = {
 
 
 class Commands(QObject):
-    """The actions, made once and enabled by policy.
-
-    Parameters
-    ----------
-    bar : gets the menus
-    slots : what each command does, by its name
-    """
+    """The actions, made once and enabled by policy."""
 
     def __init__(self, bar: QMenuBar, slots: dict[str, Callable[[], object]], parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -160,12 +154,7 @@ class Commands(QObject):
         }
 
     def follow(self, may: Allowed, correct: str, *, can_keep: bool) -> None:
-        """Enable what may be done, and name it.
-
-        Parameters
-        ----------
-        correct : name of the correction that is offered; empty where none is
-        """
+        """Enable what may be done, and name it."""
         excludes = bool(may.exclude or may.unname)
         exclude = "Restore selected pokes" if may.restore and not excludes else "Exclude selected pokes"
         for name, enabled, text in (

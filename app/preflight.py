@@ -75,13 +75,7 @@ def objection(
     can_load: Callable[[str], bool] = loads,
     x_is_there: Callable[[], bool] = x_answers,
 ) -> str:
-    """Return why no window can be opened here and what to do, or an empty text.
-
-    Parameters
-    ----------
-    environment : the process's own by default
-    platform : as `sys.platform` names it; only Linux can lack something that pip does not bring
-    """
+    """Return why no window can be opened here and what to do, or an empty text."""
     if not platform.startswith("linux"):
         return ""
     env = os.environ if environment is None else environment

@@ -141,8 +141,8 @@ class Workspace(QWidget):
         self.tabs.tabBar().setExpanding(True)
         self.tabs.tabBar().setDrawBase(False)
         self.view.setMinimumWidth(420)
-        self.right.setStretchFactor(0, 1)
-        self.right.setStretchFactor(1, 1)
+        # A plot needs the height more than the map, whose marks are seen whole down to this at 720 pixels.
+        self.right.setSizes([21_000, 29_000])
         self.right.setMinimumWidth(360)
         self.across.setStretchFactor(0, 1)
         self.across.setSizes([10_000, RIGHT_PX])
@@ -223,16 +223,7 @@ def _card(splitter: QSplitter) -> QVBoxLayout:
 
 
 class SessionView(QObject):
-    """What exists as long as a session is open.
-
-    Parameters
-    ----------
-    part : what is calibrated
-    controller : does what the operator wants
-    commands : are enabled by what may be done
-    documents : where files go unless the operator says otherwise
-    make_view : the 3D view
-    """
+    """What exists as long as a session is open."""
 
     said = Signal(object)
     """`Message`."""

@@ -141,12 +141,7 @@ def count(value: int, singular: str, plural: str | None = None) -> str:
 
 
 class ChannelNames:
-    """What a channel is called: `17-05` is taxel 5 of module 17, as in the maker's files; `ch 12` without a layout.
-
-    Parameters
-    ----------
-    layout : None where the scene has none
-    """
+    """What a channel is called: `17-05` is taxel 5 of module 17, as in the maker's files; `ch 12` without a layout."""
 
     def __init__(self, layout: Layout | None) -> None:
         self._layout = layout

@@ -128,16 +128,7 @@ class Theme(QObject):
 
 
 class Window(QMainWindow):
-    """Everything the operator sees.
-
-    Parameters
-    ----------
-    controller : its signals are shown, its slots do what the operator wants
-    theme : colours
-    settings : size, splitters, theme
-    documents : where sessions and files go unless the operator says otherwise
-    player : plays the sounds
-    """
+    """Everything the operator sees."""
 
     _sound_found = Signal(bool)
     """From the player's thread: whether there is a sound device."""

@@ -129,15 +129,7 @@ def _millimetres(axis: str) -> QDoubleSpinBox:
 
 
 class LandmarkPicking(QObject):
-    """Leads from the command to the landmark.
-
-    Parameters
-    ----------
-    view : in which the point is clicked
-    names : gives those of the landmarks that there are
-    act : does it
-    link : name of the frame
-    """
+    """Leads from the command to the landmark."""
 
     said = Signal(object)
     """`Message`: what to do now."""
@@ -163,12 +155,7 @@ class LandmarkPicking(QObject):
         return self._view.picking
 
     def ask(self, window: QWidget) -> None:
-        """Wait for a click on the part, or no more; where there is nothing to click on, ask for coordinates at once.
-
-        Parameters
-        ----------
-        window : over which the dialog appears
-        """
+        """Wait for a click on the part, or no more; where there is nothing to click on, ask for coordinates at once."""
         if self.waiting:
             self.stop()
             return

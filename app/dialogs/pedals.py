@@ -71,13 +71,7 @@ def key_name(event: QKeyEvent) -> str:
 
 
 def objection(name: str, taken: Mapping[str, str]) -> str:
-    """Return why a key cannot be a pedal's; empty where it can.
-
-    Parameters
-    ----------
-    name : as by `key_name`
-    taken : what keys mean already, by such names
-    """
+    """Return why a key cannot be a pedal's; empty where it can."""
     if not name:
         return "The desktop knows no name for this key; set the pedal to another one, F13 for example."
     if name in MODIFIERS.values():
@@ -89,13 +83,7 @@ def objection(name: str, taken: Mapping[str, str]) -> str:
 
 
 class Pedals(QObject):
-    """The keys that were learnt; they are kept in the settings.
-
-    Parameters
-    ----------
-    actions : what each pedal triggers, by the pedal's name
-    taken : gives what keys mean already
-    """
+    """The keys that were learnt; they are kept in the settings."""
 
     def __init__(
         self,

@@ -8,15 +8,15 @@ from PySide6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
     QFormLayout,
-    QFrame,
     QHeaderView,
     QLabel,
-    QTreeWidgetItem,
+    QTableWidget,
+    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from app.panels.widgets import embolden, plain_buttons, put_rows, quiet, table
+from app.panels.widgets import embolden, plain_buttons, quiet
 from app.text.verdict_text import figures, left_words, sentence
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
@@ -28,10 +28,7 @@ HEADINGS = ("Taxel", "Why it is not done")
 class VerdictDialog(QDialog):
     """Says how it ends; the space bar goes on: to the file if it is enough and nothing speaks against it, else to the session.
 
-    Parameters
-    ----------
-    rig : what is known of the rig's own errors; empty for nothing
-    settled : whether nothing is offered that would change the estimates
+    `rig` says what is known of the rig's own errors; it is settled where nothing is offered that would change the estimates.
     """
 
     export_wanted = Signal()
@@ -54,13 +51,11 @@ class VerdictDialog(QDialog):
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
-        self.left = table("what is not done", HEADINGS)
-        self.left.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        self.left.setUniformRowHeights(False)
-        self.left.setWordWrap(True)
-        self.left.setFrameShape(QFrame.Shape.NoFrame)
-        put_rows(self.left, [(names.short(left.channel), left_words(left)) for left in verdict.left])
+        self.left = QTableWidget(len(verdict.left), len(HEADINGS))
         self._channels = [left.channel for left in verdict.left]
+        for row, left in enumerate(verdict.left):
+            for column, text in enumerate((names.short(left.channel), left_words(left))):
+                self.left.setItem(row, column, QTableWidgetItem(text))
         self.buttons = QDialogButtonBox()
         self.go_on = self.buttons.addButton("Go on", QDialogButtonBox.ButtonRole.RejectRole)
         self.export = self.buttons.addButton("Export\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
@@ -71,9 +66,24 @@ class VerdictDialog(QDialog):
         first.setFocus()
         self.buttons.accepted.connect(self._export)
         self.buttons.rejected.connect(self.reject)
-        self.left.itemActivated.connect(self._ask)
+        self.left.itemActivated.connect(lambda item: self.taxel_wanted.emit(self._channels[item.row()]))
 
     def _arrange(self) -> None:
+        table = self.left
+        table.setAccessibleName("what is not done")
+        table.setHorizontalHeaderLabels(HEADINGS)
+        table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        table.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
+        table.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
+        # Tab goes on to the buttons.
+        table.setTabKeyNavigation(False)
+        table.setShowGrid(False)
+        table.verticalHeader().hide()
+        header = table.horizontalHeader()
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        header.setStretchLastSection(True)
+        header.setHighlightSections(False)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         embolden(self.sentence, HEADLINE_PT)
         self.sentence.setAccessibleName("verdict")
         form = QFormLayout()
@@ -104,9 +114,6 @@ class VerdictDialog(QDialog):
         """Keep Enter in the list from the default button: it asks for the taxel of its row."""
         if not (self.left.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter)):
             super().keyPressEvent(event)
-
-    def _ask(self, row: QTreeWidgetItem) -> None:
-        self.taxel_wanted.emit(self._channels[self.left.indexOfTopLevelItem(row)])
 
     def _export(self) -> None:
         self.accept()

@@ -62,13 +62,7 @@ TINTS = {Method.FREE: Tint.FREE, Method.SURFACE: Tint.SURFACE, Method.MODULES: T
 
 
 class ComparePanel(QScrollArea):
-    """What is compared above, how far it lies apart below, module by module and taxel by taxel.
-
-    Parameters
-    ----------
-    part : what is calibrated
-    methods : that the scene has, in the order in which they are offered
-    """
+    """What is compared above, how far it lies apart below, module by module and taxel by taxel."""
 
     taxel_wanted = Signal(int)
     comparison_changed = Signal(object)

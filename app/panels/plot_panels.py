@@ -115,13 +115,7 @@ class ReadingsPanel(PlotPanel):
 
 
 class ErrorsPanel(PlotPanel):
-    """Mean, 95th percentile and maximum of each method, against what is known of the taxels' places.
-
-    Parameters
-    ----------
-    methods : that the scene has
-    layout : names the modules; None where there are none
-    """
+    """Mean, 95th percentile and maximum of each method, against what is known of the taxels' places."""
 
     source_chosen = Signal()
     """Estimates are to be compared with something else from now on."""

@@ -83,11 +83,7 @@ def min_max_decimation(times: FloatArray, values: FloatArray, columns: int, span
 class StillPlot(pg.PlotWidget):
     """A plot in the theme's colours to which mouse and keys do nothing.
 
-    Parameters
-    ----------
-    name : for those who cannot see it
-    left_px, bottom_px : size of the axes, so that the curves stand still while the numbers beside them change
-    least_px : height below which nothing can be read
+    Its axes keep their sizes in pixels, so that the curves stand still while the numbers beside them change.
     """
 
     def __init__(self, name: str, left_px: int, bottom_px: int, least_px: int) -> None:
@@ -120,11 +116,7 @@ class StillPlot(pg.PlotWidget):
 class Curves(QWidget):
     """Three curves of one quantity under a line of numbers.
 
-    Parameters
-    ----------
-    unit : SI, a key of `UNITS`
-    floor : smallest half height of the axis, shown unit
-    decimals : of the numbers
+    The unit is SI; `floor` is the smallest half height of the axis in the shown unit.
     """
 
     def __init__(self, title: str, unit: str, floor: float, decimals: int) -> None:

@@ -148,15 +148,7 @@ def fit(plan: MapPlan, room: QRectF) -> Fit:
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
-    """Draw one taxel; below `SMALL` there is no room for quarters and halves: a ring or a dot has the strength of its state.
-
-    Parameters
-    ----------
-    painter : with antialiasing
-    radius : pixels
-    hue : of the module
-    crossed : colour of the cross of a taxel that is not used
-    """
+    """Draw one taxel; below `SMALL` there is no room for quarters and halves: a ring or a dot has the strength of its state."""
     # On whole pixels, or a small square's corners are as soft as a dot's.
     reach = radius if radius >= SMALL else float(max(1, round(radius)))
     circle = QRectF(centre.x() - reach, centre.y() - reach, 2 * reach, 2 * reach)
@@ -192,13 +184,7 @@ def _draw_dot(painter: QPainter, circle: QRectF, mark: Mark, hue: QColor) -> Non
 
 
 def draw_wedge(painter: QPainter, centre: QPointF, reach: float, colour: QColor, around: QColor) -> None:
-    """Draw the small triangle that says that a taxel may lie elsewhere.
-
-    Parameters
-    ----------
-    reach : pixels from the middle to a corner
-    around : colour of its rim, which sets it off from the mark below
-    """
+    """Draw the small triangle that says that a taxel may lie elsewhere, in a rim that sets it off from the mark below."""
     corners = [(0.0, -1.0), (0.87, 0.5), (-0.87, 0.5)]
     painter.setPen(QPen(around, 1.2))
     painter.setBrush(QBrush(colour))
@@ -221,13 +207,7 @@ def soft(picture: QPixmap) -> QPainter:
 
 
 class Stamps:
-    """Marks of one size, drawn once each.
-
-    Parameters
-    ----------
-    radius : pixels
-    ratio : device pixels a pixel
-    """
+    """Marks of one size, drawn once each; `radius` in pixels, `ratio` in device pixels a pixel."""
 
     def __init__(self, radius: float, ratio: float, crossed: QColor) -> None:
         self._radius, self._ratio, self._crossed = radius, ratio, crossed

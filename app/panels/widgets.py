@@ -49,12 +49,7 @@ def digits_font(points: float) -> QFont:
 
 
 class ElidedLabel(QWidget):
-    """One line of text that ends in an ellipsis where it does not fit; the whole of it is the tooltip.
-
-    Parameters
-    ----------
-    ink : which of the theme's colours it is drawn in
-    """
+    """One line in one of the theme's colours, with an ellipsis where it does not fit; the whole of it is the tooltip."""
 
     def __init__(self, ink: str = "text") -> None:
         super().__init__()
