@@ -229,7 +229,7 @@ class SessionView(QObject):
     """`Message`."""
     unsaid = Signal(object)
     """`Message`: it holds no more."""
-    heard = Signal(object)
+    sound_due = Signal(object)
     """`DueCue`: a sound that is due."""
 
     def __init__(
@@ -248,7 +248,7 @@ class SessionView(QObject):
         self._tick: Tick | None = None
         self._revision = 0
         self._clock_offset = time.time() - time.monotonic()
-        self._ear = CueMemory()
+        self._cues = CueMemory()
         self._rig = RigReview()
         self._guidance: Guidance | None = None
         self._coach = PressCoach(part.surface)
@@ -301,7 +301,7 @@ class SessionView(QObject):
     def session_opened(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
         self._show_addresses()
-        self._ear = CueMemory.of(snapshot)
+        self._cues = CueMemory.of(snapshot)
         self.workspace.now.begin(snapshot)
 
     # What is shown
@@ -341,7 +341,7 @@ class SessionView(QObject):
         if tick is None:
             return
         self.state = state = self.view_state(tick)
-        self._hear(state)
+        self._cue(state)
         self._announce_modules(state)
         self.workspace.show_state(state)
         self.chips.show_state(state)
@@ -428,11 +428,11 @@ class SessionView(QObject):
             if self._controller.act(action):
                 self.said.emit(Message(corrected_words(action)))
 
-    def _hear(self, state: ViewState) -> None:
+    def _cue(self, state: ViewState) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices a shorter delay than an eye."""
-        due, self._ear = due_cue(self._ear, state)
+        due, self._cues = due_cue(self._cues, state)
         if due is not None and state.behind_s <= LATE_S:
-            self.heard.emit(due)
+            self.sound_due.emit(due)
 
     def follow_again(self) -> None:
         """Follow and show the newest tick again, after the method or what is wanted of the guide changed."""

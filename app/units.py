@@ -148,7 +148,7 @@ class ChannelNames:
 
     def short(self, channel: int) -> str:
         """Return the name on labels."""
-        module = self._module(channel)
+        module = self.module_index(channel)
         if self._layout is None or module < 0:
             return f"ch {channel}"
         owner = self._layout.modules[module]
@@ -156,7 +156,7 @@ class ChannelNames:
 
     def long(self, channel: int) -> str:
         """Return the name in full, for tooltips."""
-        module = self._module(channel)
+        module = self.module_index(channel)
         if self._layout is None or module < 0:
             return f"channel {channel}"
         owner = self._layout.modules[module]
@@ -164,9 +164,6 @@ class ChannelNames:
 
     def module_index(self, channel: int) -> int:
         """Return the index of the channel's module, -1 where there is none."""
-        return self._module(channel)
-
-    def _module(self, channel: int) -> int:
         if self._layout is None or not 0 <= channel < self._layout.width:
             return -1
         return int(self._layout.module_of[channel])

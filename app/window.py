@@ -244,7 +244,7 @@ class Window(QMainWindow):
         session_view = SessionView(part, self.controller, self.commands, self._documents, parent=self)
         self.session_view = session_view
         session_view.said.connect(self.tell)
-        session_view.heard.connect(lambda due: self._player.play(due.sound, due.word))
+        session_view.sound_due.connect(lambda due: self._player.play(due.sound, due.word))
         session_view.unsaid.connect(self.messages.withdraw)
         session_view.picking.unsaid.connect(self.messages.withdraw)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")

@@ -137,12 +137,7 @@ class LandmarkPicking(QObject):
     """`Message` that holds no more."""
 
     def __init__(
-        self,
-        view: View3D,
-        names: Callable[[], Collection[str]],
-        act: Callable[[Action], object],
-        link: str,
-        parent: QObject | None = None,
+        self, view: View3D, names: Callable[[], Collection[str]], act: Callable[[Action], object], link: str, parent: QObject
     ) -> None:
         super().__init__(parent)
         self._view, self._names, self._act, self._link = view, names, act, link

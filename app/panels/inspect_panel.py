@@ -317,7 +317,6 @@ class InspectPanel(QScrollArea):
         self.use.setEnabled(True)
 
     def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
-        """List what each poke counts for the taxel; one that the method doubts has a sign as well."""
         self.pokes_title.setText(f"Its pokes by the {METHOD_NAMES[method]} method, newest first")
         for widget in (self.pokes_title, self.pokes):
             widget.setVisible(bool(pokes))

@@ -36,8 +36,9 @@ def theme_colours() -> Colours:
 
 def mix(first: str, second: str, share: float) -> QColor:
     """Return the colour that lies `share` of the way from `first` to `second`."""
-    ends = zip(QColor(first).getRgbF(), QColor(second).getRgbF(), strict=True)
-    return QColor.fromRgbF(*(a + (b - a) * share for a, b in ends))
+    a, b = QColor(first), QColor(second)
+    ends = ((a.redF(), b.redF()), (a.greenF(), b.greenF()), (a.blueF(), b.blueF()))
+    return QColor.fromRgbF(*(low + (high - low) * share for low, high in ends))
 
 
 def digits_font(points: float) -> QFont:
