@@ -258,12 +258,12 @@ def test_a_new_target_is_drawn_at_once_though_the_camera_turns(view):
 
 @pytest.fixture
 def taxels(qtbot):
+    show_in(DARK)
     made = TaxelMap(SCENE, PLAN.channels, NAMES)
     made.resize(420, 300)
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
         made.show()
-    show_in(DARK)
     return made
 
 

@@ -94,8 +94,8 @@ def test_for_the_surface_method_places_count_and_no_sides():
 
 @pytest.fixture
 def panel(qtbot):
-    made = AxisDiversityPanel(NAMES)
     show_in(DARK)
+    made = AxisDiversityPanel(NAMES)
     qtbot.addWidget(made)
     made.resize(420, 180)
     with qtbot.waitExposed(made):

@@ -203,6 +203,7 @@ class Queue:
 
 
 def make_panel(qtbot, of: Part, methods=METHODS):
+    show_in(DARK)
     panel = ComparePanel(of, methods, NAMES if of.scene.skin.layout is not None else ChannelNames(None))
     panel.drawn = []
     panel.comparison_changed.connect(panel.drawn.append)
@@ -210,8 +211,6 @@ def make_panel(qtbot, of: Part, methods=METHODS):
     qtbot.addWidget(panel)
     with qtbot.waitExposed(panel):
         panel.show()
-    show_in(DARK)
-    panel.show_again()
     return panel
 
 

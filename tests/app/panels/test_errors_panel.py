@@ -153,6 +153,7 @@ def queue():
 @pytest.fixture
 def panel(qtbot, queue):
     """A panel on the screen with its plot."""
+    show_in(DARK)
     made = ErrorsPanel((Method.FREE,), PLAN)
     course, show = ErrorFollower(part(reference(Origin.PLAN, "part")), queue), made.show_state
 
@@ -168,7 +169,6 @@ def panel(qtbot, queue):
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
         made.show()
-    show_in(DARK)
     made.show_state(frame(session(-1), now_s=90.0))
     qtbot.waitUntil(lambda: made.ready, timeout=20_000)
     return made

@@ -71,10 +71,10 @@ def every_headline() -> list[str]:
 @pytest.fixture
 def panel(qtbot):
     """The panel as wide as in a window of 1280 pixels."""
+    show_in(DARK)
     made = NowPanel()
     qtbot.addWidget(made)
     made.resize(1264, made.height())
-    show_in(DARK)
     with qtbot.waitExposed(made):
         made.show()
     return made
