@@ -95,6 +95,7 @@ class Pedals(QObject):
         super().__init__(parent)
         self._actions, self._taken, self._settings = actions, taken, settings
         self._listener: Callable[[str], None] | None = None
+        self._installed = False
         self.keys: dict[str, str] = {}
         """Key of each pedal that was learnt, by the pedal's name."""
         for pedal in PEDALS:
@@ -136,12 +137,14 @@ class Pedals(QObject):
     def _watch(self) -> None:
         """See every event of the program, but only while there is a key to see."""
         application = QCoreApplication.instance()
-        if application is None:
+        wanted = bool(self.keys) or self._listener is not None
+        if application is None or wanted == self._installed:
             return
-        # A filter in Python is asked for each event: it costs too much where nobody waits for a key.
-        application.removeEventFilter(self)
-        if self.keys or self._listener is not None:
+        self._installed = wanted
+        if wanted:
             application.installEventFilter(self)
+        else:
+            application.removeEventFilter(self)
 
     def eventFilter(self, _watched: QObject, event: QEvent) -> bool:
         """Turn the keys of pedals into those as which they act."""
