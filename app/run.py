@@ -22,8 +22,8 @@ from app.session.controller import Controller
 from app.session.opening import Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
 from app.sound.player import Player
 from app.text.message import Message
-from app.theme import Choice, Theme
-from app.window import Window
+from app.theme import Choice
+from app.window import Theme, Window
 from skincal.model.errors import InputError
 
 LOG = logging.getLogger("skincal")

@@ -29,7 +29,7 @@ from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import box, estimate, laid
 from tests.app.view3d_on_screen import drag, screen_place, wheel
 from tests.app.whole_window import Bench, Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session
+from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, is_elided, pixels, reading, session, show_in
 
 TILT = float(np.radians(28.0))
 
@@ -257,12 +257,12 @@ def test_a_new_target_is_drawn_at_once_though_the_camera_turns(view):
 
 @pytest.fixture
 def taxels(qtbot):
+    show_in(DARK)
     made = TaxelMap(SCENE, PLAN.channels, NAMES)
     made.resize(420, 300)
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
         made.show()
-    made.set_colours(DARK)
     return made
 
 
@@ -334,10 +334,10 @@ def test_large_type_becomes_smaller_before_it_is_cut(qtbot):
     label.resize(label.fontMetrics().horizontalAdvance("poke 17-04 straight") - 10, 40)
     label.setText("poke 17-04 straight")
     assert 15.0 <= label.fitted().pointSizeF() < 20.0
-    assert not label.is_elided()
+    assert not is_elided(label)
     label.setText("poke 17-04 straight " * 9)
     assert label.fitted().pointSizeF() == 15.0
-    assert label.is_elided()
+    assert is_elided(label)
 
 
 def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
@@ -421,7 +421,7 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     assert (bench.window.width(), bench.window.height()) == (1280, 720)
     for longest in ("poke 24-11, tilt 28\N{DEGREE SIGN} away from 24-03", "enough: 84 of 84 taxels meet 3 mm"):
         now.headline.setText(longest)
-        assert not now.headline.is_elided()
+        assert not is_elided(now.headline)
     reason = "surface method: needs one more poke, since the last one moved it"
     longest = "  \N{MIDDLE DOT}  ".join([reason, "4200 of 4200 done", "about 1240 pokes, 46 min left"])
     assert now.detail.fontMetrics().horizontalAdvance(longest) <= now.detail.width()

@@ -29,6 +29,7 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS
+from tests.app.window_support import is_elided
 
 Key = Qt.Key
 SHIFT = Qt.KeyboardModifier.ShiftModifier
@@ -184,7 +185,7 @@ def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
     assert poked.asked != "", "of another arm pose they are asked for"
     for landmark in bench.snapshot.landmarks:
         poked.now.headline.setText(f"poke 1240 at the landmark {landmark.name}")
-        assert not poked.now.headline.is_elided()
+        assert not is_elided(poked.now.headline)
     gain = "expected error of the rig 12.4 \N{RIGHTWARDS ARROW} 10.5 mm after 6 pokes"
     longest = f"landmark 6 of 6 in this arm pose  \N{MIDDLE DOT}  {gain}"
     assert poked.now.detail.fontMetrics().horizontalAdvance(longest) <= poked.now.detail.width()
@@ -261,7 +262,7 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
         for name in ("snapshot", "live", "guidance", "review", "offers", "may", "revision", "coaching"):
             assert getattr(view.state, name) is getattr(before, name), name
     view.select_taxel(poked.near()[0])
-    view.set_colours(bench.theme.colours)
+    view.recolour()
     assert view.state.selected == poked.near()[0]
     assert touched == []
     assert pipeline.snapshot() is changed

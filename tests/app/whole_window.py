@@ -13,8 +13,8 @@ from app.session.controller import Controller
 from app.session.opening import OpenRequest, server_command
 from app.sound.player import Player
 from app.text.message import Message
-from app.theme import Choice, Theme
-from app.window import Window
+from app.theme import Choice
+from app.window import Theme, Window
 from skincal.contacts.outcome import Contact
 from skincal.model.scene import resource
 

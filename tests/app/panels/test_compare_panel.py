@@ -45,7 +45,7 @@ from tests.app.scene3d_support import box, estimate, laid, scene
 from tests.app.view3d_on_screen import KEPT, make_view, turn
 from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, frame, session
+from tests.app.window_support import NAMES, PLAN, SCENE, frame, session, show_in
 
 METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
 FREE, SURFACE = (Source(PlaceOrigin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
@@ -203,6 +203,7 @@ class Queue:
 
 
 def make_panel(qtbot, of: Part, methods=METHODS):
+    show_in(DARK)
     panel = ComparePanel(of, methods, NAMES if of.scene.skin.layout is not None else ChannelNames(None))
     panel.drawn = []
     panel.comparison_changed.connect(panel.drawn.append)
@@ -210,7 +211,6 @@ def make_panel(qtbot, of: Part, methods=METHODS):
     qtbot.addWidget(panel)
     with qtbot.waitExposed(panel):
         panel.show()
-    panel.set_colours(DARK)
     return panel
 
 

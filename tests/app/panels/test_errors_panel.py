@@ -12,7 +12,8 @@ import pytest
 from PySide6.QtCore import QPointF, QSettings, Qt
 from PySide6.QtGui import QColor
 
-from app.panels.errors_panel import TEXT_MARGIN, ErrorPlot, ErrorsPanel
+from app.panels.plot_panels import ErrorsPanel
+from app.panels.plots import TEXT_MARGIN, ErrorPlot
 from app.session import opening
 from app.session.opening import OpenRequest
 from app.text.errors_text import (
@@ -47,7 +48,7 @@ from skincal.session.session import Session
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
 from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, touch
+from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, show_in, touch
 
 BOTH = (Method.FREE, Method.SURFACE)
 
@@ -152,6 +153,7 @@ def queue():
 @pytest.fixture
 def panel(qtbot, queue):
     """A panel on the screen with its plot."""
+    show_in(DARK)
     made = ErrorsPanel((Method.FREE,), PLAN)
     course, show = ErrorFollower(part(reference(Origin.PLAN, "part")), queue), made.show_state
 
@@ -167,7 +169,6 @@ def panel(qtbot, queue):
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
         made.show()
-    made.set_colours(DARK)
     made.show_state(frame(session(-1), now_s=90.0))
     qtbot.waitUntil(lambda: made.ready, timeout=20_000)
     return made
@@ -184,7 +185,7 @@ def test_the_past_of_a_session_that_is_open_already_is_worked_out_and_drawn(pane
     made = poked(12)
     empty = line_of(panel.plot)
     panel.show_state(at(made))
-    assert "working out" in panel.plot.view.getPlotItem().getAxis("bottom").labelText
+    assert "working out" in panel.plot.item.getAxis("bottom").labelText
     queue.finish()
     for now_s in range(101, 140):
         panel.show_state(at(made, now_s=float(now_s)))
@@ -194,7 +195,7 @@ def test_the_past_of_a_session_that_is_open_already_is_worked_out_and_drawn(pane
     wanted = error_series(SCENE, None, made.snapshot(), reference(Origin.PLAN).places)
     assert np.array_equal(shown.spreads[Method.FREE], wanted.spreads[Method.FREE], equal_nan=True)
     assert line_of(panel.plot) > empty + 100
-    assert panel.plot.view.getPlotItem().getAxis("bottom").labelText == "accepted pokes"
+    assert panel.plot.item.getAxis("bottom").labelText == "accepted pokes"
     assert "plan" in panel.source_box.currentText()
 
 
@@ -242,7 +243,7 @@ def test_what_is_drawn_follows_axis_module_and_source(panel, queue):
     assert changed(pictures[0], pictures[3]) == 0
     assert changed(pictures[0], pictures[4]) > 20  # module 11 was not touched
     assert not any(line.isVisible() for line in panel.plot.papers.values())
-    assert panel.plot.view.getPlotItem().getAxis("left").labelText == "predicted error, mm"
+    assert panel.plot.item.getAxis("left").labelText == "predicted error, mm"
 
 
 def test_the_papers_lines_are_drawn_where_an_error_is(panel):
@@ -250,7 +251,7 @@ def test_the_papers_lines_are_drawn_where_an_error_is(panel):
     line = panel.plot.papers[Method.FREE]
     assert line.isVisible()
     assert line.value() == pytest.approx(math.log10(7.2))
-    low, high = panel.plot.view.getPlotItem().viewRange()[1]
+    low, high = panel.plot.item.viewRange()[1]
     assert low < line.value() < high
     with_line = pixels(panel.plot)
     line.hide()
@@ -268,7 +269,7 @@ def test_the_labels_of_the_papers_lines_lie_at_the_rim_on_no_curve_and_apart(qtb
     plot.draw(series, Axis.POKES, 0, "error, mm", paper=True)
     plot.resize(width, 220)
     qtbot.wait(50)
-    item = plot.view.getPlotItem()
+    item = plot.item
     newest = item.vb.mapViewToScene(QPointF(float(series.counts[-1]), 0.0)).x()
     edges = []
     for line in plot.papers.values():
@@ -285,7 +286,8 @@ def test_the_labels_of_the_papers_lines_lie_at_the_rim_on_no_curve_and_apart(qtb
 
 def test_the_theme_reaches_the_plot(panel, qtbot):
     dark = pixels(panel.plot)[..., :3].mean()
-    panel.set_colours(LIGHT)
+    show_in(LIGHT)
+    panel.recolour()
     qtbot.wait(20)
     assert pixels(panel.plot)[..., :3].mean() > dark + 100
 
@@ -368,7 +370,7 @@ def test_a_file_takes_the_place_of_the_file_before_and_the_plan_stays(queue):
 def test_a_panel_that_was_never_open_imports_no_plots():
     code = (
         "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]);"
-        "from app.panels.errors_panel import ErrorsPanel;"
+        "from app.panels.plot_panels import ErrorsPanel;"
         "from skincal.taxels.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
         "sys.exit('pyqtgraph' in sys.modules or panel._threads is not None)"
     )

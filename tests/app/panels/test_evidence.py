@@ -19,7 +19,7 @@ from app.theme import DARK
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, Rival, State
 from tests.app.scene3d_support import contact, estimate
-from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, session, touch
+from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, session, show_in, touch
 
 BOTH = (Method.SURFACE, Method.FREE)
 
@@ -86,12 +86,11 @@ def test_a_poke_that_counts_less_is_marked_with_the_taxel_and_the_reason():
 
 
 def shown(qtbot, widget, size=(420, 300)):
+    show_in(DARK)
     widget.resize(*size)
     qtbot.addWidget(widget)
     with qtbot.waitExposed(widget):
         widget.show()
-    if hasattr(widget, "set_colours"):
-        widget.set_colours(DARK)
     return widget
 
 

@@ -21,7 +21,7 @@ from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
 from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
 from tests.app.whole_window import Paints
-from tests.app.window_support import NAMES, PLAN, changed, frame, pixels, reading, session, slip, touch
+from tests.app.window_support import NAMES, PLAN, changed, frame, is_elided, pixels, reading, session, show_in, slip, touch
 
 LEEWAY, DEGREE = float(np.radians(10.0)), "\N{DEGREE SIGN}"
 WORST = {
@@ -71,10 +71,10 @@ def every_headline() -> list[str]:
 @pytest.fixture
 def panel(qtbot):
     """The panel as wide as in a window of 1280 pixels."""
+    show_in(DARK)
     made = NowPanel()
     qtbot.addWidget(made)
     made.resize(1264, made.height())
-    made.set_colours(DARK)
     with qtbot.waitExposed(made):
         made.show()
     return made
@@ -99,7 +99,7 @@ def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
     cut = []
     for words in every_headline():
         panel.say(Now(Tone.BAD, words))
-        if panel.headline.is_elided() or panel.headline.fitted().pointSizeF() < 0.85 * HEADLINE_PT:
+        if is_elided(panel.headline) or panel.headline.fitted().pointSizeF() < 0.85 * HEADLINE_PT:
             cut.append(words)
     assert not cut
 
@@ -170,7 +170,7 @@ def test_up_in_the_picture_is_up_in_the_3d_view(seed):
 
 @pytest.mark.parametrize("colours", [DARK, LIGHT])
 def test_the_dial_shows_the_tool_and_nothing_of_it_without_a_tool(panel, colours):
-    panel.set_colours(colours)
+    show_in(colours)
     pressed(panel)
     empty = pixels(panel.dial)
     pressed(panel, held(28.0, landed=3))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.panels.plot_panel import envelope
+from app.panels.plots import min_max_decimation
 from app.session.opening import Addresses, OpenRequest, dated_folder, link_specs
 from app.session.recording import Storage
 from app.state.policies import Mark, Running, allowed, answer_levels, curve_range, marks, worst
@@ -279,28 +279,28 @@ def test_answers_are_faint_at_the_threshold_full_at_ten_times_and_nan_is_none():
     assert levels.tolist() == [0.0, 0.0, 0.15, 1.0, 1.0, 0.0, 0.0]
 
 
-def test_an_envelope_keeps_every_peak_and_stays_while_time_goes_on(rng):
+def test_decimation_keeps_every_peak_and_stays_while_time_goes_on(rng):
     times = np.sort(rng.uniform(0, 10, 10_000))
     values = rng.normal(size=(10_000, 6))
     values[1234, 2] = 50.0
     values[7000, 4] = -50.0
-    when, reduced = envelope(times, values, 500, 10.0)
+    when, reduced = min_max_decimation(times, values, 500, 10.0)
     assert len(when) <= 1002
     assert np.all(np.diff(when) >= 0)
     assert reduced.max(axis=0).tolist() == values.max(axis=0).tolist()
     assert reduced.min(axis=0).tolist() == values.min(axis=0).tolist()
     # A second later the columns that are still there hold the same values.
     kept = times > 1.0
-    later, shown = envelope(np.append(times[kept], 10.5), np.append(values[kept], values[:1], axis=0), 500, 10.0)
+    later, shown = min_max_decimation(np.append(times[kept], 10.5), np.append(values[kept], values[:1], axis=0), 500, 10.0)
     old, new = dict(zip(when, reduced[:, 0], strict=True)), dict(zip(later, shown[:, 0], strict=True))
     both = [t for t in new if t in old and t > 1.1]
     assert len(both) > 800
     assert all(old[t] == new[t] for t in both)
 
 
-def test_an_envelope_of_few_points_is_the_points():
+def test_decimation_of_few_points_is_the_points():
     times, values = np.arange(10.0), np.arange(20.0).reshape(10, 2)
-    assert envelope(times, values, 500, 10.0)[1] is values
+    assert min_max_decimation(times, values, 500, 10.0)[1] is values
 
 
 def test_same_results_looks_past_the_pose_that_streams():

@@ -14,7 +14,7 @@ import pytest
 from PySide6.QtCore import QEvent, QObject
 from PySide6.QtWidgets import QApplication, QWidget
 
-from app.panels.plot_panel import PlotPanel
+from app.panels.plot_panels import PlotPanel
 from app.workers.processes import ProcessLostError, ProcessService
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
