@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import queue
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -16,6 +18,7 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
@@ -39,6 +42,8 @@ OutOption = Annotated[Path, typer.Option(help="Folder of the new session.")]
 LinkOption = Annotated[str, typer.Option(help="Port such as /dev/ttyUSB0@460800 or COM3, socket://HOST:PORT, or a file.")]
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
+OPENING_NS = 1_500_000_000
+"""ns. A link that says nothing for so long, such as a host whose name nobody answers, is reported as not open."""
 
 importing = typer.Typer(
     help="Make a session from another program's recording.",
@@ -162,22 +167,39 @@ def _recorded(
 ) -> Pipeline:
     from skincal.streams.link_reader import Reader
 
-    pipeline = _new_pipeline(scene, into[0], links, into[1])
-    readers = {link.name: Reader(link, items) for link in links}
-    try:
-        _choose_pose(pipeline, pose)
-        for reader in readers.values():
-            reader.start()
-        _loop(pipeline, items, readers, seconds, pokes)
-    except KeyboardInterrupt:
+    with stopping() as stop:
+        pipeline = _new_pipeline(scene, into[0], links, into[1])
+        readers = {link.name: Reader(link, items) for link in links}
+        try:
+            _choose_pose(pipeline, pose)
+            for reader in readers.values():
+                reader.start()
+            _loop(pipeline, items, readers, (seconds, pokes), stop)
+        finally:
+            for reader in readers.values():
+                reader.stop()
+            while not items.empty():
+                _take(pipeline, items.get())
+            pipeline.close()
+    if stop.is_set():
         typer.echo("stopped", err=True)
-    finally:
-        for reader in readers.values():
-            reader.stop()
-        while not items.empty():
-            _take(pipeline, items.get())
-        pipeline.close()
     return pipeline
+
+
+@contextlib.contextmanager
+def stopping() -> Generator[threading.Event]:
+    """Yield an event that Ctrl-C or a termination signal sets: an exception might strike while a file is written."""
+    stop = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
+        stop.set()
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,13 +253,20 @@ def _choose_pose(pipeline: Pipeline, pose: str | None) -> None:
         pipeline.act(SetPose(pose), time.monotonic_ns())
 
 
-def _loop(pipeline: Pipeline, items: Items, readers: Mapping[str, Reader], seconds: float | None, pokes: int | None) -> None:
-    """Take items until the time or the pokes are over, every link ended, or one is given up."""
-    end = None if seconds is None else time.monotonic() + seconds
+def _loop(
+    pipeline: Pipeline,
+    items: Items,
+    readers: Mapping[str, Reader],
+    until: tuple[float | None, int | None],
+    stop: threading.Event,
+) -> None:
+    """Take items until `stop`, the seconds or the pokes of `until` are over, every link ended, or one is given up."""
+    seconds, pokes = until
+    end = math.inf if seconds is None else time.monotonic() + seconds
     reported = 0
     states: dict[str, LinkState] = {}
-    silence = Silence()
-    while (end is None or time.monotonic() < end) and not pipeline.journal_failure:
+    silence = Silence(readers, time.monotonic_ns())
+    while not stop.is_set() and time.monotonic() < end and not pipeline.journal_failure:
         for sentence in silence.sentences(time.monotonic_ns()):
             typer.echo(sentence, err=True)
         try:
@@ -249,7 +278,8 @@ def _loop(pipeline: Pipeline, items: Items, readers: Mapping[str, Reader], secon
                 return
             continue
         if isinstance(item, LinkEvent):
-            typer.echo(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
+            trying = " Trying on." if item.state is LinkState.FAILED and readers[item.link].running else ""
+            typer.echo(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else "") + trying, err=True)
             states[item.link] = item.state
         if not isinstance(item, OrderLine):
             silence.hear(item)
@@ -261,9 +291,15 @@ def _loop(pipeline: Pipeline, items: Items, readers: Mapping[str, Reader], secon
 
 
 class Silence:
-    """Says once that an open link sends nothing, and that it sends again."""
+    """Says once that a link takes long to open, that an open one sends nothing, and that it sends again.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    opening : names of the links that are being opened since `now_ns` of the host's monotonic clock
+    """
+
+    def __init__(self, opening: Iterable[str] = (), now_ns: int = 0) -> None:
+        self._opening_ns = dict.fromkeys(opening, now_ns)
         # Of each link that is open: when it opened or sent last.
         self._heard_ns: dict[str, int] = {}
         self._silent: set[str] = set()
@@ -271,6 +307,7 @@ class Silence:
 
     def hear(self, item: Chunk | LinkEvent) -> None:
         """Take the next item of the queue."""
+        self._opening_ns.pop(item.link, None)
         if isinstance(item, LinkEvent) and item.state is not LinkState.OPEN:
             self._heard_ns.pop(item.link, None)
             self._silent.discard(item.link)
@@ -283,6 +320,10 @@ class Silence:
     def sentences(self, now_ns: int) -> list[str]:
         """Return what is new at `now_ns` of the host's monotonic clock."""
         said, self._again = self._again, []
+        late = [name for name, since_ns in self._opening_ns.items() if now_ns - since_ns >= OPENING_NS]
+        for name in late:
+            del self._opening_ns[name]
+            said.append(f"{name}: is not open yet, and gives no reason; check its address and the network. Trying on.")
         for name, heard_ns in self._heard_ns.items():
             if name not in self._silent and is_silent(heard_ns * 1e-9, now_ns * 1e-9):
                 self._silent.add(name)

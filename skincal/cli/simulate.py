@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import threading
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from skincal.cli.calibrate import Json
-from skincal.cli.record import SceneOption, find_scene
+from skincal.cli.record import SceneOption, find_scene, stopping
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -200,18 +198,10 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
 
 def _run(server: Server, listener: Told | Guided | None) -> None:
     """Serve until stdin closes, Ctrl-C or a termination signal."""
-    stop = threading.Event()
-
-    def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
-        stop.set()
-
-    signal.signal(signal.SIGTERM, end)
-    # A daemon: it waits in a read that nothing can interrupt.
-    threading.Thread(target=_listen, args=(listener, stop), name="orders", daemon=True).start()
-    try:
+    with stopping() as stop:
+        # A daemon: it waits in a read that nothing can interrupt.
+        threading.Thread(target=_listen, args=(listener, stop), name="orders", daemon=True).start()
         server.run(stop)
-    except KeyboardInterrupt:
-        typer.echo("stopped", err=True)
 
 
 def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:

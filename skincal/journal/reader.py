@@ -161,7 +161,8 @@ def find_segments(folder: Path) -> list[Path]:
     """
     paths = sorted(folder.glob("segment-*.mcap"))
     if not paths:
-        what = "there is no such folder" if not folder.is_dir() else "no segment-0001.mcap in it"
+        no_folder = "it is no folder" if folder.exists() else "there is no such folder"
+        what = "no segment-0001.mcap in it" if folder.is_dir() else no_folder
         raise InputError(f"{folder}: not a session ({what}); expected a folder that skincal recorded.")
     for number, path in enumerate(paths, start=1):
         if path.name != f"segment-{number:04d}.mcap":

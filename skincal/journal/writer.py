@@ -189,8 +189,10 @@ class JournalWriter:
         Raises
         ------
         InputError
-            It cannot be opened; this one goes on as if nothing had happened.
+            It cannot be opened; this one goes on as if nothing had happened. Or this one failed, and its lock is let go.
         """
+        if self.failed:
+            raise InputError(self.failed)
         following = open_segment(self.path.parent, scene, links, self._lock)
         self._holds_lock = False
         return following
