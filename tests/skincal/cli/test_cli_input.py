@@ -147,7 +147,7 @@ def test_an_interrupt_never_strikes_while_the_session_is_written(run, tmp_path, 
 
     monkeypatch.setattr(documents, "encode_chunk", interrupted)
     before = signal.getsignal(signal.SIGINT)
-    _, out, err = run(*recording(tmp_path / "s", tmp_path / "wrench", tmp_path / "skin", "--seconds", "30"))
+    _, _, err = run(*recording(tmp_path / "s", tmp_path / "wrench", tmp_path / "skin", "--seconds", "30"))
     assert "stopped" in err
     assert signal.getsignal(signal.SIGINT) is before
     log = SessionLog(tmp_path / "s")
