@@ -29,10 +29,6 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Replay = Annotated[
     bool, typer.Option("--replay", help="Play the recorded bytes again instead of taking the pokes as they were judged.")
 ]
-Speed = Annotated[
-    float | None,
-    typer.Option(help="With --replay: times real time, 1 = as it happened; else as fast as it goes.", show_default=False),
-]
 Part = Annotated[
     str | None,
     typer.Option(help="Skin part named in the iCub file, such as r_forearm; else the one that the scene's link begins with."),
@@ -89,7 +85,6 @@ def solve(
     correct: Correct = False,
     part: Part = None,
     replay: Replay = False,
-    speed: Speed = None,
     as_json: Json = False,
 ) -> None:
     """Estimate every taxel of a session by each method of its scene."""
@@ -99,7 +94,7 @@ def solve(
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
-    pipeline = _opened(session, replay, speed, layout)
+    pipeline = _opened(session, replay, layout)
     if correct:
         _correct(pipeline.session)
     snapshot = pipeline.snapshot()
@@ -135,14 +130,10 @@ def solve(
     report.print_result({**result, "text": text}, as_json)
 
 
-def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path | None) -> Pipeline:
+def _opened(session: Path, from_bytes: bool, layout: Path | None) -> Pipeline:
     from skincal.session.replay import load, replay
 
-    if speed is not None and not from_bytes:
-        raise InputError("--speed needs --replay: without it nothing is played.")
-    if speed is not None and not 0 < speed < float("inf"):
-        raise InputError(f"--speed is {speed:g}; expected a number above 0, such as 1 for real time.")
-    return replay(session, speed, layout=layout) if from_bytes else load(session, layout)
+    return (replay if from_bytes else load)(session, layout)
 
 
 def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
@@ -355,7 +346,7 @@ def export(
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
-    pipeline = _opened(session, replay, None, layout)
+    pipeline = _opened(session, replay, layout)
     if correct:
         _correct(pipeline.session)
     calibration = _calibration(pipeline.session)

@@ -112,15 +112,12 @@ def new_folder(folder: Path) -> Generator[Fresh]:
 def _new_pipeline(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
     """Open a new session's journal and the pipeline into it; the mesh is loaded where the scene has one."""
     from skincal.journal.writer import create_session
+    from skincal.session.part import load_scene_surface
     from skincal.session.pipeline import Pipeline
 
-    surface = None
-    if scene.surface is not None:
-        from skincal.mesh.load import load_surface
-
-        surface, findings = load_surface(scene.surface)
-        for finding in findings:
-            typer.echo(f"{scene.surface.path.name}: {finding.sentence}", err=True)
+    surface, findings = load_scene_surface(scene)
+    for finding in findings:
+        typer.echo(f"{scene.surface.path.name if scene.surface else ''}: {finding}", err=True)
     journal = create_session(out, scene, links)
     fresh.made = True
     return Pipeline(scene, links, surface, journal)

@@ -91,6 +91,7 @@ def simulate(
     target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame; - is a place, + a known point
     of the part), wait (nothing is to be poked), or any (nobody guides); until the first of them it pokes as auto does.
     """
+    from skincal.session.part import load_scene_surface
     from skincal.simulate.device import DeviceSettings
     from skincal.simulate.faults import RigErrors
     from skincal.simulate.operator import Habits
@@ -103,7 +104,7 @@ def simulate(
         raise InputError(f"{name} is for --serve: a session is recorded at once, by an operator of its own.")
     play = _Play(
         scene=loaded,
-        surface=_surface(loaded),
+        surface=load_scene_surface(loaded)[0],
         pokes=pokes,
         seed=seed,
         errors={Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors](),
@@ -129,14 +130,6 @@ class _Play:
     poses: tuple[str, ...]
     habits: Habits
     settings: DeviceSettings
-
-
-def _surface(scene: Scene) -> Surface | None:
-    if scene.surface is None:
-        return None
-    from skincal.mesh.load import load_surface
-
-    return load_surface(scene.surface)[0]
 
 
 def _record(play: _Play, out: Path, as_json: bool) -> None:

@@ -47,12 +47,17 @@ def load_part(path: Path) -> Part:
         The scene or the mesh cannot be used.
     """
     scene = load_scene(path)
+    return lay_part(scene, *load_scene_surface(scene))
+
+
+def load_scene_surface(scene: Scene) -> tuple[Surface | None, tuple[str, ...]]:
+    """Return a scene's mesh, None where it has none, and what the loader has to say; InputError where it cannot be used."""
     if scene.surface is None:
-        return lay_part(scene, None, ())
+        return None, ()
     from skincal.mesh.load import load_surface
 
     surface, findings = load_surface(scene.surface)
-    return lay_part(scene, surface, tuple(finding.sentence for finding in findings))
+    return surface, tuple(finding.sentence for finding in findings)
 
 
 def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:

@@ -6,10 +6,8 @@ long as neither the scene nor the detector changed since.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from skincal.journal.documents import Ending, SegmentMark, Taken, Totals
 from skincal.journal.lock import SessionLock
@@ -17,28 +15,19 @@ from skincal.journal.reader import LogItem, LogState, SessionLog, recover_sessio
 from skincal.journal.writer import open_segment
 from skincal.model.actions import FoundAtLandmark, Stamped
 from skincal.model.errors import InputError
-from skincal.model.scene import Scene, with_layout
+from skincal.model.scene import with_layout
+from skincal.session.part import load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 
-if TYPE_CHECKING:
-    from skincal.mesh.surface import Surface
-
 _MISFIT = "An action of the operator no longer fits and is left out"
-MAX_PAUSE_S = 1.0
-"""s. Longest pause of a replay at speed: between segments, and where a device was silent, nothing happens."""
 
 
-def replay(
-    folder: Path, speed: float | None = None, stop: Callable[[], bool] = lambda: False, layout: Path | None = None
-) -> Pipeline:
+def replay(folder: Path, layout: Path | None = None) -> Pipeline:
     """Play a session again into a pipeline of its own; nothing in the folder changes.
 
     Parameters
     ----------
-    folder : of the session
-    speed : times real time; None as fast as it goes
-    stop : asked after each item; true ends the replay early
     layout : file of a layout that takes the place of the scene's
 
     Returns
@@ -50,7 +39,7 @@ def replay(
     InputError
         The folder is not a session, or its scene or mesh cannot be read.
     """
-    return _played(SessionLog(folder), layout, speed, stop)
+    return _played(SessionLog(folder), layout)
 
 
 def load(folder: Path, layout: Path | None = None) -> Pipeline:
@@ -95,7 +84,7 @@ def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
 def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
     """Return an empty pipeline for a session, with the layout of a file where one is given."""
     scene = log.scene if layout is None else with_layout(log.scene, layout)
-    return Pipeline(scene, log.links, _surface(scene))
+    return Pipeline(scene, log.links, load_scene_surface(scene)[0])
 
 
 def _load_step(pipeline: Pipeline, item: LogState) -> None:
@@ -153,15 +142,10 @@ def step(pipeline: Pipeline, item: LogItem) -> None:
         pipeline.feed(item)
 
 
-def _played(
-    log: SessionLog, layout: Path | None, speed: float | None = None, stop: Callable[[], bool] = lambda: False
-) -> Pipeline:
+def _played(log: SessionLog, layout: Path | None) -> Pipeline:
     pipeline = _new_pipeline(log, layout)
-    pace = None if speed is None else _Pace(speed)
     misfits: list[str] = []
     for item in log.items():
-        if pace is not None:
-            pace.wait(item.host_ns)
         try:
             step(pipeline, item)
         except InputError as error:
@@ -169,33 +153,5 @@ def _played(
                 raise
             # Thresholds of the scene that were changed since may have made another thing of a poke.
             misfits.append(f"{_MISFIT}: {error}")
-        if stop():
-            break
     pipeline.findings = (*log.findings, *misfits)
     return pipeline
-
-
-class _Pace:
-    """Waits until an item is due."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-        self._due_s = time.monotonic()
-        self._last_ns: int | None = None
-
-    def wait(self, host_ns: int) -> None:
-        if self._last_ns is not None:
-            passed_s = max(0.0, (host_ns - self._last_ns) * 1e-9)
-            self._due_s += min(passed_s, MAX_PAUSE_S) / self._speed
-        self._last_ns = host_ns
-        ahead_s = self._due_s - time.monotonic()
-        if ahead_s > 0:
-            time.sleep(ahead_s)
-
-
-def _surface(scene: Scene) -> Surface | None:
-    if scene.surface is None:
-        return None
-    from skincal.mesh.load import load_surface
-
-    return load_surface(scene.surface)[0]

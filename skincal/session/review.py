@@ -24,6 +24,7 @@ from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
 from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
+from skincal.session.part import load_scene_surface
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
@@ -198,12 +199,8 @@ class ReviewedPart:
         InputError
             It is gone, or another than the session's.
         """
-        if self.scene.surface is None:
-            return None
-        from skincal.mesh.load import load_surface
-
-        surface, _ = load_surface(self.scene.surface)
-        if surface.sha256 != self.mesh_sha256:
+        surface, _ = load_scene_surface(self.scene)
+        if surface is not None and self.scene.surface is not None and surface.sha256 != self.mesh_sha256:
             raise InputError(f"{self.scene.surface.path}: the mesh changed since the session was opened; open it again.")
         return surface
 

@@ -40,7 +40,7 @@ from skincal.session.corrections import Corrections
 from skincal.session.landmark_pokes import SessionLandmarks
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
-from skincal.session.undo import History, PokeStep, Step
+from skincal.session.undo import History, Step
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Session:
         self._excluded, self._marked, self._revived = set[int](), set[int](), set[int]()
         self._found: Mapping[int, str] = {}
         self._known = SessionLandmarks(scene.landmarks)
-        self._history = History()
+        self._history = History(self._excluded.__contains__, lambda poke: self._set_excluded(poke, True))
         self._answers: Counter[int] = Counter()
         """How many contacts that count each channel answered in."""
         layout = scene.skin.layout
@@ -167,7 +167,7 @@ class Session:
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded))
         if now and not was:
-            self._history.add_poke(outcome.poke)
+            self._history.add(outcome.poke)
         if was and not now:
             self._history.forget_poke(outcome.poke)
 
@@ -193,7 +193,7 @@ class Session:
         if name == before_name and link_from_sensor is before:
             return
         same = before is not None and link_from_sensor is not None and np.array_equal(before, link_from_sensor)
-        self._current_pose = (name, link_from_sensor)
+        self._current_pose = name, link_from_sensor
         if name != before_name or not same:
             self._changed()
 
@@ -244,7 +244,7 @@ class Session:
         self._solving.solve(channels, self._records.keys(), self._kept, self.dead, math.inf if self._last is None else within_s)
         if self.unsolved and self._last is not None:
             return self._last
-        fresh, last = self._solving.take_fresh(), self._history.last(self._is_excluded)
+        fresh, last = self._solving.take_fresh(), self._history.last()
         # The first snapshot solves every taxel, which is no poke's doing: a session that is opened again shows none as new.
         if len(fresh) and self._generation:
             self._touched = fresh
@@ -327,17 +327,11 @@ class Session:
             self._generation += 1
             self._snapshot = None
 
-    def _is_excluded(self, poke: int) -> bool:
-        return poke in self._excluded
-
     def _undo(self) -> None:
-        step = self._history.drop_last(self._is_excluded)
+        step = self._history.last(drop=True)
         if step is None:
             raise InputError("There is nothing to undo: no poke was accepted and nothing was changed.")
-        if isinstance(step, PokeStep):
-            self._set_excluded(step.poke, True)
-        else:
-            step.take_back()
+        step.take_back()
 
     def _choose_poke(self, action: Exclude | Restore) -> None:
         poke, out = action.poke, isinstance(action, Exclude)
