@@ -99,8 +99,7 @@ def solve(
         _correct(pipeline.session)
     snapshot = pipeline.snapshot()
     counts = report.poke_counts(snapshot)
-    plan = pipeline.session.scene.skin.layout
-    methods = {method.value: report.method_summary(items, known, plan) for method, items in snapshot.estimates.items()}
+    methods = report.method_summaries(snapshot.estimates, known, pipeline.session.scene.skin.layout)
     if per_pose:
         methods |= _per_pose(pipeline, known)
     rig, rig_lines = _corrected(pipeline, known)
@@ -141,31 +140,19 @@ def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dic
     from skincal.methods import average_over_poses
 
     session = pipeline.session
-    summaries: dict[str, Any] = {}
-    for method in session.snapshot().estimates:
-        averaged = average_over_poses(
-            session.contacts, session.channels, method, session.scene.noise, session.surface, model=session.module_model
-        )
-        summaries[f"{method.value}-per-pose"] = report.method_summary(
-            tuple(averaged.values()), known, session.scene.skin.layout
-        )
-    return summaries
+    asked = session.contacts, session.channels
+    rest = session.scene.noise, session.surface
+    averaged = {
+        method: tuple(average_over_poses(*asked, method, *rest, model=session.module_model).values())
+        for method in session.methods
+    }
+    return report.method_summaries(averaged, known, session.scene.skin.layout, "-per-pose")
 
 
 def _layout_result(session: Session, used: Path | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Return what is wrong with the layout, as JSON and in lines; write the corrected one where that is wanted.
+    """Return what is wrong with the layout, as JSON and in lines; write the corrected one to `out` where that is wanted.
 
     Modules are judged by the estimates of the surface method where there is one, else by those of free.
-
-    Parameters
-    ----------
-    used : the layout's file where it is not the session's own
-    out : file for the corrected layout; None writes none
-
-    Raises
-    ------
-    InputError
-        There is no layout to correct, or the file cannot be written.
     """
     from skincal.files.layout_file import write_layout
     from skincal.modules.health import judged_modules, mend_modules
@@ -224,13 +211,7 @@ def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnsw
 
 
 def _correct(session: Session) -> None:
-    """Use the corrections that landmark pokes offer, the frame first; the recording stays as it is.
-
-    Raises
-    ------
-    InputError
-        They offer nothing that is certain.
-    """
+    """Use the corrections that landmark pokes offer, the frame first, or refuse; the recording stays as it is."""
     from skincal.rig.correction import FRAME
     from skincal.sentences import frame_sentence, rig_sentences
     from skincal.session.corrections import offered
@@ -279,13 +260,11 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
         noise, surface, model = session.scene.noise, session.surface, session.module_model
         solved = estimate_taxels(contacts, session.channels, session.methods, noise, surface, session.dead, model=model)
-        rig["methods"] = {
-            f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)
-            for method, found in solved.items()
-        }
-    in_use = [correction_sentence(used) for used in session.corrections.values()]
-    found = rig_sentences(answer)[1 if RIG in session.corrections else 0 :]
-    return rig, [*(() if frame is None else (frame_sentence(frame),)), *in_use, *found]
+        found = {method: tuple(estimates.values()) for method, estimates in solved.items()}
+        rig["methods"] = report.method_summaries(found, known, session.scene.skin.layout, "-corrected")
+    lines = [] if frame is None else [frame_sentence(frame)]
+    lines += [correction_sentence(used) for used in session.corrections.values()]
+    return rig, [*lines, *rig_sentences(answer)[1 if RIG in session.corrections else 0 :]]
 
 
 def _calibration(session: Session) -> Calibration:
@@ -307,24 +286,15 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
     calibration = _calibration(pipeline.session)
-    files: list[str] = []
-    findings: list[str] = []
-
-    def write(format_: ExportFormat, name: str, method: Method) -> None:
-        path = folder / name
-        for sentence in write_calibration(calibration, format_.value, path, method, part):
-            # Several formats of the same calibration have the same faults.
-            if sentence not in findings:
-                findings.append(sentence)
-        files.append(str(path))
-
     methods = tuple(calibration.estimates)
-    write(ExportFormat.JSON, "calibration.json", methods[0])
-    write(ExportFormat.CSV, "calibration.csv", methods[0])
+    names = [("json", "calibration.json", methods[0]), ("csv", "calibration.csv", methods[0])]
     for method in methods:
-        write(ExportFormat.ICUB, f"positions-{method.value}.txt", method)
-        write(ExportFormat.PLY, f"taxels-{method.value}.ply", method)
-    return files, findings
+        names += [("icub", f"positions-{method.value}.txt", method), ("ply", f"taxels-{method.value}.ply", method)]
+    # Several formats of the same calibration have the same faults, which are said once.
+    findings: dict[str, None] = {}
+    for format_, name, method in names:
+        findings |= dict.fromkeys(write_calibration(calibration, format_, folder / name, method, part))
+    return [str(folder / name) for _, name, _ in names], list(findings)
 
 
 def export(

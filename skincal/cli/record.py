@@ -88,7 +88,7 @@ def new_folder(folder: Path) -> Generator[Fresh]:
 
     What was there before stays, and what another program makes there meanwhile.
     """
-    from skincal.journal.scene_copy import SCENE_FOLDER
+    from skincal.journal.writer import SCENE_FOLDER
 
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     fresh = Fresh()
@@ -358,9 +358,7 @@ def finish(
 ) -> None:
     """Print what a recording came to; with `reference` also the error against it.
 
-    Parameters
-    ----------
-    imported : the readings are kept elsewhere, so that a session of no use need not be
+    Where it was `imported` the readings are kept elsewhere, and a session of no use need not be.
 
     Raises
     ------
@@ -375,8 +373,7 @@ def finish(
     counts = report.poke_counts(snapshot)
     live = pipeline.live(0)
     losses = report.loss_counts(live.links, live.losses_unpaired)
-    layout = pipeline.session.scene.skin.layout
-    methods = {method.value: report.method_summary(items, reference, layout) for method, items in snapshot.estimates.items()}
+    methods = report.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
     found = [*findings, *report.link_notes(live.links)]
     text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     silent = report.silent_links(live.links)

@@ -46,6 +46,16 @@ def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     }
 
 
+def method_summaries(
+    estimates: Mapping[Method, tuple[Estimate, ...]],
+    reference: Mapping[int, FloatArray] | None,
+    layout: Layout | None,
+    kind: str = "",
+) -> dict[str, Any]:
+    """Summarise every method, by its name with `kind` after it."""
+    return {method.value + kind: method_summary(found, reference, layout) for method, found in estimates.items()}
+
+
 def method_summary(
     estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None, layout: Layout | None
 ) -> dict[str, Any]:

@@ -139,17 +139,22 @@ def event_to_json(event: LinkEvent | Stamped | Ending) -> dict[str, Any]:
 
 def note_to_json(note: Note) -> dict[str, Any]:
     """Return a note as a JSON object."""
-    if isinstance(note, Taken):
-        return {"type": "taken", **taken_to_json(note)}
-    return {"type": "totals", **totals_to_json(note)}
+    if isinstance(note, Totals):
+        counts = {
+            link.link: {
+                "format": link.format,
+                "readings": link.readings,
+                "lost": {loss.name: count for loss, count in link.losses.items() if count},
+            }
+            for link in note.links
+        }
+        return {"type": "totals", "links": counts, "unpaired": note.unpaired}
+    dead = {} if note.dead is None else {"dead": {str(channel): why for channel, why in note.dead.items()}}
+    return {"type": "taken", "outcomes": [_outcome_to_json(outcome, doubt) for outcome, doubt in note.outcomes], **dead}
 
 
 def from_document(document: Mapping[str, Any], path: Path) -> SessionEvent | Note:
-    """Return the event or the note of a JSON object.
-
-    Parameters
-    ----------
-    path : of the file that it is from, for messages
+    """Return the event or the note of a JSON object from the file `path`.
 
     Raises
     ------
@@ -182,7 +187,10 @@ def _mark(host_ns: int, body: Mapping[str, Any], path: Path) -> SegmentMark:
     return SegmentMark(
         number=int(body["segment"]),
         host_ns=host_ns,
-        links=tuple(map(_link_from_json, body["links"])),
+        links=tuple(
+            LinkSpec(str(link["name"]), str(link["address"]), tuple(map(Stream, link["carries"])), str(link["format"]))
+            for link in body["links"]
+        ),
         format=int(body["format"]),
         scene=body["scene"],
         digest=body.get("scene_digest"),
@@ -196,27 +204,7 @@ def link_to_json(link: LinkSpec) -> dict[str, Any]:
     return {"name": link.name, "address": link.address, "carries": carries, "format": link.format}
 
 
-def _link_from_json(link: Mapping[str, Any]) -> LinkSpec:
-    carries = tuple(Stream(value) for value in link["carries"])
-    return LinkSpec(str(link["name"]), str(link["address"]), carries, str(link["format"]))
-
-
-def taken_to_json(taken: Taken) -> dict[str, Any]:
-    """Return it as a JSON object."""
-    document: dict[str, Any] = {"outcomes": [_outcome_to_json(outcome, doubt) for outcome, doubt in taken.outcomes]}
-    if taken.dead is not None:
-        document["dead"] = {str(channel): why for channel, why in taken.dead.items()}
-    return document
-
-
-def taken_from_json(document: Mapping[str, Any]) -> Taken:
-    """Return what `taken_to_json` was given.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        It is not one that skincal wrote.
-    """
+def _taken_from_json(document: Mapping[str, Any]) -> Taken:
     dead = document.get("dead")
     return Taken(
         outcomes=[_outcome_from_json(entry) for entry in document["outcomes"]],
@@ -315,37 +303,15 @@ def _value(key: str, value: Any) -> Any:
     return value
 
 
-def totals_to_json(totals: Totals) -> dict[str, Any]:
-    """Return totals as a JSON object."""
-    links = {
-        link.link: {
-            "format": link.format,
-            "readings": link.readings,
-            "lost": {loss.name: count for loss, count in link.losses.items() if count},
-        }
-        for link in totals.links
-    }
-    return {"links": links, "unpaired": totals.unpaired}
+def _totals_from_json(document: Mapping[str, Any]) -> Totals:
+    def read(name: str, link: Mapping[str, Any]) -> LinkTotals:
+        losses = {Loss[loss]: int(count) for loss, count in link["lost"].items()}
+        return LinkTotals(name, str(link["format"]), int(link["readings"]), losses)
+
+    return Totals(tuple(read(name, link) for name, link in document["links"].items()), int(document["unpaired"]))
 
 
-def totals_from_json(document: Mapping[str, Any]) -> Totals:
-    """Return what `totals_to_json` was given.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        It is not one that skincal wrote.
-    """
-    links = tuple(
-        LinkTotals(
-            str(name), str(link["format"]), int(link["readings"]), {Loss[loss]: int(n) for loss, n in link["lost"].items()}
-        )
-        for name, link in document["links"].items()
-    )
-    return Totals(links, int(document["unpaired"]))
-
-
-_NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": taken_from_json, "totals": totals_from_json}
+_NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": _taken_from_json, "totals": _totals_from_json}
 
 
 def encode_chunk(host_ns: int, data: bytes) -> bytes:
@@ -354,13 +320,7 @@ def encode_chunk(host_ns: int, data: bytes) -> bytes:
 
 
 def decode_chunk(message: bytes) -> tuple[int, bytes]:
-    """Return arrival (ns) and bytes of a `skincal_msgs/msg/Chunk`.
-
-    Raises
-    ------
-    InputError
-        It is not one.
-    """
+    """Return arrival (ns) and bytes of a `skincal_msgs/msg/Chunk`; InputError where it is none."""
     if len(message) < 16 or message[:4] != _PREFIX:
         raise InputError("A chunk in the session is not encoded as expected; the session was written by another program.")
     host_ns, size = struct.unpack_from("<QI", message, 4)
