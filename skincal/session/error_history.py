@@ -90,46 +90,39 @@ def spreads_of(errors: FloatArray, groups: IntArray, count: int) -> FloatArray:
     return result
 
 
-class ErrorRule:
-    """What counts as the error of an estimate.
+Rule: TypeAlias = Callable[[Mapping[Method, Sequence[Estimate]]], Spreads]
+"""What counts as the error of an estimate."""
+
+
+def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
+    """Return what gives the errors of each method's estimates.
 
     Parameters
     ----------
     scene : says which module a channel is of
     known : places of taxels by channel, (3,) float, metres, link frame; None for the predicted error
     """
+    width, layout = scene.skin.channels, scene.skin.layout
+    modules = 0 if layout is None else len(layout.modules)
+    module_of = np.full(width, -1, dtype=np.int64) if layout is None else layout.module_of
+    places = np.full((width, 3), np.nan)
+    for channel, place in (known or {}).items():
+        if 0 <= channel < width:
+            places[channel] = place
 
-    def __init__(self, scene: Scene, known: Mapping[int, FloatArray] | None) -> None:
-        width, layout = scene.skin.channels, scene.skin.layout
-        self._modules = 0 if layout is None else len(layout.modules)
-        self._module_of = np.full(width, -1, dtype=np.int64) if layout is None else layout.module_of
-        self._places = None
-        if known is not None:
-            self._places = np.full((width, 3), np.nan)
-            for channel, place in known.items():
-                if 0 <= channel < width:
-                    self._places[channel] = place
-
-    def spreads(self, estimates: Mapping[Method, Sequence[Estimate]]) -> Spreads:
-        """Return the errors of each method's estimates."""
-        return {method: self._spreads(found) for method, found in estimates.items()}
-
-    def _spreads(self, estimates: Sequence[Estimate]) -> FloatArray:
-        channels, errors = self._errors(estimates)
-        everything = spreads_of(errors, np.zeros(len(errors), dtype=np.int64), 1)
-        return np.concatenate([everything, spreads_of(errors, self._module_of[channels], self._modules)])
-
-    def _errors(self, estimates: Sequence[Estimate]) -> tuple[IntArray, FloatArray]:
-        """Return the channels whose error is known, (n,), and the errors, (n,) float, metres."""
+    def spreads(estimates: Sequence[Estimate]) -> FloatArray:
         found = [e for e in estimates if e.position is not None and e.rms is not None]
         channels = np.array([e.channel for e in found], dtype=np.int64)
-        if self._places is None:
-            errors = np.array([e.rms for e in found], dtype=float)
-        else:
+        errors = np.array([e.rms for e in found], dtype=float)
+        if known is not None:
             positions = np.array([e.position for e in found], dtype=float).reshape(-1, 3)
-            errors = np.linalg.norm(positions - self._places[channels], axis=1)
-        known = np.isfinite(errors)
-        return channels[known], errors[known]
+            errors = np.linalg.norm(positions - places[channels], axis=1)
+        there = np.isfinite(errors)
+        channels, errors = channels[there], errors[there]
+        everything = spreads_of(errors, np.zeros(len(errors), dtype=np.int64), 1)
+        return np.concatenate([everything, spreads_of(errors, module_of[channels], modules)])
+
+    return lambda estimates: {method: spreads(found) for method, found in estimates.items()}
 
 
 class Recount:
@@ -146,7 +139,7 @@ class Recount:
         self,
         scene: Scene,
         surface: Surface | None,
-        rule: ErrorRule,
+        rule: Rule,
         contacts: Sequence[Contact],
         dead: Mapping[int, str],
         wanted: Sequence[int],
@@ -172,7 +165,7 @@ class Recount:
             for contact in self._contacts[self._taken : count]:
                 self._session.add(contact)
             self._taken = count
-            points[count] = self._rule.spreads(self._session.snapshot().estimates)
+            points[count] = self._rule(self._session.snapshot().estimates)
             self._wanted.pop()
         return points
 
@@ -184,15 +177,12 @@ class ErrorHistory:
     that is opened again, everything after a poke that was taken out) is worked out by a `Recount`, in any thread, and
     given back by `put`.
 
-    Parameters
-    ----------
-    scene, surface : of the session
-    known : as for `ErrorRule`
+    What is `known` is as for `error_rule`.
     """
 
     def __init__(self, scene: Scene, surface: Surface | None, known: Mapping[int, FloatArray] | None) -> None:
         self._scene, self._surface = scene, surface
-        self._rule = ErrorRule(scene, known)
+        self._rule = error_rule(scene, known)
         self._contacts: tuple[Contact, ...] = ()
         self._dead: Mapping[int, str] = {}
         self._points: dict[int, Spreads] = {}
@@ -211,7 +201,7 @@ class ErrorHistory:
             at: point for at, point in self._points.items() if at <= same and (at % self._stride == 0 or at == count)
         }
         if count and count not in self._points:
-            self._points[count] = self._rule.spreads(snapshot.estimates)
+            self._points[count] = self._rule(snapshot.estimates)
 
     def recount(self) -> Recount | None:
         """Return what is to be worked out, and the same until it is done or no longer holds; None where nothing is missing."""

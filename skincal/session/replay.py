@@ -7,6 +7,7 @@ long as neither the scene nor the detector changed since.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from skincal.journal.documents import Ending, SegmentMark, Taken, Totals
@@ -26,13 +27,8 @@ _MISFIT = "An action of the operator no longer fits and is left out"
 def replay(folder: Path, layout: Path | None = None) -> Pipeline:
     """Play a session again into a pipeline of its own; nothing in the folder changes.
 
-    Parameters
-    ----------
-    layout : file of a layout that takes the place of the scene's
-
-    Returns
-    -------
-    The pipeline, with the estimates of the live session to the last bit, and `findings` on damage.
+    The pipeline has the estimates of the live session to the last bit, and `findings` on damage. The file of a layout takes
+    the place of the scene's.
 
     Raises
     ------
@@ -47,19 +43,8 @@ def load(folder: Path, layout: Path | None = None) -> Pipeline:
 
     Where the bytes must be played after all, they are: the session is older than the notes, or its scene was changed since.
 
-    Parameters
-    ----------
-    layout : file of a layout that takes the place of the scene's; pokes are as they were judged with that one
-
-    Returns
-    -------
-    The pipeline, with the estimates of the live session to the last bit; `findings` on damage. A streamed arm pose is unknown
-    until joints are streamed again.
-
-    Raises
-    ------
-    InputError
-        As for `replay`.
+    All else is as for `replay`, but with the file of another layout pokes are as they were judged with the scene's, and a
+    streamed arm pose is unknown until joints are streamed again.
     """
     return _load(SessionLog(folder), layout)
 
@@ -88,21 +73,18 @@ def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
 
 
 def _load_step(pipeline: Pipeline, item: LogState) -> None:
-    if isinstance(item, SegmentMark):
-        if item.number > 1:
-            pipeline.begin_segment(item.links)
-    elif isinstance(item, Stamped):
+    if isinstance(item, Stamped):
         pipeline.session.act(item.action)
     elif isinstance(item, Taken | Totals):
         pipeline.take(item)
+    elif isinstance(item, SegmentMark):
+        step(pipeline, item)
 
 
 def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     """Take a session up where it stopped: recovered if it was cut off, loaded, and open in a new segment.
 
-    Parameters
-    ----------
-    links : where readings come from now; those of the last segment if None
+    Without `links` readings come from those of the last segment.
 
     Raises
     ------
@@ -111,19 +93,14 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     """
     SessionLog(folder)  # says what is wrong before anything is changed
     lock = SessionLock(folder)
-    try:
-        return _resume(folder, links, lock)
-    except BaseException:
-        lock.release()
-        raise
-
-
-def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -> Pipeline:
-    said = recover_session(folder)
-    pipeline = _load(SessionLog(folder, own=True))
-    links = pipeline.links if links is None else tuple(links)
-    pipeline.begin_segment(links, open_segment(folder, pipeline.scene, links, lock))
-    pipeline.findings = (*said, *pipeline.findings)
+    with ExitStack() as at_failure:
+        at_failure.callback(lock.release)
+        said = recover_session(folder)
+        pipeline = _load(SessionLog(folder, own=True))
+        links = pipeline.links if links is None else tuple(links)
+        pipeline.begin_segment(links, open_segment(folder, pipeline.scene, links, lock))
+        pipeline.findings = (*said, *pipeline.findings)
+        at_failure.pop_all()
     return pipeline
 
 

@@ -57,7 +57,6 @@ class Session:
 
     Parameters
     ----------
-    scene : what there is to calibrate
     surface : the scene's mesh; None leaves out the surface method, and modules lie free in space
     methods : those that are solved; None for all that the scene has
     """
@@ -152,12 +151,7 @@ class Session:
         return {poke: self._corrections.framed[poke] for poke, record in self._records.items() if not record.excluded}
 
     def corrected_progress(self, progress: Progress, link_from_sensor: FloatArray | None, pose: str) -> Progress:
-        """Return a poke in progress as the corrections in use have it.
-
-        Parameters
-        ----------
-        link_from_sensor : (4, 4) float of the arm pose of that name, as reported; None while unknown
-        """
+        """Return a poke in progress as the corrections in use have it; see `Corrections.of_progress`."""
         force, point = self._corrections.of_progress(progress, link_from_sensor, pose)
         return progress if force is progress.force else replace(progress, force=force, axis_point=point)
 
@@ -210,20 +204,33 @@ class Session:
             self._known.check_name(action.name)
             return
         if isinstance(action, Undo):
-            self._undo()
-        elif isinstance(action, Exclude | Restore):
-            self._choose_poke(action)
-        elif isinstance(action, SetPose):
-            self._choose_pose(action.name)
-        elif isinstance(action, AddLandmark | AtLandmark | FoundAtLandmark):
-            self._know_landmark(action)
-        elif isinstance(action, Correct):
-            self._history.add(self._corrections.use(action))
-        elif isinstance(action, Uncorrect):
-            self._history.add(self._corrections.drop(action))
+            step = self._history.last(drop=True)
+            if step is None:
+                raise InputError("There is nothing to undo: no poke was accepted and nothing was changed.")
+            step.take_back()
         else:
-            self._choose_channel(action)
+            self._history.add(self._done(action))
         self._changed()
+
+    def _done(self, action: Action) -> Step:
+        """Do an action; return how it is taken back."""
+        match action:
+            case Exclude() | Restore():
+                return self._choose_poke(action)
+            case SetPose():
+                return self._choose_pose(action.name)
+            case AddLandmark():
+                return self._known.add(action)
+            case AtLandmark() | FoundAtLandmark():
+                return self._known.put(action, self.outcome(action.poke))
+            case Correct():
+                return self._corrections.use(action)
+            case Uncorrect():
+                return self._corrections.drop(action)
+            case MarkDead() | Revive():
+                return self._choose_channel(action)
+            case _:
+                raise TypeError(action)
 
     @property
     def unsolved(self) -> int:
@@ -327,13 +334,7 @@ class Session:
             self._generation += 1
             self._snapshot = None
 
-    def _undo(self) -> None:
-        step = self._history.last(drop=True)
-        if step is None:
-            raise InputError("There is nothing to undo: no poke was accepted and nothing was changed.")
-        step.take_back()
-
-    def _choose_poke(self, action: Exclude | Restore) -> None:
+    def _choose_poke(self, action: Exclude | Restore) -> Step:
         poke, out = action.poke, isinstance(action, Exclude)
         if not isinstance(self.outcome(poke), Contact):
             raise InputError(f"Poke {poke} is not an accepted poke of this session; expected the number of one.")
@@ -341,17 +342,13 @@ class Session:
             raise InputError(f"Poke {poke} {'is already excluded' if out else 'counts already'}.")
         self._set_excluded(poke, out)
         words = f"exclusion of poke {poke}" if out else f"return of poke {poke}"
-        self._history.add(Step(words, lambda: self._set_excluded(poke, not out)))
+        return Step(words, lambda: self._set_excluded(poke, not out))
 
     def _set_excluded(self, poke: int, out: bool) -> None:
         (self._excluded.add if out else self._excluded.discard)(poke)
         self._put(PokeRecord(self._records[poke].outcome, out))
 
-    def _know_landmark(self, action: AddLandmark | AtLandmark | FoundAtLandmark) -> None:
-        added = isinstance(action, AddLandmark)
-        self._history.add(self._known.add(action) if added else self._known.put(action, self.outcome(action.poke)))
-
-    def _choose_pose(self, name: str) -> None:
+    def _choose_pose(self, name: str) -> Step:
         known = {} if self.scene.arm is None else self.scene.arm.poses
         if name and name not in known:
             expected = f"one of {', '.join(known)}" if known else "none, since the scene names no poses"
@@ -361,23 +358,21 @@ class Session:
         def take_back() -> None:
             self.pose = before
 
-        self._history.add(Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back))
+        return Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back)
 
-    def _choose_channel(self, action: MarkDead | Revive) -> None:
-        channel = action.channel
+    def _choose_channel(self, action: MarkDead | Revive) -> Step:
+        channel, mark = action.channel, isinstance(action, MarkDead)
         if not 0 <= channel < self.scene.skin.channels:
             raise InputError(f"Channel {channel} does not exist; expected 0 to {self.scene.skin.channels - 1}.")
-        before = (set(self._marked), set(self._revived))
-        (self._marked.add if isinstance(action, MarkDead) else self._marked.discard)(channel)
-        (self._revived.discard if isinstance(action, MarkDead) else self._revived.add)(channel)
-        self._solving.taxels_changed([channel])
 
-        def take_back() -> None:
-            self._marked, self._revived = before
+        def put(marked: set[int], revived: set[int]) -> None:
+            self._marked, self._revived = marked, revived
             self._solving.taxels_changed([channel])
 
-        words = f"mark of channel {channel}" if isinstance(action, MarkDead) else f"return of channel {channel}"
-        self._history.add(Step(words, take_back))
+        marked, revived, this = self._marked, self._revived, {channel}
+        put(marked | this if mark else marked - this, revived - this if mark else revived | this)
+        words = f"mark of channel {channel}" if mark else f"return of channel {channel}"
+        return Step(words, lambda: put(marked, revived))
 
     def _redo_dead(self, before: Mapping[int, str]) -> None:
         now = self.dead
