@@ -75,29 +75,29 @@ class KeptError(InputError):
     """A recording is at fault, but something was recorded, and stays."""
 
 
-class Fresh:
-    """What became of the folder of a new session."""
-
-    made = False
-    """The session in it is this command's own: nobody else's is ever taken away."""
-
-
 @contextlib.contextmanager
-def new_folder(folder: Path) -> Generator[Fresh]:
-    """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
+def new_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Generator[Pipeline]:
+    """Make a session in `folder` and yield its pipeline; on an `InputError` but a `KeptError` take away what was made.
 
     What was there before stays, and what another program makes there meanwhile.
     """
-    from skincal.journal.writer import SCENE_FOLDER
+    from skincal.journal.writer import SCENE_FOLDER, create_session
+    from skincal.session.part import load_scene_surface
+    from skincal.session.pipeline import Pipeline
 
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
-    fresh = Fresh()
+    journal = None
     try:
-        yield fresh
+        surface, findings = load_scene_surface(scene)
+        for finding in findings:
+            typer.echo(f"{scene.surface.path.name if scene.surface else ''}: {finding}", err=True)
+        journal = create_session(folder, scene, links)
+        yield Pipeline(scene, links, surface, journal)
     except KeptError:
         raise
     except InputError:
-        if fresh.made:
+        # Nobody else's session is ever taken away.
+        if journal is not None:
             shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
             for ending in ("mcap", "jsonl"):
                 for segment in folder.glob(f"segment-[0-9][0-9][0-9][0-9].{ending}"):
@@ -107,20 +107,6 @@ def new_folder(folder: Path) -> Generator[Fresh]:
             with contextlib.suppress(OSError):
                 place.rmdir()
         raise
-
-
-def _new_pipeline(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
-    """Open a new session's journal and the pipeline into it; the mesh is loaded where the scene has one."""
-    from skincal.journal.writer import create_session
-    from skincal.session.part import load_scene_surface
-    from skincal.session.pipeline import Pipeline
-
-    surface, findings = load_scene_surface(scene)
-    for finding in findings:
-        typer.echo(f"{scene.surface.path.name if scene.surface else ''}: {finding}", err=True)
-    journal = create_session(out, scene, links)
-    fresh.made = True
-    return Pipeline(scene, links, surface, journal)
 
 
 def record(
@@ -140,32 +126,16 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
     """
+    from skincal.streams.link_reader import Reader
     from skincal.streams.links import describe_links
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
-    with new_folder(out) as fresh:
-        items: Items = queue.SimpleQueue()
+    items: Items = queue.SimpleQueue()
+    with stopping() as stop, new_session(out, loaded, links) as pipeline:
         if orders:
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
-        pipeline = _recorded(loaded, (out, fresh), links, pose, seconds, pokes, items)
-        finish(pipeline, out, as_json)
-
-
-def _recorded(
-    scene: Scene,
-    into: tuple[Path, Fresh],
-    links: Sequence[LinkSpec],
-    pose: str | None,
-    seconds: float | None,
-    pokes: int | None,
-    items: Items,
-) -> Pipeline:
-    from skincal.streams.link_reader import Reader
-
-    with stopping() as stop:
-        pipeline = _new_pipeline(scene, into[0], links, into[1])
         readers = {link.name: Reader(link, items) for link in links}
         try:
             _choose_pose(pipeline, pose)
@@ -178,9 +148,9 @@ def _recorded(
             while not items.empty():
                 _take(pipeline, items.get())
             pipeline.close()
-    if stop.is_set():
-        typer.echo("stopped", err=True)
-    return pipeline
+        if stop.is_set():
+            typer.echo("stopped", err=True)
+        finish(pipeline, out, as_json)
 
 
 @contextlib.contextmanager
@@ -275,8 +245,7 @@ def _loop(
                 return
             continue
         if isinstance(item, LinkEvent):
-            trying = " Trying on." if item.state is LinkState.FAILED and readers[item.link].running else ""
-            typer.echo(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else "") + trying, err=True)
+            typer.echo(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
             states[item.link] = item.state
         if not isinstance(item, OrderLine):
             silence.hear(item)
@@ -435,8 +404,7 @@ def _import(
     recording: tuple[Sequence[LinkSpec], Iterable[Chunk], Sequence[str]],
 ) -> None:
     links, chunks, findings = recording
-    with new_folder(out) as fresh:
-        pipeline = _new_pipeline(scene, out, links, fresh)
+    with new_session(out, scene, links) as pipeline:
         try:
             _choose_pose(pipeline, pose)
             for chunk in chunks:

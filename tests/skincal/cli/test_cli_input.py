@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import new_folder
+from skincal.cli.record import find_scene, new_session
 from skincal.files.icub import read_icub
+from skincal.journal import writer
 from skincal.model.errors import InputError
 
 SCENE = ["--scene", "flat-patch"]
@@ -50,8 +51,6 @@ def session(tmp_path_factory) -> Path:
 
 
 def test_width_of_the_scene_is_that_of_the_logs_here():
-    from skincal.cli.record import find_scene
-
     assert find_scene(Path("flat-patch")).skin.channels == CHANNELS
 
 
@@ -105,7 +104,7 @@ def test_ports_that_do_not_exist_are_named_within_two_seconds_and_leave_nothing_
             assert running.stderr is not None
             said = sorted(running.stderr.readline() for _ in range(2))
             assert said == [
-                f"{name}: failed: There is no port /dev/ttyNone{number}; plug the device in, or check the name. Trying on.\n"
+                f"{name}: failed: There is no port /dev/ttyNone{number}; plug the device in, or check the name.\n"
                 for name, number in (("skin", 2), ("wrench", 1))
             ]
             assert (tmp_path / "s").exists()
@@ -427,16 +426,16 @@ def test_an_arm_without_a_pose_is_refused_before_anything_is_recorded(tmp_path, 
     assert not out.exists()
 
 
-def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path):
+def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path, monkeypatch):
     folder = tmp_path / "shared"
 
-    def come_too_late():
-        with new_folder(folder):
-            (folder / "scene").mkdir(parents=True)
-            (folder / "segment-0001.mcap").write_bytes(b"of another program")
-            raise InputError("it is taken")
+    def come_too_late(*_):
+        (folder / "scene").mkdir(parents=True)
+        (folder / "segment-0001.mcap").write_bytes(b"of another program")
+        raise InputError("it is taken")
 
-    with pytest.raises(InputError, match="taken"):
-        come_too_late()
+    monkeypatch.setattr(writer, "create_session", come_too_late)
+    with pytest.raises(InputError, match="taken"), new_session(folder, find_scene(Path("flat-patch")), ()):
+        pass
     assert (folder / "segment-0001.mcap").read_bytes() == b"of another program"
     assert (folder / "scene").is_dir()
