@@ -28,8 +28,20 @@ from mcap.writer import Writer
 
 from skincal import __version__
 from skincal.journal import documents
-from skincal.journal.documents import FORMAT_WITH_NOTES, Ending, Note, SegmentMark, SessionEvent, Taken, Totals, from_document
-from skincal.journal.lines import Lines, LineWriter, lines_path, read_lines
+from skincal.journal.documents import (
+    FORMAT_WITH_NOTES,
+    Ending,
+    Lines,
+    LineWriter,
+    Note,
+    SegmentMark,
+    SessionEvent,
+    Taken,
+    Totals,
+    from_document,
+    lines_path,
+    read_lines,
+)
 from skincal.journal.lock import writer_of
 from skincal.journal.writer import EVENT_TOPIC, NOTE_TOPIC, RAW_TOPIC, SCENE_FILE, SCENE_FOLDER, scene_digest
 from skincal.model.errors import InputError

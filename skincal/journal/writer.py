@@ -7,7 +7,7 @@ and little has to be written anew after a kill.
 The MCAP file holds everything, for replay and for other programs: chunks of bytes as read (`/raw/LINK`) and events (`/events`,
 JSON), which are the segment's *items*, numbered from 0 in MCAP's `sequence` in the order in which they were taken; notes on
 what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrench`, `/taxels`,
-`/joints`), which skincal does not read back. The other file holds events and notes alone, a line each: see `lines`.
+`/joints`), which skincal does not read back. The other file holds events and notes alone, a line each: see `documents`.
 
 Every half second, and at every event and note, what is buffered becomes a chunk with a checksum in the MCAP file, and then is
 vouched for in the lines; at every contact both are forced onto the medium. So a kill costs half a second of bytes, and whatever
@@ -35,8 +35,18 @@ from mcap.writer import Writer
 from skincal import __version__
 from skincal.geometry import FloatArray
 from skincal.journal import documents
-from skincal.journal.documents import FORMAT, Ending, Item, Note, event_to_json, link_to_json, note_to_json
-from skincal.journal.lines import LineWriter, key_of, lines_path
+from skincal.journal.documents import (
+    FORMAT,
+    Ending,
+    Item,
+    LineWriter,
+    Note,
+    event_to_json,
+    key_of,
+    lines_path,
+    link_to_json,
+    note_to_json,
+)
 from skincal.journal.lock import SessionLock, writer_of
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, Sample
