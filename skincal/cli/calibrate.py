@@ -116,7 +116,7 @@ def solve(
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
-        "session": str(session),
+        "session": session,
         **counts,
         "methods": methods,
         **losses,
@@ -159,7 +159,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
     from skincal.sentences import left_sentences, misfit_sentence
 
     lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
-    result: dict[str, Any] = {"misfits": [], "layout": {"used": _name(used), "changes": [], "left": [], "written": None}}
+    result: dict[str, Any] = {"misfits": [], "layout": {"used": used, "changes": [], "left": [], "written": None}}
     if session.module_model is None:
         if out is not None:
             raise InputError(
@@ -174,7 +174,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
         write_layout(session.module_model.layout, mend, written)
     misfits = [misfit_sentence(misfit) for misfit in mend.misfits]
     changes = [{"module": change.module, **change.keys} for change in mend.changes]
-    layout = {"used": _name(used), "changes": changes, "left": left_sentences(mend), "written": _name(written)}
+    layout = {"used": used, "changes": changes, "left": left_sentences(mend), "written": written}
     lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.module_model, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
 
@@ -193,10 +193,6 @@ def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
     found = f"none of {judged} modules looks mirrored, turned or swapped" if judged else "too little is known of every module"
     why = "nothing that was found can be put right by it" if mend.misfits else found
     return [*left, f"{out} is not written: {why}"]
-
-
-def _name(path: Path | None) -> str | None:
-    return None if path is None else str(path)
 
 
 def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
@@ -277,7 +273,7 @@ def _calibration(session: Session) -> Calibration:
     return replace(session.calibration(), landmark_check=landmark_check(correct_rig(session.rig_request())))
 
 
-def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
+def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:
     """Write every format for every method the scene has; return the files and what was found."""
     from skincal.files.export import write_calibration
 
@@ -294,7 +290,7 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
     findings: dict[str, None] = {}
     for format_, name, method in names:
         findings |= dict.fromkeys(write_calibration(calibration, format_, folder / name, method, part))
-    return [str(folder / name) for _, name, _ in names], list(findings)
+    return [folder / name for _, name, _ in names], list(findings)
 
 
 def export(
@@ -327,7 +323,7 @@ def export(
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
-    used = {} if layout is None else {"layout": str(layout)}
+    used = {} if layout is None else {"layout": layout}
     text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]
-    result = {"file": str(out), "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
+    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

@@ -351,7 +351,7 @@ def finish(
     kept = bool(pipeline.journal_failure) or not useless
     text += [*report.loss_lines(losses), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {
-        "session": str(out) if kept else None,
+        "session": out if kept else None,
         **counts,
         "methods": methods,
         **losses,

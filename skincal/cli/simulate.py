@@ -42,14 +42,6 @@ class OperatorKind(Enum):
     GUIDED = "guided"
 
 
-class Wire(Enum):
-    """What the simulated devices send."""
-
-    SKB = "skb"
-    SKT = "skt"
-    TEXT = "text"
-
-
 def add_to(app: typer.Typer) -> None:
     """Add the command of this module."""
     app.command(
@@ -80,7 +72,6 @@ def simulate(
         typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
     ] = 1.0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
-    wire: Annotated[Wire, typer.Option(help="What the devices send: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
     as_json: Json = False,
 ) -> None:
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
@@ -93,7 +84,7 @@ def simulate(
 
     from skincal.files.reference import TRUTH_NAME, read_reference
     from skincal.session.part import load_scene_surface
-    from skincal.simulate.device import DeviceSettings, DeviceTimeline
+    from skincal.simulate.device import DeviceTimeline
     from skincal.simulate.faults import RigErrors
     from skincal.simulate.operator import Guided, Habits, Told
     from skincal.simulate.serve import Server
@@ -109,7 +100,6 @@ def simulate(
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
     habits = (Habits.careful() if careful else Habits()).at_pace(pace)
-    settings = DeviceSettings(format=wire.value)
     if out is not None:
         pipeline = simulate_session(
             loaded,
@@ -120,7 +110,6 @@ def simulate(
             wrong,
             poses=names,
             habits=habits,
-            settings=settings,
             progress=_show_progress if sys.stderr.isatty() else None,
         )
         finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
@@ -129,7 +118,7 @@ def simulate(
     rig_rng, operator_rng, device_rng = np.random.default_rng(seed).spawn(3)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _hand(operator, rig, habits, operator_rng, (pokes, names))
-    with Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp) as server:
+    with Server(DeviceTimeline(rig, hand, device_rng), tcp=tcp) as server:
         _print_links(server, truth(rig) if as_json else {})
         _run(server, hand if isinstance(hand, Told | Guided) else None)
 

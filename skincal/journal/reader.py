@@ -211,6 +211,7 @@ class Segment:
         count, first_ns, last_ns, why = 0, 0, 0, ""
         try:
             for topic, message in self._mcap.messages():
+                # What lies behind the last item that is vouched for led to something that was not written any more.
                 if count == due or not _is_item(topic):
                     continue
                 if topic != EVENT_TOPIC:

@@ -144,6 +144,7 @@ class Recount:
         dead: Mapping[int, str],
         wanted: Sequence[int],
     ) -> None:
+        # Fed poke by poke like the live one, so that each point has the bits that it had then.
         self._session = Session(scene, surface)
         self._session.find_dead(dead)
         self._rule, self._contacts = rule, contacts
@@ -240,7 +241,6 @@ class ErrorFollower:
 
     The past is worked out in the background, a moment at a time: other work comes in between, and what no longer holds after
     an undo or an exclusion is dropped.
-
     """
 
     def __init__(self, part: Part, run: Run) -> None:

@@ -50,6 +50,7 @@ def load(folder: Path, layout: Path | None = None) -> Pipeline:
 
 
 def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
+    # What was made of the bytes holds for the scene that it was made with; the oldest sessions hold bytes alone.
     if log.scene_changed or not log.has_notes:
         return _played(log, layout)
     pipeline = _new_pipeline(log, layout)

@@ -74,7 +74,8 @@ class Session:
         self._records: dict[int, PokeRecord] = {}
         self._corrections = Corrections(self._correct_all)
         self._excluded, self._marked, self._revived = set[int](), set[int](), set[int]()
-        self._found: Mapping[int, str] = {}
+        self.found_dead: Mapping[int, str] = {}
+        """Channels that the detector found to be dead, whatever the operator thinks of them."""
         self._known = SessionLandmarks(scene.landmarks)
         self._history = History(self._excluded.__contains__, lambda poke: self._set_excluded(poke, True))
         self._answers: Counter[int] = Counter()
@@ -95,11 +96,6 @@ class Session:
         return tuple(self._kept(self._records))
 
     @property
-    def excluded(self) -> tuple[int, ...]:
-        """Numbers of the pokes that the operator took out."""
-        return tuple(sorted(self._excluded))
-
-    @property
     def channels(self) -> tuple[int, ...]:
         """The taxels: those of the layout, or without one those that answered in a contact that counts."""
         if self._layout is not None:
@@ -112,14 +108,9 @@ class Session:
         return next(reversed(self._records), 0)
 
     @property
-    def found_dead(self) -> Mapping[int, str]:
-        """Channels that the detector found to be dead, whatever the operator thinks of them."""
-        return self._found
-
-    @property
     def dead(self) -> dict[int, str]:
         """Channels that are not used, with the reason."""
-        dead = {channel: why for channel, why in self._found.items() if channel not in self._revived}
+        dead = {channel: why for channel, why in self.found_dead.items() if channel not in self._revived}
         dead |= dict.fromkeys(self._marked, MARKED)
         return {channel: dead[channel] for channel in sorted(dead)}
 
@@ -160,6 +151,7 @@ class Session:
         before = self._records.get(outcome.poke)
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded))
+        # What comes next can make a rejection of an accepted poke, which is then no step of the operator's any more.
         if now and not was:
             self._history.add(outcome.poke)
         if was and not now:
@@ -176,10 +168,14 @@ class Session:
 
     def find_dead(self, found: Mapping[int, str]) -> None:
         """Take the channels that the detector found to be dead, in place of those before."""
-        if found is not self._found and dict(found) != dict(self._found):
-            before = self.dead
-            self._found = dict(found)
-            self._redo_dead(before)
+        if found is self.found_dead or dict(found) == dict(self.found_dead):
+            return
+        before = self.dead
+        self.found_dead = dict(found)
+        now = self.dead
+        known = before.keys() | now.keys()
+        self._solving.taxels_changed(channel for channel in known if before.get(channel) != now.get(channel))
+        self._changed()
 
     def set_current_pose(self, name: str, link_from_sensor: FloatArray | None) -> None:
         """Take the arm pose that holds now, chosen or streamed; it is shown and nothing else."""
@@ -287,7 +283,7 @@ class Session:
             contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
             mesh_sha256=None if self.surface is None else self.surface.sha256,
             version=__version__,
-            excluded=self.excluded,
+            excluded=tuple(sorted(self._excluded)),
             dead=self.dead,
             corrections=tuple(self.corrections.values()),
             landmark_pokes=self._known.pokes(outcomes),
@@ -373,9 +369,3 @@ class Session:
         put(marked | this if mark else marked - this, revived - this if mark else revived | this)
         words = f"mark of channel {channel}" if mark else f"return of channel {channel}"
         return Step(words, lambda: put(marked, revived))
-
-    def _redo_dead(self, before: Mapping[int, str]) -> None:
-        now = self.dead
-        known = before.keys() | now.keys()
-        self._solving.taxels_changed(channel for channel in known if before.get(channel) != now.get(channel))
-        self._changed()

@@ -439,10 +439,3 @@ def test_solve_says_what_was_found(scene, tmp_path, capsys):
     assert "was not closed" in capsys.readouterr().out
     assert main(["export", str(tmp_path / "s"), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
     assert "was not closed" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("options", [["--speed", "2"], ["--replay", "--speed", "0"], ["--replay", "--speed", "-1"]])
-def test_a_speed_that_makes_no_sense_is_refused(scene, tmp_path, capsys, options):
-    record(scene, tmp_path / "s", some_pokes(scene, 1)).close()
-    assert main(["solve", str(tmp_path / "s"), *options]) == 2
-    assert "--speed" in capsys.readouterr().err
