@@ -96,6 +96,11 @@ class Session:
         return tuple(self._kept(self._records))
 
     @property
+    def excluded(self) -> tuple[int, ...]:
+        """Numbers of the pokes that the operator took out."""
+        return tuple(sorted(self._excluded))
+
+    @property
     def channels(self) -> tuple[int, ...]:
         """The taxels: those of the layout, or without one those that answered in a contact that counts."""
         if self._layout is not None:
@@ -283,7 +288,7 @@ class Session:
             contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
             mesh_sha256=None if self.surface is None else self.surface.sha256,
             version=__version__,
-            excluded=tuple(sorted(self._excluded)),
+            excluded=self.excluded,
             dead=self.dead,
             corrections=tuple(self.corrections.values()),
             landmark_pokes=self._known.pokes(outcomes),
