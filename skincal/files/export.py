@@ -348,7 +348,7 @@ def write_calibration(
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
-        sentences += _left_out(calibration.of(each), each, format)
+        sentences += _left_out(calibration.of(each), each)
     if format == "icub":
         sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, text)]
     write_atomically(path, text.encode("utf-8"))
@@ -413,19 +413,14 @@ def _reference(calibration: Calibration, method: Method, shape: _Part) -> LintRe
     return LintReference(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
 
 
-def _left_out(estimates: tuple[Estimate, ...], method: Method, format_: str) -> list[str]:
+def _left_out(estimates: tuple[Estimate, ...], method: Method) -> list[str]:
     without = [estimate.state for estimate in estimates if estimate.position is None]
     if not without:
         return []
     counts = Counter(without)
     states = ", ".join(f"{counts[state]} {state.value}" for state in State if counts[state])
-    how = {
-        "icub": "rows of six zeros, which readers take as no position",
-        "json": "written without a position",
-        "csv": "written with an empty position",
-        "ply": "left out",
-    }[format_]
-    return [f"{method.value}: {len(without)} of {len(estimates)} taxels have no position ({states}): {how}."]
+    # The same for every format, so that who writes several of them reads it once.
+    return [f"{method.value}: {len(without)} of {len(estimates)} taxels have no position ({states})."]
 
 
 def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> list[str]:

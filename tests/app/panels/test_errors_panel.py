@@ -41,7 +41,6 @@ from skincal.session.error_history import (
     ErrorHistory,
     ErrorSeries,
     Recount,
-    error_series,
 )
 from skincal.session.part import Part, load_part
 from skincal.session.session import Session
@@ -49,6 +48,8 @@ from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
 from tests.app.whole_window import OPEN_MS, Bench, Paints
 from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, show_in, touch
+from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, touch
+from tests.skincal.poke_script import error_series
 
 BOTH = (Method.FREE, Method.SURFACE)
 

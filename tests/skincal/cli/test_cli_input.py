@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import new_folder
+from skincal.cli.record import find_scene, new_session
 from skincal.files.icub import read_icub
+from skincal.journal import writer
 from skincal.model.errors import InputError
 
 SCENE = ["--scene", "flat-patch"]
@@ -49,8 +51,6 @@ def session(tmp_path_factory) -> Path:
 
 
 def test_width_of_the_scene_is_that_of_the_logs_here():
-    from skincal.cli.record import find_scene
-
     assert find_scene(Path("flat-patch")).skin.channels == CHANNELS
 
 
@@ -90,6 +90,109 @@ def test_a_recording_without_a_reading_says_of_which_link(run, tmp_path):
     assert code == 2
     assert "wrench gave no reading that can be used: There is no port /dev/ttyNone1" in err
     assert json.loads(out)["links"]["skin"]["readings"] == 0
+
+
+def recording(folder: Path, wrench: str | Path, skin: str | Path, *more: str) -> list[str]:
+    """The arguments of a recording into `folder`."""
+    return ["record", "--wrench", str(wrench), "--skin", str(skin), *SCENE, "--out", str(folder), *more]
+
+
+def test_ports_that_do_not_exist_are_named_within_two_seconds_and_leave_nothing_behind(tmp_path):
+    command = [sys.executable, "-P", "-m", "skincal.cli", *recording(tmp_path / "s", "/dev/ttyNone1", "/dev/ttyNone2")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            assert running.stderr is not None
+            said = sorted(running.stderr.readline() for _ in range(2))
+            assert said == [
+                f"{name}: failed: There is no port /dev/ttyNone{number}; plug the device in, or check the name.\n"
+                for name, number in (("skin", 2), ("wrench", 1))
+            ]
+            assert (tmp_path / "s").exists()
+            running.terminate()
+            assert running.wait(10) == 2
+        finally:
+            running.kill()
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_link_that_never_says_why_it_is_not_open_is_reported_once():
+    from skincal.cli.record import OPENING_NS, Silence
+    from skincal.model.readings import LinkEvent, LinkState
+
+    assert OPENING_NS <= 2_000_000_000
+    silence = Silence(["wrench", "skin"], 10)
+    silence.hear(LinkEvent("skin", 20, LinkState.FAILED, "in use"))
+    assert silence.sentences(9 + OPENING_NS) == []
+    (said,) = silence.sentences(10 + OPENING_NS)
+    assert said.startswith("wrench: is not open yet")
+    assert silence.sentences(11 + OPENING_NS) == []
+
+
+def test_an_interrupt_never_strikes_while_the_session_is_written(run, tmp_path, monkeypatch):
+    """It comes in the middle of the third write; that item, and all that was read before the end, is in the session."""
+    from skincal.journal import documents
+    from skincal.journal.reader import SessionLog
+    from skincal.model.readings import Chunk
+
+    for name, values in (("wrench", 6), ("skin", CHANNELS)):
+        (tmp_path / name).write_text((" ".join(["0.5"] * values) + "\n") * 2000)
+    encode, begun = documents.encode_chunk, []
+
+    def interrupted(*arguments):
+        begun.append(arguments)
+        if len(begun) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return encode(*arguments)
+
+    monkeypatch.setattr(documents, "encode_chunk", interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    _, _, err = run(*recording(tmp_path / "s", tmp_path / "wrench", tmp_path / "skin", "--seconds", "30"))
+    assert "stopped" in err
+    assert signal.getsignal(signal.SIGINT) is before
+    log = SessionLog(tmp_path / "s")
+    assert [item.data for item in log.items() if isinstance(item, Chunk)] == [data for _, data in begun]
+    assert log.findings == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ["simulate", *SCENE, "--pokes", "0", "--out", "x"],
+            "Invalid value for '--pokes': expected a number greater than or equal to 1; `skincal simulate --help`",
+        ),
+        (["solve", "x", "--layout-out"], "Option '--layout-out' requires an argument;"),
+        (["simulate", *SCENE, "--pokes", "many", "--out", "x"], "Invalid value for '--pokes': expected a whole number;"),
+        (
+            ["export", "x", "--format", "urdf", "--out", "y"],
+            "Invalid value for '--format': 'urdf' is not one of 'icub', 'json',",
+        ),
+        (["record"], "Missing option '--wrench'; `skincal record --help`"),
+        (["solve", "x", "--fly"], "No such option: --fly"),
+        (["fly"], "No such command 'fly'; `skincal --help`"),
+    ],
+)
+def test_a_wrong_option_is_one_plain_sentence(run, arguments, sentence):
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"skincal: {sentence}")
+    assert err.count("\n") == 1
+    assert not any(word in err for word in ("Usage", "Input should", "parse"))
+
+
+def test_what_is_no_folder_is_not_said_to_be_missing(run, tmp_path):
+    (tmp_path / "file").write_text("")
+    for path, why in ((tmp_path / "file", "it is no folder"), (tmp_path / "none", "there is no such folder")):
+        code, _, err = run("solve", path)
+        assert code == 2
+        assert err.startswith(f"skincal: {path}: not a session ({why}); expected")
+
+
+def test_results_in_every_format_say_each_finding_once(run, tmp_path, session):
+    code, out, _ = run("solve", session, "--out", tmp_path / "results")
+    assert code == 0
+    said = [line for line in out.splitlines() if "have no position" in line]
+    assert len(said) == 2, "one for each method"
 
 
 @pytest.mark.parametrize("option", [["--seconds", "-1"], ["--pokes", "0"]])
@@ -323,16 +426,16 @@ def test_an_arm_without_a_pose_is_refused_before_anything_is_recorded(tmp_path, 
     assert not out.exists()
 
 
-def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path):
+def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path, monkeypatch):
     folder = tmp_path / "shared"
 
-    def come_too_late():
-        with new_folder(folder):
-            (folder / "scene").mkdir(parents=True)
-            (folder / "segment-0001.mcap").write_bytes(b"of another program")
-            raise InputError("it is taken")
+    def come_too_late(*_):
+        (folder / "scene").mkdir(parents=True)
+        (folder / "segment-0001.mcap").write_bytes(b"of another program")
+        raise InputError("it is taken")
 
-    with pytest.raises(InputError, match="taken"):
-        come_too_late()
+    monkeypatch.setattr(writer, "create_session", come_too_late)
+    with pytest.raises(InputError, match="taken"), new_session(folder, find_scene(Path("flat-patch")), ()):
+        pass
     assert (folder / "segment-0001.mcap").read_bytes() == b"of another program"
     assert (folder / "scene").is_dir()

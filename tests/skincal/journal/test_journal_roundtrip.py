@@ -286,18 +286,3 @@ def test_every_contact_is_forced_onto_the_medium(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(JournalWriter, "sync", lambda self: synced.append(self._items))
     record(scene, tmp_path / "s", pokes=3).close()
     assert len(synced) == 6  # at its release and when it is final
-
-
-def test_speed_paces_the_replay(scene, tmp_path):
-    record(scene, tmp_path / "s", pokes=1).close()  # 2.1 s
-    begin = time.monotonic()
-    replay(tmp_path / "s", speed=5.0)
-    assert 0.3 < time.monotonic() - begin < 3.0
-
-
-def test_a_replay_can_be_stopped(scene, tmp_path):
-    record(scene, tmp_path / "s", pokes=3).close()
-    seen = []
-    pipeline = replay(tmp_path / "s", stop=lambda: len(seen.append(1) or seen) >= 200)
-    assert len(seen) == 200
-    assert len(pipeline.session.contacts) < 3

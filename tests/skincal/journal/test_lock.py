@@ -192,6 +192,9 @@ def test_a_disk_that_refuses_lets_the_session_go(tmp_path, monkeypatch):
         patch.setattr(os, "fsync", refuse)
         with pytest.raises(Exception, match="cannot be written"):
             journal.sync()
+    with pytest.raises(InputError, match="cannot be written any more"):
+        journal.open_next(scene, LINKS)
+    assert not (tmp_path / "s" / "segment-0002.mcap").exists()
     SessionLock(tmp_path / "s").release()
 
 

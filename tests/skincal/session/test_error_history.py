@@ -23,7 +23,6 @@ from skincal.session.error_history import (
     POINTS_MAX,
     TAXELS,
     ErrorHistory,
-    error_series,
     poking_times,
     spreads_of,
     stride_of,
@@ -31,6 +30,7 @@ from skincal.session.error_history import (
 from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.taxels.result import Method
+from tests.skincal.poke_script import error_series
 
 POKES = 14
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -139,7 +140,7 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
     items.put(OrderLine(10**18, b'{"do": "ask_landmark", "name": "nose"}\n'))
     items.put(OrderLine(10**18, b"poke 3\n"))
     headless = Pipeline(SessionLog(folder).scene, LINKS, None)
-    _loop(headless, items, {}, None, None)
+    _loop(headless, items, {}, (None, None), threading.Event())
     assert headless.snapshot().at_landmarks == {1: "head", 3: "tail"}
     mine, theirs = ([outcome_key(one.outcome) for one in each.snapshot().pokes] for each in (headless, pipeline))
     assert mine == theirs
