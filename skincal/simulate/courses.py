@@ -24,7 +24,7 @@ from skincal.guide.progress import GuideSettings
 from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
-from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, TareTiming, simulate_contacts
+from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits, aim
 from skincal.simulate.simulated_rig import PressedPlaces, Rig, by_hand, cone_tilts, held, push_directions, tangents
@@ -96,7 +96,7 @@ def poked(
         np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
     )
     habits = replace(Habits.careful(), double_rate=conditions.doubled)
-    return simulate_contacts(rig, pokes, rng, POSE, first, TareTiming.POKE, habits), pokes
+    return simulate_contacts(rig, pokes, rng, POSE, first, habits), pokes
 
 
 # ---- ways that follow no measurement ----

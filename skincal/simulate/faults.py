@@ -72,8 +72,6 @@ class RigErrors:
     """Counts of 255, sd of the taxels' untouched readings. An untouched iCub taxel reads 235 to 244."""
     gain_spread: float = 0.10
     """Relative sd of the taxels' sensitivity. Assumed: foam is glued by hand."""
-    stuck: int = 0
-    """Taxels that always answer."""
     wrench_latency: float = 0.005
     """s from the reading to its bytes at the host. The wire alone takes 0.8 ms (Bota, 460800 baud) to 8.3 ms
     (Robotiq FT 300, 19200 baud)."""
@@ -96,7 +94,7 @@ class RigErrors:
     @classmethod
     def none(cls) -> RigErrors:
         """Return a perfect rig: exact readings that arrive at once. The skin still lies beside its plan."""
-        kept = {"matrix_arm", "slow_s", "drift_session_s", "burst_s", "mount_shift", "mount_turn", "stuck"}
+        kept = {"matrix_arm", "slow_s", "drift_session_s", "burst_s", "mount_shift", "mount_turn"}
         perfect: dict[str, Any] = {item.name: 0.0 for item in fields(cls) if item.name not in kept}
         return cls(**perfect)
 

@@ -1,18 +1,16 @@
-"""Pokes as geometry: where a tip presses, which way and how hard.
+"""The simulated rig: a part with its skin, its arm pose and its force/torque sensor, and what each really is.
 
-A part with its skin, its arm pose and its force/torque sensor, and what each really is.
-
-The true places of the taxels are the plan's layout laid on the surface, displaced as a patch. The sensor reads
-(I + E) w + weight + offset; the arm really is a little beside the pose that its joints tell.
+A poke is geometry here: where a tip presses, which way and how hard. The true places of the taxels are the plan's layout laid on the surface, displaced as a patch. The sensor reads
+(I + E) w + weight + offset; the arm really is a little beside the pose that its joints report.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, inverse_pose
+from skincal.geometry import FloatArray, IntArray, cross_matrix, inverse_pose
 from skincal.mesh.lay import lay
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
@@ -45,26 +43,12 @@ class PressedPlaces:
 
     def take(self, rows: slice | IntArray) -> PressedPlaces:
         """Return some of the places."""
-        return PressedPlaces(
-            targets=self.targets[rows],
-            points=self.points[rows],
-            normals=self.normals[rows],
-            directions=self.directions[rows],
-            forces=self.forces[rows],
-            turns=self.turns[rows],
-        )
+        return PressedPlaces(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 def join(parts: list[PressedPlaces]) -> PressedPlaces:
     """Return all places of several as one."""
-    return PressedPlaces(
-        np.concatenate([p.targets for p in parts]),
-        np.concatenate([p.points for p in parts]),
-        np.concatenate([p.normals for p in parts]),
-        np.concatenate([p.directions for p in parts]),
-        np.concatenate([p.forces for p in parts]),
-        np.concatenate([p.turns for p in parts]),
-    )
+    return PressedPlaces(*(np.concatenate([getattr(p, item.name) for p in parts]) for item in fields(PressedPlaces)))
 
 
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -138,8 +122,6 @@ def held(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatArray:
     return np.where(inward < np.cos(usable), leaning, pushes)
 
 
-__all__ = ["Rig", "RigErrors", "Stance"]
-
 NEIGHBOURS = 40
 """Taxels looked at around a tip: within `Foam.reach` of a point of any layout here there are fewer."""
 NEAR_BLOCK = 256
@@ -152,7 +134,7 @@ REST_SHARE = 240 / 255
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stance:
-    """One arm pose: what the joints tell and what is."""
+    """One arm pose: what the joints report and what is."""
 
     name: str
     angles: FloatArray
@@ -172,7 +154,6 @@ class Rig:
     ----------
     scene : with a layout and an anchor
     surface : of the scene; None where it has none
-    errors : how wrong the rig is
     rng : draws everything that stays for a session
 
     Raises
@@ -181,11 +162,9 @@ class Rig:
         The scene does not say where taxels lie.
     """
 
-    def __init__(
-        self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator, foam: Foam | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator) -> None:
         mount, skin, arm, sensor = rng.spawn(4)
-        self.scene, self.surface, self.errors, self.foam = scene, surface, errors, foam or Foam()
+        self.scene, self.surface, self.errors, self.foam = scene, surface, errors, Foam()
         self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
         if surface is not None:
             # Loads what the search needs (0.3 s) now rather than in the middle of the first poke.
@@ -209,7 +188,6 @@ class Rig:
         count = len(self.channels)
         self.baselines = np.clip(start + spread * rng.standard_normal(count), low, high)
         self.gains = np.maximum(1.0 + self.errors.gain_spread * rng.standard_normal(count), 0.1)
-        self.stuck = self.channels[rng.choice(count, min(self.errors.stuck, count), replace=False)]
         self._idle = np.full(self.scene.skin.channels, low if self.polarity > 0 else high)
         self._idle[self.channels] = self.baselines
 
@@ -240,11 +218,9 @@ class Rig:
             The channel is not a taxel.
         """
         if not 0 <= channel < len(self._row) or self._row[channel] < 0:
-            raise InputError(f"channel {channel} is not a taxel of {self.scene.name}; it has {self._some_channels()}.")
+            has = f"{len(self.channels)} taxels, channels {self.channels[0]} to {self.channels[-1]} with gaps"
+            raise InputError(f"channel {channel} is not a taxel of {self.scene.name}; it has {has}.")
         return int(self._row[channel])
-
-    def _some_channels(self) -> str:
-        return f"{len(self.channels)} taxels, channels {self.channels[0]} to {self.channels[-1]} with gaps"
 
     def stance(self, name: str | None = None) -> Stance:
         """Return an arm pose by its name; the first one for None.
@@ -261,17 +237,13 @@ class Rig:
         return self.stances[name]
 
     def true_wrenches(self, points: FloatArray, forces: FloatArray, stance: Stance) -> FloatArray:
-        """Return the wrenches of pure forces at points (eqs. 1-2), about the sensor's origin.
+        """Return (n, 6) the wrenches of pure forces at points (eqs. 1-2), sensor frame, before the sensor's errors.
 
         Parameters
         ----------
         points : (n, 3) float, metres, link frame
         forces : (n, 3) float, N, link frame, on the part
         stance : the arm pose; its true one counts
-
-        Returns
-        -------
-        (n, 6) float, N and N m, sensor frame, before the sensor's errors
         """
         sensor_from_link = inverse_pose(stance.true)
         f = forces @ sensor_from_link[:3, :3].T
@@ -283,12 +255,7 @@ class Rig:
         return wrenches @ self.matrix.T
 
     def answers(self, pokes: PressedPlaces, loads: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return which taxels answer each place pressed and by how much, without noise.
-
-        Parameters
-        ----------
-        pokes : n places
-        loads : (n,) float, N, force at each now
+        """Return which taxels answer each of n places under `loads` (n,), N, and by how much, without noise.
 
         Returns
         -------
@@ -316,22 +283,16 @@ class Rig:
         return rows
 
     def skin_frame(self, answers: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return raw frames for answers, with noise, clipped and rounded as the device does.
+        """Return (n, width) raw frames, whole numbers, with noise, clipped and rounded as the device does.
 
         Parameters
         ----------
         answers : (n, taxels) float, raw units above the baseline, in the order of `channels`
-
-        Returns
-        -------
-        (n, width) float, whole numbers
         """
         frames: FloatArray = np.tile(self._idle, (len(answers), 1))
         noise = self.errors.skin_noise * self.counts * rng.standard_normal(answers.shape)
         frames[:, self.channels] += self.polarity * answers + noise
         low, high = self.range
-        if len(self.stuck):
-            frames[:, self.stuck] = (low + high) / 2
         return np.clip(np.rint(frames), low, high, dtype=np.float64)
 
 
@@ -372,8 +333,7 @@ def _rotation(vector: FloatArray) -> FloatArray:
     angle = float(np.linalg.norm(vector))
     if angle == 0:
         return np.eye(3)
-    x, y, z = vector / angle
-    s = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    s = cross_matrix(vector / angle)
     return np.eye(3) + np.sin(angle) * s + (1 - np.cos(angle)) * (s @ s)
 
 
@@ -406,16 +366,12 @@ class Foam:
 
 
 def felt_share(foam: Foam, offsets: FloatArray, axis_x: FloatArray, axis_y: FloatArray) -> FloatArray:
-    """Return the share g of the tip's load that taxels feel, 0 to 1.
+    """Return (n, k) the share g of the tip's load that taxels feel, 0 to 1.
 
     Parameters
     ----------
     offsets : (n, k, 3) float, metres, from the middle of the tip to the taxels
     axis_x, axis_y : (n, 3) float, unit, the sides of the tip, in the plane of the skin
-
-    Returns
-    -------
-    (n, k) float
     """
     x = np.einsum("nki,ni->nk", offsets, axis_x)
     y = np.einsum("nki,ni->nk", offsets, axis_y)
