@@ -216,7 +216,7 @@ def _run(server: Server, listener: Told | Guided | None) -> None:
 
 def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
-    from skincal.simulate.orders import read_order
+    from skincal.simulate.operator import read_order
 
     for line in sys.stdin:
         try:

@@ -82,16 +82,16 @@ class MeantPokes:
 
 
 def poked(
-    part: Bench, rig: Rig, wish: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
+    part: Bench, rig: Rig, meant: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
 ) -> tuple[list[Contact], PressedPlaces]:
-    """Return the contacts that a hand makes of a wish, and where they were; the first has the number `first`."""
-    count = len(wish.places)
-    on, triangles = nearest_points(part.surface, wish.places)
+    """Return the contacts that a hand makes of the pokes it means, and where they were; the first has the number `first`."""
+    count = len(meant.places)
+    on, triangles = nearest_points(part.surface, meant.places)
     e1, e2 = tangents(part.surface.normals[triangles])
     beside = conditions.aim * rng.standard_normal((count, 2))
     points, triangles = nearest_points(part.surface, on + beside[:, :1] * e1 + beside[:, 1:] * e2)
     normals = part.surface.normals[triangles]
-    pushes = held(by_hand(wish.pushes, conditions.hand, rng), normals, conditions.usable)
+    pushes = held(by_hand(meant.pushes, conditions.hand, rng), normals, conditions.usable)
     pokes = PressedPlaces(
         np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
     )
@@ -276,8 +276,8 @@ def _unguided(
     part: Bench, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as planned before the first poke."""
-    wish = WAYS[way](part, conditions, limit, rng)
-    contacts, pokes = poked(part, rig, wish, conditions, rng, 1)
+    meant = WAYS[way](part, conditions, limit, rng)
+    contacts, pokes = poked(part, rig, meant, conditions, rng, 1)
     session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
     for count in looks(limit).tolist():
@@ -296,11 +296,11 @@ def _followed(
     contacts: dict[int, Contact] = {}
     guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
     for count in range(1, limit + 1):
-        wish = _least_spread(part, session, guidance, conditions) if way == "diversity" else _asked(guidance)
-        if wish is None:
+        meant = _least_spread(part, session, guidance, conditions) if way == "diversity" else _asked(guidance)
+        if meant is None:
             # Enough, says the guide: who goes on all the same pokes what is known worst.
-            wish = _worst(part, guidance)
-        made, pokes = poked(part, rig, wish, conditions, rng, count)
+            meant = _worst(part, guidance)
+        made, pokes = poked(part, rig, meant, conditions, rng, count)
         seconds += float(_seconds(np.array([0.0 if hand is None else np.linalg.norm(pokes.points[0] - hand)]))[0])
         hand = pokes.points[0]
         for contact in made:

@@ -1,7 +1,8 @@
 """The simulated rig: a part with its skin, its arm pose and its force/torque sensor, and what each really is.
 
-A poke is geometry here: where a tip presses, which way and how hard. The true places of the taxels are the plan's layout laid on the surface, displaced as a patch. The sensor reads
-(I + E) w + weight + offset; the arm really is a little beside the pose that its joints report.
+A poke is geometry here: where a tip presses, which way and how hard. The true places of the taxels are the plan's layout laid
+on the surface, displaced as a patch. The sensor reads (I + E) w + weight + offset; the arm really is a little beside the
+pose that its joints report.
 """
 
 from __future__ import annotations
