@@ -6,6 +6,7 @@ import json
 import signal
 import sys
 import threading
+from contextlib import closing
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -172,7 +173,6 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
     from skincal.simulate.operator import Auto, Guided, Told
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
-    from skincal.simulate.virtual_session import truth
 
     # Streams of their own: another operator meets the same rig and the same devices.
     rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)
@@ -183,8 +183,8 @@ def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> 
         kind = Guided if operator is OperatorKind.GUIDED else Auto
         hand = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
     line = DeviceTimeline(rig, hand, device_rng, play.settings)
-    with Server(line, tcp=tcp) as server:
-        _print_links(server, truth(rig) if with_truth else {})
+    with closing(Server(line, tcp=tcp)) as server:
+        _print_links(server, rig.truth() if with_truth else {})
         _run(server, hand if isinstance(hand, Told | Guided) else None)
 
 

@@ -58,12 +58,9 @@ class Conditions:
     @property
     def errors(self) -> RigErrors:
         """The rig's."""
-        good = RigErrors.noise()
-        moment = good.drift_moment / good.drift_force if good.drift_force else 0.024
-        return replace(
-            good, mount_shift=BESIDE / float(np.sqrt(2.0)), mount_turn=0.0, drift_force=self.drift,
-            drift_moment=self.drift * moment,
-        )  # fmt: skip
+        beside = replace(RigErrors.noise(), mount_shift=BESIDE / float(np.sqrt(2.0)), mount_turn=0.0)
+        # N m to N as the ranges of the FT45, 35 N m to 1500 N.
+        return replace(beside, drift_force=self.drift, drift_moment=self.drift * 0.024)
 
 
 def rig_beside(part: Bench, conditions: Conditions, seed: int) -> Rig:
@@ -99,8 +96,6 @@ def poked(
     return simulate_contacts(rig, pokes, rng, POSE, first, habits), pokes
 
 
-# ---- ways that follow no measurement ----
-
 PokingWay: TypeAlias = Callable[[Bench, Conditions, int, np.random.Generator], MeantPokes]
 """Gives so many pokes."""
 
@@ -120,7 +115,7 @@ def _rounds(part: Bench, count: int, rng: np.random.Generator) -> IntArray:
 
 
 def clumped(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke as people do who are told nothing: favourite places again and again, along the normal."""
+    """Poke as people do who are asked for nothing: favourite places again and again, along the normal."""
     del conditions
     liked = np.exp(1.5 * rng.standard_normal(len(part.plan.channels)))
     return _straight(part, rng.choice(len(liked), count, p=liked / liked.sum()))
@@ -151,15 +146,8 @@ def tilt_recipe(part: Bench, conditions: Conditions, count: int, rng: np.random.
     return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.usable)), turns)
 
 
-WAYS: dict[str, PokingWay] = {
-    "clumped": clumped,
-    "random": random,
-    "random_sides": random_sides,
-    "round_robin": round_robin,
-    "tilt_recipe": tilt_recipe,
-}
+WAYS: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, random_sides, round_robin, tilt_recipe)}
 """By the name in JSON."""
-
 
 FOLLOWED = ("diversity", "optimal", "guided")
 """Ways that follow what is measured: the taxel whose axes spread least; A-optimal without an end; ours."""
@@ -234,7 +222,8 @@ def run_course(part: Bench, way: str, method: Method, conditions: Conditions, se
         raise ValueError("a course needs a poke")
     session, guidance = last
     if guidance is None:
-        guidance = _guide(part, method).update(_numbered(session), session.snapshot().estimates, session.evidence)
+        contacts = {contact.poke: contact for contact in session.contacts}
+        guidance = _guide(part, method).update(contacts, session.snapshot().estimates, session.evidence)
     done, falsely = _judged(guidance, session.snapshot().estimates[method], rig)
     pokes, mean, p95, spent = (np.array(column) for column in zip(*rows, strict=True))
     return ErrorCourse(pokes.astype(np.int64), mean, p95, spent, done, falsely, enough, given_up)
@@ -265,8 +254,8 @@ def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, li
 def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
     """Return (n,) the taxels' errors, metres."""
     truth = [rig.places[rig.row_of(estimate.channel)] for estimate in estimates]
-    pairs = zip(estimates, truth, strict=True)
-    return np.array([UNKNOWN if one.position is None else np.linalg.norm(one.position - place) for one, place in pairs])
+    found = zip((estimate.position for estimate in estimates), truth, strict=True)
+    return np.array([UNKNOWN if position is None else np.linalg.norm(position - place) for position, place in found])
 
 
 Step = tuple[int, float, Session, Guidance | None]
@@ -296,10 +285,14 @@ def _followed(
     contacts: dict[int, Contact] = {}
     guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
     for count in range(1, limit + 1):
-        meant = _least_spread(part, session, guidance, conditions) if way == "diversity" else _asked(guidance)
-        if meant is None:
+        if way == "diversity":
+            meant = _least_spread(part, session, guidance, conditions)
+        elif guidance.target is not None:
+            meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
+        else:
             # Enough, says the guide: who goes on all the same pokes what is known worst.
-            meant = _worst(part, guidance)
+            worst = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
+            meant = MeantPokes(guidance.places[worst][None], -part.plan.normals[worst][None])
         made, pokes = poked(part, rig, meant, conditions, rng, count)
         seconds += float(_seconds(np.array([0.0 if hand is None else np.linalg.norm(pokes.points[0] - hand)]))[0])
         hand = pokes.points[0]
@@ -315,39 +308,20 @@ def _session(part: Bench, method: Method) -> Session:
 
 
 def _guide(part: Bench, method: Method, forever: bool = False) -> Guide:
-    settings = GuideSettings()
-    settings = replace(settings, sweep=float("inf")) if forever else settings
+    settings = GuideSettings(sweep=float("inf")) if forever else GuideSettings()
     return Guide(part.plan, part.scene.noise, method, part.spacing, settings)
-
-
-def _numbered(session: Session) -> dict[int, Contact]:
-    return {contact.poke: contact for contact in session.contacts}
-
-
-def _asked(guidance: Guidance) -> MeantPokes | None:
-    target = guidance.target
-    return None if target is None else MeantPokes(target.place[None], target.push[None])
-
-
-def _worst(part: Bench, guidance: Guidance) -> MeantPokes:
-    row = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
-    return MeantPokes(guidance.places[row][None], -part.plan.normals[row][None])
 
 
 def _least_spread(part: Bench, session: Session, guidance: Guidance, conditions: Conditions) -> MeantPokes:
     """Poke the taxel whose axes spread least, from the side that the most distant of its pokes came from least."""
     row = int(np.lexsort((guidance.own, guidance.diversity))[0])
-    normal, place = part.plan.normals[row], part.plan.places[row]
-    tries = _tries(normal, conditions.usable)
+    place = part.plan.places[row]
+    tries = directions(part.plan.normals[row : row + 1], min(conditions.usable, GuideSettings().usable_tilt))[0]
     known = session.evidence([int(part.plan.channels[row])])
     if not len(known.channels):
         return MeantPokes(place[None], tries[:1])
     apart = np.abs(tries @ known.directions.T).max(axis=1)
     return MeantPokes(place[None], tries[[int(apart.argmin())]])
-
-
-def _tries(normal: FloatArray, usable: float) -> FloatArray:
-    return directions(normal[None], min(usable, GuideSettings().usable_tilt))[0]
 
 
 def _seconds(ways: FloatArray) -> FloatArray:

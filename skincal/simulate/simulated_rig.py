@@ -8,6 +8,7 @@ pose that its joints report.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -222,6 +223,14 @@ class Rig:
             has = f"{len(self.channels)} taxels, channels {self.channels[0]} to {self.channels[-1]} with gaps"
             raise InputError(f"channel {channel} is not a taxel of {self.scene.name}; it has {has}.")
         return int(self._row[channel])
+
+    def truth(self) -> dict[str, Any]:
+        """Return where the taxels really are: link frame, metres, unit normals."""
+        taxels = zip(self.channels.tolist(), self.places.tolist(), self.normals.tolist(), strict=True)
+        return {
+            "link": self.scene.link,
+            "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
+        }
 
     def stance(self, name: str | None = None) -> Stance:
         """Return an arm pose by its name; the first one for None.
