@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -60,27 +61,20 @@ def test_an_environment_of_another_python_is_not_taken(checkout: Path) -> None:
 
 @pytest.mark.usefixtures("checkout")
 @pytest.mark.parametrize("word", ["-h", "--help"])
-def test_help_is_told_before_anything_is_installed(word: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_help_is_shown_before_anything_is_installed(word: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert launch.start([word]) == 0
     said = capfd.readouterr().out
     assert all(words in said for words in ("start.py --session DIR", "start.py COMMAND --help", "README.md"))
     assert not places.VENV.exists()
 
 
-@pytest.mark.parametrize(
-    ("log", "said", "code"),
-    [
-        ("WARNING: Retrying ... NewConnectionError(...)\nERROR: No matching distribution found for numpy==2.4.6", "network", 2),
-        ("ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device", "disk is full", 2),
-        ("ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE", "not the one that was tested", 2),
-        ("ERROR: No matching distribution found for vtk==9.7.2", "no vtk==9.7.2 for this kind of machine", 2),
-        ("first\nTraceback: something nobody foresaw", "something nobody foresaw", 1),
-    ],
-)
-def test_a_failed_installation_is_put_in_words(log: str, said: str, code: int) -> None:
-    failure = packages._pip_failure(log)
-    assert said in str(failure)
-    assert failure.code == code
+def test_what_stops_a_command_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stopped(_: Sequence[str]) -> int:
+        raise places.StopError("The disk is full.")
+
+    monkeypatch.setattr(sys, "argv", ["start.py"])
+    assert launch.run(stopped) == 2
+    assert capsys.readouterr().err == "The disk is full.\n"
 
 
 @posix_only
@@ -98,8 +92,10 @@ def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
     pip.write_text(f"#!/bin/sh\n{there} || exit 9\necho '{line}' > {packages.LOG}\nexit {code}\n", encoding="utf-8")
     pip.chmod(0o755)
     if code:
-        with pytest.raises(places.StopError, match=line):
+        with pytest.raises(places.StopError) as stop:
             packages._pip_install(checkout)
+        for words in (str(packages.LOG), "connect this machine to the network", "the disk is full", "glibc 2.34 or later"):
+            assert words in str(stop.value)
     else:
         packages._pip_install(checkout)
     assert packages.UNFINISHED.exists() is unfinished
@@ -144,7 +140,6 @@ def test_a_missing_library_is_named_with_the_line_that_installs_it(monkeypatch: 
     assert asked == [["libxcb-cursor0"]]
     assert "libxcb-cursor.so.0" in str(stop.value)
     assert "sudo apt-get install --no-install-recommends libxcb-cursor0" in str(stop.value)
-    assert stop.value.code == 2
 
 
 @linux_only

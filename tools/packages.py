@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import platform
 import re
 import subprocess
 import sys
@@ -18,26 +17,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tools import checkout, system
-from tools.checkout import OURS, StopError, say
+from tools.checkout import StopError, say
 
 STAMP = checkout.VENV / "skincal-installed.txt"
 UNFINISHED = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
-OLDEST_GLIBC = (2, 34)
-"""The locked packages for Linux are built for it: Debian 12, Ubuntu 22.04, Fedora 35 or later."""
-
-NETWORK_SIGNS = (
-    "NewConnectionError",
-    "ConnectTimeoutError",
-    "ReadTimeoutError",
-    "NameResolutionError",
-    "Temporary failure in name resolution",
-    "Network is unreachable",
-    "Connection refused",
-    "ProxyError",
-    "SSLError",
-)
-"""What pip prints where the package index cannot be reached."""
+VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
 
 
 def ensure(lock: Path) -> bool:
@@ -50,7 +35,6 @@ def ensure(lock: Path) -> bool:
     """
     if is_ready(lock):
         return False
-    _require_glibc()
     try:
         with _alone():
             if not is_ready(lock):
@@ -70,18 +54,21 @@ def _venv_is_right() -> bool:
     configuration = checkout.VENV / "pyvenv.cfg"
     if UNFINISHED.exists() or not checkout.interpreter().exists() or not configuration.exists():
         return False
-    version = re.search(r"^version(?:_info)? *= *(\d+)\.(\d+)", configuration.read_text(encoding="utf-8"), re.MULTILINE)
-    return version is not None and (int(version[1]), int(version[2])) == sys.version_info[:2]
+    version = re.search(r"^version(?:_info)? *= *(\d+\.\d+)", configuration.read_text(encoding="utf-8"), re.MULTILINE)
+    return version is not None and version[1] == VERSION
 
 
 def _stamp_line(lock: Path) -> str:
-    digest = hashlib.sha256(lock.read_bytes()).hexdigest()
-    return f"{lock.name} {digest} Python {sys.version_info.major}.{sys.version_info.minor}"
+    return f"{lock.name} {hashlib.sha256(lock.read_bytes()).hexdigest()} Python {VERSION}"
 
 
 def _install(lock: Path) -> None:
     if not _venv_is_right():
-        _make_venv()
+        import venv
+
+        say(f"Making a Python {VERSION} environment in {checkout.VENV} ...")
+        venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(checkout.VENV)
+        UNFINISHED.touch()
     STAMP.unlink(missing_ok=True)
     _provide_pip()
     say(f"Installing the Python packages of {lock.name} into {checkout.VENV} (once; a few hundred MB to fetch) ...")
@@ -91,31 +78,18 @@ def _install(lock: Path) -> None:
     STAMP.write_text("\n".join(_stamp_line(each) for each in held) + "\n", encoding="utf-8")
 
 
-def _make_venv() -> None:
-    try:
-        import venv
-    except ImportError:
-        raise StopError(f"This Python has no venv module. Install it:  {system.apt_line(['python3-venv'])}") from None
-    say(f"Making a Python {sys.version_info.major}.{sys.version_info.minor} environment in {checkout.VENV} ...")
-    venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(checkout.VENV)
-    UNFINISHED.touch()
-
-
 def _provide_pip() -> None:
     """Put pip into `.venv`, also where Debian's Python came without it."""
     if _python("-c", "import pip").returncode == 0 or _python("-m", "ensurepip").returncode == 0:
         return
     if not system.has_apt():
         raise StopError("This Python comes without pip (module ensurepip). Install your system's package for pip and venv.")
-    if os.geteuid() == 0:
-        system.apt_provide([f"python{sys.version_info.major}.{sys.version_info.minor}-venv"])
-        done = _python("-m", "ensurepip")
-    else:
-        system.apt_provide(["python3-pip-whl"])
-        wheel = next((checkout.SYSTEM / "usr" / "share" / "python-wheels").glob("pip-*.whl"))
-        done = _python("-m", "pip", "install", "--quiet", "--no-index", str(wheel), PYTHONPATH=str(wheel))
+    system.apt_provide(["python3-pip-whl"])
+    folders = (root / "usr/share/python-wheels" for root in (checkout.SYSTEM, Path("/")))
+    wheel = next(str(path) for folder in folders for path in folder.glob("pip-*.whl"))
+    done = _python("-m", "pip", "install", "--quiet", "--no-index", wheel, PYTHONPATH=wheel)
     if done.returncode:
-        raise StopError(f"pip could not be put into {checkout.VENV}:\n{done.stdout}{done.stderr}", OURS)
+        raise StopError(f"pip could not be put into {checkout.VENV}:\n{done.stdout}{done.stderr}")
 
 
 def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -130,7 +104,7 @@ def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
 
 
 def _pip_environment() -> dict[str, str]:
-    # The person's own index, certificates and proxies stay; a wish for `--user` would miss .venv.
+    # The person's own index, certificates and proxies stay; their own `--user` would miss .venv.
     return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PYTHONPATH": ""}
 
 
@@ -140,7 +114,7 @@ def _pip_install(lock: Path) -> None:
     UNFINISHED.touch()
     command = [checkout.interpreter(), "-P", "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
     command += ["--retries", "2", "--log", LOG, "-r", lock]
-    failed, log = OURS, ""
+    failed = 1
     try:
         # pip holds the lock of the checkout, too, should it outlive this process.
         failed = subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
@@ -149,43 +123,30 @@ def _pip_install(lock: Path) -> None:
         if not failed or "Installing collected packages" not in log:
             UNFINISHED.unlink()  # up to there it changes nothing
     if failed:
-        raise _pip_failure(log)
+        raise StopError(FAILED.format(venv=checkout.VENV, log=LOG))
 
 
-def _pip_failure(log: str) -> StopError:
-    if "No space left on device" in log:
-        return StopError(f"The disk is full: {checkout.VENV} needs about 1.3 GB. Free some space and run this again.")
-    if any(sign in log for sign in NETWORK_SIGNS):
-        return StopError(
-            "The Python package index could not be reached, so packages are missing.\n"
-            "Connect this machine to the network (or set PIP_INDEX_URL, PIP_FIND_LINKS or a proxy) and run this again."
-        )
-    if "DO NOT MATCH THE HASHES" in log:
-        return StopError(f"A fetched package is not the one that was tested with this version: see {LOG}.")
-    unknown = re.search(r"No matching distribution found for (\S+)", log)
-    if unknown:
-        return StopError(f"There is no {unknown[1]} for this kind of machine, or the network is filtered: see {LOG}.")
-    return StopError(f"pip failed; {LOG} has all it said. It ended with:\n" + "\n".join(log.splitlines()[-5:]), OURS)
+FAILED = """\
+The Python packages could not be installed; pip's own words stand above, and all of them in {log}.
+- Where it could not reach the package index: connect this machine to the network (or set PIP_INDEX_URL, PIP_FIND_LINKS or a
+  proxy) and run this again.
+- Where the disk is full: {venv} needs about 1.3 GB.
+- Where it found no matching distribution: the packages need glibc 2.34 or later (Debian 12, Ubuntu 22.04, Fedora 35), or
+  Windows or macOS, on a 64-bit processor; or the network is filtered."""
 
 
 def _add_checkout() -> None:
-    """Let this environment find `app` and `skincal`, also from other folders and in child processes; compile them."""
-    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    packages = checkout.VENV / ("Lib" if os.name == "nt" else f"lib/{version}") / "site-packages"
+    """Let this environment find `app` and `skincal`, also from other folders and in child processes; compile them.
+
+    Its command `skincal` is `start.py`, so that it finds unpacked system libraries and follows a new lock.
+    """
+    packages = checkout.VENV / ("Lib" if os.name == "nt" else f"lib/python{VERSION}") / "site-packages"
     relative = os.path.relpath(checkout.CHECKOUT, packages)  # survives a move of the whole checkout
     (packages / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
-    _add_command()
-    _python("-m", "compileall", "-q", *(str(checkout.CHECKOUT / name) for name in ("app", "skincal")))
-
-
-def _add_command() -> None:
-    """Put `skincal` into `.venv`: it is `start.py`, so that it finds unpacked system libraries and follows a new lock."""
-    if os.name == "nt":
-        checkout.interpreter().with_name("skincal.cmd").write_text(WINDOWS_COMMAND, encoding="utf-8")
-        return
-    command = checkout.interpreter().with_name("skincal")
-    command.write_text(COMMAND, encoding="utf-8")
+    command = checkout.interpreter().with_name("skincal.cmd" if os.name == "nt" else "skincal")
+    command.write_text(WINDOWS_COMMAND if os.name == "nt" else COMMAND, encoding="utf-8")
     command.chmod(0o755)
+    _python("-m", "compileall", "-q", *(str(checkout.CHECKOUT / name) for name in ("app", "skincal")))
 
 
 COMMAND = """#!/bin/sh
@@ -193,18 +154,6 @@ here=$(dirname "$(readlink -f "$0")")
 exec "$here/python" "$here/../../start.py" "$@"
 """
 WINDOWS_COMMAND = '@"%~dp0python.exe" "%~dp0..\\..\\start.py" %*\n'
-
-
-def _require_glibc() -> None:
-    if not sys.platform.startswith("linux"):
-        return
-    name, version = platform.libc_ver()
-    found = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
-    if name != "glibc" or found < OLDEST_GLIBC:
-        raise StopError(
-            f"This system's C library is {f'{name} {version}'.strip() or 'not glibc'}; the packages need glibc 2.34 or later "
-            "(Debian 12, Ubuntu 22.04, Fedora 35)."
-        )
 
 
 @contextmanager

@@ -22,13 +22,21 @@ KEYBOARDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))
 """An Xvfb that was unpacked runs only where these are, as on every X desktop: their places are compiled into it."""
 NEVER_UNPACKED = frozenset({"libc6", "libc-bin", "libgcc-s1", "libstdc++6"})
 """A second C library beside the system's own crashes whatever loads it."""
+DATA = (
+    ("__EGL_VENDOR_LIBRARY_DIRS", "usr/share/glvnd/egl_vendor.d", "/usr/share/glvnd/egl_vendor.d"),
+    ("XKB_CONFIG_ROOT", "usr/share/X11/xkb", "/usr/share/X11/xkb"),
+    ("FONTCONFIG_FILE", "fonts.conf", "/etc/fonts/fonts.conf"),
+)
+"""Variable that says where a library's data lie, their place in a package, and the place where a system has them."""
+FONT_LIST = """<?xml version="1.0"?>
+<!DOCTYPE fontconfig SYSTEM "urn:fontconfig:fonts.dtd">
+<fontconfig><dir>{fonts}</dir><dir>/usr/share/fonts</dir><cachedir prefix="xdg">fontconfig</cachedir></fontconfig>
+"""
 
 
 def has_display() -> bool:
     """Whether a window can be shown to somebody here."""
-    if not sys.platform.startswith("linux"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def provide(libraries: Mapping[str, str]) -> bool:
@@ -39,18 +47,34 @@ def provide(libraries: Mapping[str, str]) -> bool:
     StopError
         Something is missing and could not be had; the sentence names it and the line that installs it.
     """
-    if not sys.platform.startswith("linux"):
-        return False
-    missing = _missing(libraries)
-    if not missing:
-        return False
-    if has_apt():
-        apt_provide(_packages(missing, libraries))
+    missing = _missing(libraries) if sys.platform.startswith("linux") else []
+    if missing and has_apt():
+        apt_provide(sorted({libraries[name] for name in missing}))
         _list_fonts()
-    still_missing = _missing(libraries)
-    if still_missing:
-        raise StopError(_sentence(still_missing, libraries))
-    return True
+    lacking = _missing(missing)
+    if lacking:
+        raise StopError(
+            f"This system lacks {', '.join(lacking)}, without which skincal's window cannot be drawn.\n"
+            + _remedy(sorted({libraries[name] for name in lacking}))
+        )
+    return bool(missing)
+
+
+def _missing(libraries: Iterable[str]) -> list[str]:
+    folders = _library_folders()
+    return [name for name in libraries if not loads(name) and not any((folder / name).exists() for folder in folders)]
+
+
+def _library_folders() -> list[Path]:
+    roots = (SYSTEM / "usr" / "lib", SYSTEM / "lib")
+    return [folder for root in roots if root.is_dir() for folder in (root, *root.glob("*-linux-gnu*"))]
+
+
+def _list_fonts() -> None:
+    """Point fontconfig to unpacked fonts: the list in its own package knows the system's folders only."""
+    fonts = SYSTEM / "usr" / "share" / "fonts"
+    if fonts.is_dir():
+        (SYSTEM / "fonts.conf").write_text(FONT_LIST.format(fonts=escape(str(fonts))), encoding="utf-8")
 
 
 def require_test_display() -> None:
@@ -86,8 +110,8 @@ def environment() -> dict[str, str]:
     present = dict(os.environ)
     if not SYSTEM.is_dir():
         return present
-    _put_first(present, "LD_LIBRARY_PATH", _library_folders())
-    _put_first(present, "PATH", [SYSTEM / "usr" / "bin"])
+    for name, folders in (("LD_LIBRARY_PATH", _library_folders()), ("PATH", [SYSTEM / "usr" / "bin"])):
+        present[name] = os.pathsep.join(filter(None, [*map(str, folders), present.get(name)]))
     for name, inside, usual in DATA:
         if (SYSTEM / inside).exists() and not Path(usual).exists():
             present.setdefault(name, str(SYSTEM / inside))
@@ -97,74 +121,18 @@ def environment() -> dict[str, str]:
     return present
 
 
-DATA = (
-    ("__EGL_VENDOR_LIBRARY_DIRS", "usr/share/glvnd/egl_vendor.d", "/usr/share/glvnd/egl_vendor.d"),
-    ("XKB_CONFIG_ROOT", "usr/share/X11/xkb", "/usr/share/X11/xkb"),
-    ("FONTCONFIG_FILE", "fonts.conf", "/etc/fonts/fonts.conf"),
-)
-"""Variable that says where a library's data lie, their place in a package, and the place where a system has them."""
-
-
-def _list_fonts() -> None:
-    """Tell fontconfig of unpacked fonts: the list in its own package knows the system's folders only."""
-    fonts = SYSTEM / "usr" / "share" / "fonts"
-    if fonts.is_dir():
-        (SYSTEM / "fonts.conf").write_text(FONT_LIST.format(fonts=escape(str(fonts))), encoding="utf-8")
-
-
-FONT_LIST = """<?xml version="1.0"?>
-<!DOCTYPE fontconfig SYSTEM "urn:fontconfig:fonts.dtd">
-<fontconfig>
-  <dir>{fonts}</dir>
-  <dir>/usr/share/fonts</dir>
-  <dir prefix="xdg">fonts</dir>
-  <cachedir prefix="xdg">fontconfig</cachedir>
-</fontconfig>
-"""
-
-
-def _missing(libraries: Iterable[str]) -> list[str]:
-    folders = _library_folders()
-    return [name for name in libraries if not loads(name) and not any((folder / name).exists() for folder in folders)]
-
-
-def _library_folders() -> list[Path]:
-    roots = (SYSTEM / "usr" / "lib", SYSTEM / "lib")
-    return [folder for root in roots if root.is_dir() for folder in (root, *root.glob("*-linux-gnu*"))]
-
-
-def _put_first(variables: dict[str, str], name: str, folders: Iterable[Path]) -> None:
-    parts = [str(folder) for folder in folders]
-    if variables.get(name):
-        parts.append(variables[name])
-    variables[name] = os.pathsep.join(parts)
-
-
-def _packages(missing: Iterable[str], wanted: Mapping[str, str]) -> list[str]:
-    return sorted({wanted[name] for name in missing})
-
-
-def _sentence(missing: list[str], wanted: Mapping[str, str]) -> str:
-    lack = f"This system lacks {', '.join(missing)}, without which skincal's window cannot be drawn.\n"
-    return lack + _remedy(_packages(missing, wanted))
-
-
-def _remedy(packages: list[str]) -> str:
-    if has_apt():
-        return f"Install it:  {apt_line(packages)}"
-    return "Install what provides it with your system's package manager, then run this again."
-
-
-# Packages on Debian, Ubuntu and their kin
-
-
 def has_apt() -> bool:
     """Whether this system installs packages with apt."""
     return bool(shutil.which("apt-get") and shutil.which("dpkg-deb"))
 
 
-def apt_line(packages: Sequence[str]) -> str:
-    """Return the command that installs the packages, for a person to run."""
+def _remedy(packages: Sequence[str]) -> str:
+    if has_apt():
+        return f"Install it:  {_apt_line(packages)}"
+    return "Install what provides it with your system's package manager, then run this again."
+
+
+def _apt_line(packages: Sequence[str]) -> str:
     return f"sudo apt-get install --no-install-recommends {' '.join(packages)}"
 
 
@@ -176,64 +144,47 @@ def apt_provide(packages: Sequence[str]) -> None:
     StopError
         The packages could not be had; the sentence has the line that installs them.
     """
-    if os.geteuid() == 0:
-        _install(packages)
-    else:
-        _unpack(packages)
+    try:
+        if os.geteuid() == 0:
+            _install(packages)
+        else:
+            _unpack(packages)
+    except subprocess.CalledProcessError as failed:
+        said = (failed.stderr or failed.stdout).strip().splitlines()
+        raise StopError(
+            "System packages are missing and apt-get could not provide them: "
+            f"{said[-1] if said else f'exit code {failed.returncode}'}\n"
+            f"Check the network, or install them by hand:  {_apt_line(packages)}"
+        ) from None
 
 
 def _install(packages: Sequence[str]) -> None:
     say(f"Installing system packages (apt-get install): {' '.join(packages)}")
-    environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
-    # Its failure is not final: one unreachable source among many is common. The install tells.
-    _run(["apt-get", "update", "-qq"], environment)
-    command = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "-o", "DPkg::Lock::Timeout=300", *packages]
-    failed = _run(command, environment)
-    if failed.returncode:
-        raise _failure(packages, failed)
+    # Its failure is not final: one unreachable source among many is common. The install shows it.
+    _run("apt-get", "update", "-qq", check=False)
+    _run("apt-get", "install", "-y", "-qq", "--no-install-recommends", "-o", "DPkg::Lock::Timeout=300", *packages)
 
 
 def _unpack(packages: Sequence[str]) -> None:
     say(f"Unpacking system packages into {SYSTEM} (no root needed): {' '.join(packages)}")
-    own = _own_folders(SYSTEM / "apt")
-    _run(["apt-get", *own, "update", "-qq"])
-    plan = _run(["apt-get", *own, "install", "--simulate", "--no-install-recommends", *packages])
-    if plan.returncode:
-        raise _failure(packages, plan)
-    archives = SYSTEM / "apt" / "archives"
-    for name, version in re.findall(r"^Inst (\S+) (?:\[\S+\] )?\((\S+)", plan.stdout, re.MULTILINE):
-        if name.partition(":")[0] in NEVER_UNPACKED:
-            continue
-        fetched = _run(["apt-get", *own, "download", f"{name}={version}"], folder=archives)
-        if fetched.returncode:
-            raise _failure(packages, fetched)
+    apt, archives = SYSTEM / "apt", SYSTEM / "apt" / "archives"
+    for part in (apt / "lists" / "partial", archives / "partial"):
+        part.mkdir(parents=True, exist_ok=True)
+    # Keeps apt's lists and downloads out of the system's folders, which only root may write.
+    own = ("-o", f"Dir::State::lists={apt}/lists", "-o", f"Dir::Cache={apt}", "-o", "Debug::NoLocking=true")
+    _run("apt-get", *own, "update", "-qq", check=False)
+    plan = _run("apt-get", *own, "install", "--simulate", "--no-install-recommends", *packages)
+    for name, version in re.findall(r"^Inst (\S+) (?:\[\S+\] )?\((\S+)", plan, re.MULTILINE):
+        if name.partition(":")[0] not in NEVER_UNPACKED:
+            _run("apt-get", *own, "download", f"{name}={version}", folder=archives)
     for archive in sorted(archives.glob("*.deb")):
-        done = _run(["dpkg-deb", "-x", str(archive), str(SYSTEM)])
-        if done.returncode:
-            raise _failure(packages, done)
-    shutil.rmtree(SYSTEM / "apt")
+        _run("dpkg-deb", "-x", str(archive), str(SYSTEM))
+    shutil.rmtree(apt)
 
 
-def _own_folders(folder: Path) -> list[str]:
-    """Options that keep apt's lists and downloads out of the system's folders, which only root may write."""
-    for part in ("lists/partial", "archives/partial"):
-        (folder / part).mkdir(parents=True, exist_ok=True)
-    return ["-o", f"Dir::State::lists={folder}/lists", "-o", f"Dir::Cache={folder}", "-o", "Debug::NoLocking=true"]
-
-
-def _run(
-    command: Sequence[str], environment: dict[str, str] | None = None, folder: Path | None = None
-) -> subprocess.CompletedProcess[str]:
-    english = (environment or dict(os.environ)) | {"LC_ALL": "C"}
+def _run(*command: str, folder: Path | None = None, check: bool = True) -> str:
+    """Return what a command says on its standard output."""
+    english = os.environ | {"LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
     return subprocess.run(
-        command, env=english, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-    )
-
-
-def _failure(packages: Sequence[str], failed: subprocess.CompletedProcess[str]) -> StopError:
-    said = (failed.stderr or failed.stdout).strip().splitlines()
-    reason = said[-1] if said else f"exit code {failed.returncode}"
-    return StopError(
-        f"System packages are missing and apt-get could not provide them: {reason}\n"
-        f"Check the network, or install them by hand:  {apt_line(packages)}"
-    )
+        command, env=english, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=check
+    ).stdout
