@@ -198,7 +198,7 @@ def _mistake_words(found: FrameCorrection) -> str:
         sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         angle = np.degrees(np.arctan2(sine, np.trace(turn) - 1.0))
         return (
-            f"the sensor sits elsewhere on the arm than the scene says, by about {angle:.0f} degrees and {shift:.0f} mm, or its "
+            f"the sensor sits elsewhere on the arm than reported, by about {angle:.0f} degrees and {shift:.0f} mm, or its "
             "matrix is far off"
         )
     return "; ".join(filter(None, (_axes_words(found.axes), _unit_words(found))))

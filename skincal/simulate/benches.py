@@ -41,10 +41,7 @@ _MM = 1e-3
 def forearm_point(y: FloatArray, angle: FloatArray) -> FloatArray:
     """Return points of the forearm's shell, mm, wrist frame: an elliptic tube that widens towards the elbow (y up).
 
-    Parameters
-    ----------
-    y : (...) float, mm, -2 to 115
-    angle : (...) float, radians from x to z; pi/2 is the ridge
+    y is -2 to 115 mm; the angle goes from x to z, pi/2 is the ridge.
     """
     s = (y + 2.0) / 117.0
     wide = s * (2.0 - s)
@@ -56,10 +53,7 @@ def forearm_point(y: FloatArray, angle: FloatArray) -> FloatArray:
 def torso_point(z: FloatArray, angle: FloatArray) -> FloatArray:
     """Return points of the torso's shell, mm: an elliptic tube, narrow at the waist and wide at the chest.
 
-    Parameters
-    ----------
-    z : (...) float, mm, 0 to 560
-    angle : (...) float, radians from x to y
+    z is 0 to 560 mm; the angle goes from x to y.
     """
     wide = np.sin(np.pi * z / 900.0) ** 2
     return np.stack([(152.0 + 38.0 * wide) * np.cos(angle), (108.0 + 22.0 * wide) * np.sin(angle), z + 0.0 * angle], axis=-1)

@@ -41,13 +41,8 @@ def simulate_contacts(
 ) -> list[Contact]:
     """Return the contacts that pokes end as, in their order; those that no taxel answers are left out.
 
-    Parameters
-    ----------
-    pokes : n places, pressed one after another; from `operator.aim`
-    pose : name of the arm pose; the scene's first for None
-    first_poke : number of the first poke
-    habits : how often a second place is touched too (`touches_beside`), never for None. All else is drawn as without, so
-        that two sessions differ in these pokes alone.
+    Habits say how often a second place is touched too (`touches_beside`), never for None. All else is drawn as without, so
+    that two sessions differ in these pokes alone.
     """
     stance = rig.stance(pose)
     (accidents,) = rng.spawn(1)
@@ -147,11 +142,7 @@ def poke_landmarks(
 ) -> list[LandmarkPoke]:
     """Return pokes at the landmarks in turn, so many in each arm pose of the rig.
 
-    Parameters
-    ----------
-    landmarks : of the scene; one at least
-    first_poke : number of the first
-    beside : (n,) float, metres, how far each poke lies off its landmark by mistake; none for None
+    `beside` (n,), metres, is how far each poke lies off its landmark by mistake; none for None.
     """
     found: list[LandmarkPoke] = []
     for pose in rig.stances:

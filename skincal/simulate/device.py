@@ -19,7 +19,6 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.simulate.faults import RigErrors, WrenchNoise
 from skincal.simulate.operator import HandPress, Move, Operator, OperatorAction
@@ -69,12 +68,7 @@ class Clock:
 
 
 class LossyLink:
-    """The way from a device to the host: delays, holds back, loses and damages bytes.
-
-    Parameters
-    ----------
-    latency : s
-    """
+    """The way from a device to the host: delays bytes by `latency`, s, and more, holds back, loses and damages them."""
 
     def __init__(self, latency: float, errors: RigErrors, rng: np.random.Generator) -> None:
         self._latency, self._errors, self._rng = latency, errors, rng
@@ -82,12 +76,7 @@ class LossyLink:
         self._held_until = 0.0
 
     def send(self, data: bytes, now: float, seconds: float) -> tuple[float, bytes]:
-        """Return when bytes sent at `now` arrive, seconds, and what arrives.
-
-        Parameters
-        ----------
-        seconds : length of the block, for rates per second
-        """
+        """Return when a block of so many seconds, sent at `now`, arrives, and what arrives."""
         errors, rng = self._errors, self._rng
         if rng.uniform() < errors.burst_rate * seconds:
             self._held_until = now + errors.burst_s
@@ -135,15 +124,7 @@ class SimulatedDevice:
 
 
 class DeviceTimeline:
-    """Runs rig, operator and devices along one time line.
-
-    Parameters
-    ----------
-    rig : with its scene; a joints link where the scene has an arm
-    operator : what happens
-    rng : noise, clocks and losses
-    settings : how the devices speak
-    """
+    """Runs rig, operator and devices along one time line; where the scene has an arm, its joints are a link, too."""
 
     def __init__(self, rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None) -> None:
         noise, boards, self._skin_rng = rng.spawn(3)
@@ -328,12 +309,7 @@ def cobs(data: bytes) -> bytes:
 
 
 class SkbEncoder:
-    """Makes one board's bytes in SKB/1, and counts its records.
-
-    Parameters
-    ----------
-    values : "u8", "u16" or "f32": how skin values are sent
-    """
+    """Makes one board's bytes in SKB/1, skin values as "u8", "u16" or "f32", and counts its records."""
 
     def __init__(self, values: str = "u8") -> None:
         self._skin_type, self._dtype = SKIN_TYPES[values]
@@ -438,19 +414,8 @@ def _fits(name: str, values: str, width: int) -> bool:
 def make_encoder(name: str, top: float, width: int) -> Encoder:
     """Return a new board's encoder; a skin too wide for its format speaks delimited text instead.
 
-    Parameters
-    ----------
-    name : "skb", "skt" or "text"
-    top : highest raw value of the skin
-    width : channels of a skin frame; 0 for a board without skin
-
-    Raises
-    ------
-    InputError
-        There is no such format.
+    Raw values reach up to `top`; `width` is 0 for a board without skin.
     """
-    if name not in ENCODERS:
-        raise InputError(f"format {name!r} is not known; expected one of {', '.join(ENCODERS)}.")
     # The narrowest whole number that holds them.
     values = "u8" if top <= 255 else "u16" if top <= 65535 else "f32"
     return ENCODERS[name if _fits(name, values, width) else "text"](values)

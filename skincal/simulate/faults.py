@@ -133,13 +133,7 @@ def slow_mean_sd(errors: RigErrors, seconds: float) -> FloatArray:
 
 
 class WrenchNoise:
-    """Draws what a sensor adds to its readings, block after block.
-
-    Parameters
-    ----------
-    errors : sizes
-    rng : source of randomness
-    """
+    """Draws what a sensor adds to its readings, block after block."""
 
     def __init__(self, errors: RigErrors, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -151,13 +145,7 @@ class WrenchNoise:
         self._drift = np.zeros(6)
 
     def block(self, times: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return (n, 6) noise for readings of one block, N and N m.
-
-        Parameters
-        ----------
-        times : (n,) float, seconds, in [begin, end)
-        begin, end : seconds; a block begins where the last one ended
-        """
+        """Return (n, 6) noise, N and N m, at `times` (n,), s, of one block; it begins where the last one ended."""
         before = self._slow + self._drift
         seconds = end - begin
         decay = np.exp(-seconds / self._slow_s)

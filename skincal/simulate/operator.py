@@ -323,17 +323,7 @@ def _second(rig: Rig, first: PressedPlaces, habits: Habits, rng: np.random.Gener
 
 
 def touches_beside(rig: Rig, pokes: PressedPlaces, habits: Habits, rng: np.random.Generator) -> tuple[IntArray, PressedPlaces]:
-    """Return which of the pokes touch a second place, and these places: on the skin, or on the part beside it.
-
-    Parameters
-    ----------
-    pokes : n places; `habits.double_rate` of them are touched twice
-
-    Returns
-    -------
-    rows : (m,) ascending, of `pokes`
-    seconds : m places, pressed by `habits.double_share` of the poke's force; their targets are those of the pokes
-    """
+    """Return which of the pokes touch a second place, rows (m,), and these m places: on the skin, or on the part beside it."""
     rows = np.flatnonzero(rng.uniform(size=len(pokes)) < habits.double_rate)
     count, first = len(rows), pokes.take(rows)
     e1, e2 = tangents(first.normals)

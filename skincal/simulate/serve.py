@@ -23,14 +23,9 @@ LATE_MAX_S = 1.0
 
 
 class Server:
-    """One outlet a link, and the loop that feeds them.
+    """One outlet a link, TCP ports on this machine or pseudo-terminals, and the loop that feeds them.
 
     Boards understand the commands of SKT/1 and SKB/1: `?` sends the header, `P` pauses, `S` starts again.
-
-    Parameters
-    ----------
-    line : what happens
-    tcp : ports on this machine; else pseudo-terminals
 
     Raises
     ------

@@ -56,11 +56,7 @@ def join(parts: list[PressedPlaces]) -> PressedPlaces:
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two unit directions in the plane of the skin: e1 along the link's x where that is in the plane, e2 = n x e1.
 
-    Where the normal lies within 26 degrees of x, y takes its place.
-
-    Parameters
-    ----------
-    normals : (n, 3) float, unit, outward
+    Where the normal (n, 3) lies within 26 degrees of x, y takes its place.
     """
     steep = np.abs(normals[:, 0]) > 0.9
     axes = np.where(steep[:, None], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
@@ -70,13 +66,7 @@ def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def push_directions(normals: FloatArray, tilts: FloatArray, azimuths: FloatArray) -> FloatArray:
-    """Return unit pushes that lean from the inward normal by `tilts`, towards `azimuths` counted from e1 to e2.
-
-    Parameters
-    ----------
-    normals : (n, 3) float, unit, outward
-    tilts, azimuths : (n,) float, radians
-    """
+    """Return (n, 3) unit pushes that lean from the inward normal by `tilts` (n,), towards `azimuths` (n,) from e1 to e2."""
     e1, e2 = tangents(normals)
     sideways = np.cos(azimuths)[:, None] * e1 + np.sin(azimuths)[:, None] * e2
     return np.sin(tilts)[:, None] * sideways - np.cos(tilts)[:, None] * normals
@@ -95,28 +85,15 @@ def tip_axes(pokes: PressedPlaces) -> tuple[FloatArray, FloatArray]:
 
 
 def by_hand(pushes: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
-    """Return the pushes that a hand makes of those it means.
-
-    Parameters
-    ----------
-    pushes : (n, 3) float, unit
-    sd : rad, about the push that is meant, in each direction
-    """
-    one, two = tangents(pushes)
+    """Return the pushes (n, 3) that a hand makes of those it means, `sd` about them in each direction, radians."""
+    e1, e2 = tangents(pushes)
     lean = np.tan(sd * rng.standard_normal((len(pushes), 2)))
-    off = pushes + lean[:, :1] * one + lean[:, 1:] * two
+    off = pushes + lean[:, :1] * e1 + lean[:, 1:] * e2
     return off / np.linalg.norm(off, axis=1, keepdims=True)
 
 
 def held(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatArray:
-    """Return the pushes, each that leans more taken back to `usable` from its inward normal: it would slide off.
-
-    Parameters
-    ----------
-    pushes : (n, 3) float, unit
-    normals : (n, 3) float, unit, outward
-    usable : rad
-    """
+    """Return the pushes (n, 3), each that leans more taken back to `usable` from its inward normal: it would slide off."""
     inward = -np.sum(pushes * normals, axis=1, keepdims=True)
     aside = pushes + inward * normals
     length = np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
@@ -150,13 +127,7 @@ class Stance:
 
 
 class Rig:
-    """What a simulated rig is, and what its sensors say of pokes.
-
-    Parameters
-    ----------
-    scene : with a layout and an anchor
-    surface : of the scene; None where it has none
-    rng : draws everything that stays for a session
+    """What a simulated rig is, and what its sensors say of pokes; `rng` draws everything that stays for a session.
 
     Raises
     ------
@@ -293,12 +264,7 @@ class Rig:
         return rows
 
     def skin_frame(self, answers: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return (n, width) raw frames, whole numbers, with noise, clipped and rounded as the device does.
-
-        Parameters
-        ----------
-        answers : (n, taxels) float, raw units above the baseline, in the order of `channels`
-        """
+        """Return (n, width) raw frames of answers (n, taxels) above the baselines, with noise, clipped and rounded."""
         frames: FloatArray = np.tile(self._idle, (len(answers), 1))
         noise = self.errors.skin_noise * self.counts * rng.standard_normal(answers.shape)
         frames[:, self.channels] += self.polarity * answers + noise
@@ -378,10 +344,7 @@ class Foam:
 def felt_share(foam: Foam, offsets: FloatArray, axis_x: FloatArray, axis_y: FloatArray) -> FloatArray:
     """Return (n, k) the share g of the tip's load that taxels feel, 0 to 1.
 
-    Parameters
-    ----------
-    offsets : (n, k, 3) float, metres, from the middle of the tip to the taxels
-    axis_x, axis_y : (n, 3) float, unit, the sides of the tip, in the plane of the skin
+    `offsets` (n, k, 3), metres, go from the middle of the tip to the taxels; the axes (n, 3) are the tip's sides.
     """
     x = np.einsum("nki,ni->nk", offsets, axis_x)
     y = np.einsum("nki,ni->nk", offsets, axis_y)
@@ -395,11 +358,5 @@ def _blurred_box(foam: Foam, x: FloatArray) -> FloatArray:
 
 
 def answer(foam: Foam, normal_load: FloatArray, share: FloatArray) -> FloatArray:
-    """Return a taxel's answer as a share of its way to the end of its range, 0 to `full_share`.
-
-    Parameters
-    ----------
-    normal_load : (...) float, N, pushed along the inward normal
-    share : (...) float, `felt_share`
-    """
+    """Return a taxel's answer to a load along the inward normal, N, of which it feels `felt_share`: 0 to `full_share`."""
     return foam.full_share * -np.expm1(-np.maximum(normal_load, 0.0) * share / foam.force_scale)

@@ -238,4 +238,6 @@ def test_a_sensor_that_sits_elsewhere_says_by_how_much(degrees):
     motion[:3, :3] = rotations(np.radians(degrees) * np.array([[0.6, 0.0, 0.8]]))[0]
     motion[:3, 3] = [0.0, 0.03, 0.04]
     said = frame_sentence(wrong(FrameCorrection(motion=motion)))
-    assert f"sits elsewhere on the arm than the scene says, by about {degrees:.0f} degrees and 50 mm, or its matrix is far off." in said
+    assert (
+        f"sits elsewhere on the arm than reported, by about {degrees:.0f} degrees and 50 mm, or its matrix is far off." in said
+    )

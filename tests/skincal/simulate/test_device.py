@@ -6,7 +6,6 @@ from cobs import cobs as reference_cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.simulate.device import (
     DeviceSettings,
@@ -80,8 +79,6 @@ def test_skin_values_are_as_narrow_as_the_range_allows():
     assert 64 + 10 < lengths[255] < 64 + 16
     assert 128 + 10 < lengths[4095] < 128 + 16
     assert 256 + 10 < lengths[1e6] < 256 + 16
-    with pytest.raises(InputError, match="'morse'"):
-        make_encoder("morse", 255, 64)
 
 
 @pytest.mark.parametrize("form", ["skb", "skt", "text"])
