@@ -130,6 +130,8 @@ def _order_of(words: list[str]) -> Order | None:
                 return TargetOrder(number, place, push / size, known=channel == KNOWN_POINT)
         case [word]:
             return NoTarget(word)
+        case _:
+            pass
     return None
 
 
