@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from app.preflight import LIBRARIES, X_LIBRARIES
-from tools import checkout, packages, system
+from tools import checkout, install
 from tools.checkout import StopError, say
 
 INTERRUPTED = 130
@@ -63,29 +63,31 @@ def run(command: Callable[[Sequence[str]], int]) -> int:
 def start(arguments: Sequence[str]) -> int:
     """Install what is missing and become skincal; returns only where that fails."""
     asked = arguments[0] if arguments else ""
-    if asked in ("-h", "--help") and not packages.is_ready(checkout.RUN_LOCK):
+    if asked in ("-h", "--help") and not install.is_ready(checkout.RUN_LOCK):
         import start as command
 
         print(command.__doc__)
         return 0
-    fresh = packages.ensure(checkout.RUN_LOCK)
+    fresh = install.ensure(checkout.RUN_LOCK)
     # A command such as `solve`, and words on usage, do without Qt and VTK.
     if not asked or (asked.startswith("-") and asked not in ("-h", "--help", "--version")):
-        _provide_drawing(fresh, shown=system.has_display() and "--headless" not in arguments)
+        _provide_drawing(fresh, shown=install.has_display() and "--headless" not in arguments)
     program = [str(checkout.interpreter()), "-P", "-m", "app", *arguments]
     sys.stderr.flush()
     if os.name != "nt":
-        os.execve(program[0], program, system.environment())
-    return subprocess.call(program, env=system.environment())  # Windows: exec would return to the shell before the program ends
+        os.execve(program[0], program, install.environment())
+    return subprocess.call(
+        program, env=install.environment()
+    )  # Windows: exec would return to the shell before the program ends
 
 
 def check(arguments: Sequence[str]) -> int:
     """Install what the tests need, run the checks and the tests, and return 0 if all passed."""
-    system.require_test_display()
-    fresh = packages.ensure(checkout.TEST_LOCK)
+    install.require_test_display()
+    fresh = install.ensure(checkout.TEST_LOCK)
     _provide_drawing(fresh, shown=True)
-    system.provide_test_display()
-    environment = system.environment()
+    install.provide_test_display()
+    environment = install.environment()
     environment.pop("QT_QPA_PLATFORM", None)  # "offscreen" has no OpenGL; the tests look at real pixels
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
     if arguments:
@@ -99,10 +101,10 @@ def check(arguments: Sequence[str]) -> int:
 
 
 def _provide_drawing(fresh: bool, *, shown: bool) -> None:
-    if not (system.provide({**LIBRARIES, **X_LIBRARIES} if shown else LIBRARIES) or fresh):
+    if not (install.provide({**LIBRARIES, **X_LIBRARIES} if shown else LIBRARIES) or fresh):
         return
     plugins = checkout.VENV.glob("lib/*/site-packages/PySide6/Qt/plugins/platforms/libqxcb.so") if shown else ()
-    probe = _python(("-P", "-c", PROBE, *map(str, plugins)), system.environment(), subprocess.PIPE)
+    probe = _python(("-P", "-c", PROBE, *map(str, plugins)), install.environment(), subprocess.PIPE)
     if probe.returncode:
         why = probe.stdout.decode(errors="replace").strip().rpartition("\n")[2] or f"it ended with {probe.returncode}"
         raise StopError(f"Everything is installed, but Qt or VTK does not load here: {why}")

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from app.window import Window
 
 Call: TypeAlias = Callable[..., Any]
+SIZE = (1280, 720)
 BEAT_MS = 5
 SETTLED_S = 5.0
 """s. Stalls from here on are those of work; before, those of start-up."""
@@ -75,8 +76,8 @@ class Measure(QObject):
         self._beat.start()
         window.installEventFilter(self)
 
-    def watch(self, tab: str) -> bool:
-        """Watch the session and the 3D view, with this tab open; return whether both are there."""
+    def watch(self) -> bool:
+        """Watch the session and the 3D view; return whether both are there."""
         session_view = self.window.session_view
         if session_view is None or not session_view.workspace.view.list_layers():
             return False
@@ -90,7 +91,7 @@ class Measure(QObject):
         around(Pipeline, "feed", self._feed)
         self.sounds.watch(Pipeline)
         session_view.workspace.view.update()
-        session_view.workspace.show_tab(tab)
+        session_view.workspace.show_tab("Readings")
         return True
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
@@ -245,7 +246,7 @@ def percentile(values: list[float], share: float) -> float | None:
     return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else None
 
 
-def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str) -> dict[str, Any]:
+def measure(seconds: float, scene: Path | None) -> dict[str, Any]:
     """Run the window for so long and return its figures."""
     from app.run import run_window
     from app.session.opening import OpenRequest, find_scene, server_command
@@ -258,10 +259,10 @@ def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str)
 
     def attach() -> None:
         window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window))
-        window.resize(*size)
+        window.resize(*SIZE)
         measured = Measure(window, sounds)
         window.controller.ticked.connect(measured.take)
-        watching.timeout.connect(lambda: measured.watch(tab) and watching.stop())
+        watching.timeout.connect(lambda: measured.watch() and watching.stop())
         watching.start()
         QTimer.singleShot(round(seconds * 1e3), lambda: end(measured))
 
@@ -292,20 +293,17 @@ def main() -> int:
     parser = argparse.ArgumentParser("window_bench", description="Measure the window's live figures.")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--scene", type=Path, help="scene file, or the name of one that ships")
-    parser.add_argument("--size", default="1280x720", help="of the window, pixels")
-    parser.add_argument("--tab", default="Readings", help="which tab is open: Readings, Pokes, Taxel, Devices, Errors, Arm")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     reason = no_display() or objection()
     if reason:
         print(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tools.window_bench', file=sys.stderr)
         return 2
-    width, _, height = options.size.partition("x")
     with tempfile.TemporaryDirectory() as folder:
         # The operator's own settings and log stay as they are.
         QStandardPaths.setTestModeEnabled(True)
         QSettings.setPath(QSettings.Format.NativeFormat, QSettings.Scope.UserScope, folder)
-        result = measure(options.seconds, options.scene, (int(width), int(height)), options.tab)
+        result = measure(options.seconds, options.scene)
     print(json.dumps(result, indent=1) if options.json else table(result))
     return 0
 
