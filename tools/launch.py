@@ -76,9 +76,8 @@ def start(arguments: Sequence[str]) -> int:
     sys.stderr.flush()
     if os.name != "nt":
         os.execve(program[0], program, install.environment())
-    return subprocess.call(
-        program, env=install.environment()
-    )  # Windows: exec would return to the shell before the program ends
+    # Windows: exec would return to the shell before the program ends.
+    return subprocess.call(program, env=install.environment())
 
 
 def check(arguments: Sequence[str]) -> int:
