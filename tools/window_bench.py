@@ -98,6 +98,7 @@ class Measure(QObject):
         """Paint, and take the time at which it is done."""
         if event.type() is not QEvent.Type.Paint:
             return False
+        # Handled here, and then taken from Qt: so the time after it is the end of the painting.
         watched.event(event)
         if watched is self._canvas:
             self._painted()

@@ -43,6 +43,7 @@ def forearm_point(y: FloatArray, angle: FloatArray) -> FloatArray:
 
     y is -2 to 115 mm; the angle goes from x to z, pi/2 is the ridge.
     """
+    # `0.0 * angle` gives the height the shape of both.
     s = (y + 2.0) / 117.0
     wide = s * (2.0 - s)
     half, top, bottom = 23.0 + 9.0 * wide, 24.0 + 8.5 * wide, -30.0 - 13.5 * wide

@@ -45,6 +45,7 @@ def simulate_contacts(
     that two sessions differ in these pokes alone.
     """
     stance = rig.stance(pose)
+    # A spawned generator leaves what `rng` draws as it is.
     (accidents,) = rng.spawn(1)
     doubled, seconds = touches_beside(rig, pokes, habits or Habits.careful(), accidents)
     wrenches = _mean_wrenches(rig, pokes, stance, rng)

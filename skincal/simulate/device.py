@@ -81,6 +81,7 @@ class LossyLink:
         if rng.uniform() < errors.burst_rate * seconds:
             self._held_until = now + errors.burst_s
         delay = self._latency + (rng.exponential(errors.jitter) if errors.jitter else 0.0)
+        # A link keeps its bytes in order, so none overtakes a slower one before it.
         self._last = max(self._last, now + delay, self._held_until)
         return self._last, self._damage(data)
 
@@ -117,6 +118,7 @@ class SimulatedDevice:
 
     def due(self, end: float) -> FloatArray:
         """Return (n,) the times of the readings that fall before `end`, and count them as made."""
+        # Counted from the start, not from the last block: so the times of readings do not depend on how blocks are cut.
         until = int(np.ceil(end * self.hz - 1e-9))
         times = np.arange(self.made, until) / self.hz
         self.made = max(self.made, until)

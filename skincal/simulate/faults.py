@@ -146,6 +146,7 @@ class WrenchNoise:
 
     def block(self, times: FloatArray, begin: float, end: float) -> FloatArray:
         """Return (n, 6) noise, N and N m, at `times` (n,), s, of one block; it begins where the last one ended."""
+        # Exact at the ends of a block, however long it is: so the length of blocks does not change the noise's size.
         before = self._slow + self._drift
         seconds = end - begin
         decay = np.exp(-seconds / self._slow_s)

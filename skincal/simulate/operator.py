@@ -302,18 +302,17 @@ def press(rig: Rig, pokes: PressedPlaces, now: float, habits: Habits, rng: np.ra
     begin = now + rng.uniform(*habits.approach_s)
     ramp, hold, release = rng.uniform(*habits.ramp_s), rng.uniform(*habits.hold_s), rng.uniform(*habits.release_s)
     free = begin + ramp + hold + release + rng.uniform(*habits.rest_s)
+    # Drawn together for every press: whether it slides does not change what the other accident draws.
     slides, doubles = rng.uniform(size=2) < (habits.slide_rate, habits.double_rate)
     first = pokes.take(slice(0, 1))
     both = join([first, _second(rig, first, habits, rng)]) if doubles else first
-    slide = _slide(first, habits, rng) if slides else np.zeros(3)
+    slide = np.zeros(3)
+    if slides:
+        (e1,), (e2,) = tangents(first.normals)
+        angle = rng.uniform(0.0, 2 * np.pi)
+        slide = rng.uniform(*habits.slide) * (np.cos(angle) * e1 + np.sin(angle) * e2)
     hz, phase = rng.uniform(*habits.tremor_hz), rng.uniform(0.0, 2 * np.pi)
     return HandPress(begin, ramp, hold, release, free, both, slide, habits.tremor, hz, phase)
-
-
-def _slide(poke: PressedPlaces, habits: Habits, rng: np.random.Generator) -> FloatArray:
-    e1, e2 = tangents(poke.normals)
-    angle = rng.uniform(0.0, 2 * np.pi)
-    return rng.uniform(*habits.slide) * (np.cos(angle) * e1[0] + np.sin(angle) * e2[0])
 
 
 def _second(rig: Rig, first: PressedPlaces, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
@@ -488,6 +487,7 @@ class Guided(Auto):
             return None
         touch, self._touch = max(self._touch, now), None
         self.begun += 1
+        # Its approach is over: the hand has been on its way since it saw a target.
         at_once = replace(self._habits, approach_s=(0.0, 0.0))
         if self._seen.known:
             return press(self._rig, self._at_point(self._seen), touch, replace(at_once, slide_rate=0.0), self._rng)

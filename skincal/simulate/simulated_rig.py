@@ -136,6 +136,7 @@ class Rig:
     """
 
     def __init__(self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator) -> None:
+        # Each part draws by itself: a rig with another sensor has the same skin.
         mount, skin, arm, sensor = rng.spawn(4)
         self.scene, self.surface, self.errors, self.foam = scene, surface, errors, Foam()
         self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
@@ -165,6 +166,7 @@ class Rig:
         self._idle[self.channels] = self.baselines
 
     def _set_up_sensor(self, rng: np.random.Generator) -> None:
+        # Moments count as forces at `matrix_arm`: so one relative error holds for all six components.
         units = np.repeat([1.0, self.errors.matrix_arm], 3)
         e = self.errors.matrix * rng.standard_normal((6, 6)) * units[:, None] / units[None, :]
         self.matrix = np.eye(6) + e

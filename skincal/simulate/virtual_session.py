@@ -56,6 +56,7 @@ def simulate_session(
     InputError
         The scene does not say where its taxels are, a pose is not known, or the folder cannot be used.
     """
+    # Streams of their own, as when the rig is served: another operator meets the same rig and the same devices.
     rng = np.random.default_rng(seed)
     rig_rng, operator_rng, device_rng = rng.spawn(3)
     rig = Rig(scene, surface, errors, rig_rng)
