@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
-    from skincal.simulate.orders import Wish
+    from skincal.simulate.operator import OperatorTarget
     from skincal.streams.links import LinkSpec
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
@@ -244,7 +244,7 @@ class Controller(QObject):
 
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._links = links
-        from skincal.simulate.orders import NoTarget
+        from skincal.simulate.operator import NoTarget
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
@@ -269,13 +269,13 @@ class Controller(QObject):
 
         recording.pipeline.act(AskLandmark(name), time.monotonic_ns())
 
-    def ask(self, target: Wish) -> None:
+    def ask(self, target: OperatorTarget) -> None:
         """Send a simulated operator what the guide shows, where that changed; real devices are sent nothing."""
         if self._server is None:
             return
-        from skincal.simulate.orders import write_wish
+        from skincal.simulate.operator import write_target
 
-        line = write_wish(target)
+        line = write_target(target)
         if line != self._sent:
             self._sent = line
             self._server.tell(line)
@@ -539,14 +539,14 @@ class Controller(QObject):
             self.stored.emit(self._recording.storage.words())
 
 
-def operator_target(guidance: Guidance | None, running: Running) -> Wish:
+def operator_target(guidance: Guidance | None, running: Running) -> OperatorTarget:
     """Return what a simulated operator is to poke: what somebody who looks at the window would.
 
     Parameters
     ----------
     guidance : None where nobody guides
     """
-    from skincal.simulate.orders import NoTarget, TargetOrder
+    from skincal.simulate.operator import NoTarget, TargetOrder
 
     if running is not Running.STREAMING:
         return NoTarget.WAIT

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import threading
+from contextlib import closing
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -89,7 +90,7 @@ def simulate(
     from skincal.simulate.operator import Guided, Habits, Told
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
-    from skincal.simulate.virtual_session import simulate_session, truth
+    from skincal.simulate.virtual_session import simulate_session
 
     loaded = find_scene(scene)
     if serve == (out is not None):
@@ -118,8 +119,8 @@ def simulate(
     rig_rng, operator_rng, device_rng = np.random.default_rng(seed).spawn(3)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _hand(operator, rig, habits, operator_rng, (pokes, names))
-    with Server(DeviceTimeline(rig, hand, device_rng), tcp=tcp) as server:
-        _print_links(server, truth(rig) if as_json else {})
+    with closing(Server(DeviceTimeline(rig, hand, device_rng), tcp=tcp)) as server:
+        _print_links(server, rig.truth() if as_json else {})
         _run(server, hand if isinstance(hand, Told | Guided) else None)
 
 
@@ -157,7 +158,7 @@ def _run(server: Server, listener: Told | Guided | None) -> None:
 
 def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
-    from skincal.simulate.orders import read_order
+    from skincal.simulate.operator import read_order
 
     for line in sys.stdin:
         try:

@@ -215,8 +215,8 @@ def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
     [
         (FrameCorrection(-np.eye(3)), "it reports the reaction: all signs are turned"),
         (FrameCorrection(np.diag([-1.0, 1.0, -1.0])), "the sign of x, z is turned"),
-        (FrameCorrection(np.eye(3)[[1, 0, 2]]), "its axes are told in another order: x, y, z are y, x, z"),
-        (FrameCorrection(np.diag([1.0, 1.0, -1.0])[[2, 0, 1]]), "its axes are told in another order: x, y, z are -z, x, y"),
+        (FrameCorrection(np.eye(3)[[1, 0, 2]]), "its axes are reported in another order: x, y, z are y, x, z"),
+        (FrameCorrection(np.diag([1.0, 1.0, -1.0])[[2, 0, 1]]), "its axes are reported in another order: x, y, z are -z, x, y"),
         (FrameCorrection(moment_scale=1e-3), "the moments are newton millimetres, not newton metres"),
         (FrameCorrection(moment_scale=1e-2), "the moments are newton centimetres, not newton metres"),
         (FrameCorrection(moment_scale=GRAVITY), "the moments are kilogram-force metres beside newtons"),
@@ -228,7 +228,7 @@ def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
     ],
 )
 def test_a_wrong_frame_says_its_mistake_and_both_misses(correction, words):
-    said = f"The sensor's frame looks wrong: {words}. As told, pokes pass their landmarks at 51 mm; so corrected, at 6 mm."
+    said = f"The sensor's frame looks wrong: {words}. As reported, pokes pass their landmarks at 51 mm; so corrected, at 6 mm."
     assert frame_sentence(wrong(correction)) == said
 
 
@@ -238,4 +238,6 @@ def test_a_sensor_that_sits_elsewhere_says_by_how_much(degrees):
     motion[:3, :3] = rotations(np.radians(degrees) * np.array([[0.6, 0.0, 0.8]]))[0]
     motion[:3, 3] = [0.0, 0.03, 0.04]
     said = frame_sentence(wrong(FrameCorrection(motion=motion)))
-    assert f"sits elsewhere on the arm than told, by about {degrees:.0f} degrees and 50 mm, or its matrix is far off." in said
+    assert (
+        f"sits elsewhere on the arm than reported, by about {degrees:.0f} degrees and 50 mm, or its matrix is far off." in said
+    )

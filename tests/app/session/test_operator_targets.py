@@ -24,7 +24,7 @@ from skincal.model.readings import Chunk, LinkEvent
 from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
+from skincal.simulate.operator import NoTarget, TargetOrder, read_order, write_target
 from tests.app.guide_support import guidance, target
 from tests.app.whole_window import OPEN_MS
 from tests.skincal.poke_script import outcome_key, same_estimates
@@ -32,12 +32,12 @@ from tests.skincal.poke_script import outcome_key, same_estimates
 LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
 
 
-def test_the_wish_is_what_the_window_shows():
+def test_the_target_is_what_the_window_shows():
     asked = target(3, 0.4)
-    wish = operator_target(guidance(asked), Running.STREAMING)
-    assert isinstance(wish, TargetOrder)
-    assert (wish.channel, wish.place.tolist(), wish.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
-    assert not wish.known
+    wanted = operator_target(guidance(asked), Running.STREAMING)
+    assert isinstance(wanted, TargetOrder)
+    assert (wanted.channel, wanted.place.tolist(), wanted.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
+    assert not wanted.known
     head = operator_target(guidance(replace(asked, channel=None, landmark="elbow, outer")), Running.STREAMING)
     assert isinstance(head, TargetOrder)
     assert (head.channel, head.known) == (None, True)
@@ -92,9 +92,9 @@ def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
     told = Told()
     controller._server = told
     shown = operator_target(guidance(target(3)), Running.STREAMING)
-    for wish in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
-        controller.ask(wish)
-    assert told.lines == [write_wish(shown), "wait", write_wish(shown)]
+    for wanted in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
+        controller.ask(wanted)
+    assert told.lines == [write_target(shown), "wait", write_target(shown)]
     controller.close()
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits, HandPress, Move, Told, press
-from skincal.simulate.orders import PokeOrder, PoseOrder, read_order
+from skincal.simulate.operator import Auto, Habits, HandPress, Move, PokeOrder, PoseOrder, Told, press, read_order
 from skincal.simulate.simulated_rig import push_directions, tangents
 from tests.skincal.sim_support import make_rig
 
@@ -88,13 +87,11 @@ def test_told_does_its_orders_in_turn(rig, rng):
     told.accept(PoseOrder("6"))
     told.accept(PokeOrder(288, np.radians(25), np.radians(90), 7.5))
     told.accept(PokeOrder(289))
-    told.accept(None)
     move, first, second = actions(told)
     assert move.stance.name == "6"
     assert first.pokes.targets[0] == 288
     assert first.pokes.forces[0] == 7.5
     assert second.pokes.targets[0] == 289
-    assert told.done
     normal, push = first.pokes.normals[0], first.pokes.directions[0]
     assert np.degrees(np.arccos(-push @ normal)) == pytest.approx(25.0)
     _, e2 = tangents(first.pokes.normals)
