@@ -18,7 +18,7 @@ solved beside it, and arrays of one component each are what numpy goes through f
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib import import_module, util
 from typing import Any
 
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray, move_wrench
+from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
 from skincal.mesh.search import GRAZING, nearest_to_rows
 from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
@@ -89,7 +89,7 @@ def bounded_triangles(surface: Surface, root: FloatArray, offset: FloatArray, pu
     lower = distance - float(np.linalg.norm(root, 2)) * surface.radii[which]
     left = which[lower <= distance.min()]
     images = (surface.corners[left] @ root.T - offset).transpose(2, 1, 0)
-    winner = int(left[closest_in_columns(np.ascontiguousarray(images)).squared.argmin()])
+    winner = int(left[closest_in_columns(np.ascontiguousarray(images))[0].argmin()])
     return _point(surface, root, offset, winner)
 
 
@@ -99,7 +99,7 @@ def _best(surface: Surface, root: FloatArray, offset: FloatArray, which: IntArra
     least, winner = np.inf, -1
     for first in range(0, len(which), AT_ONCE):
         some = which[first : first + AT_ONCE]
-        squared = closest_in_columns(images[:, surface.triangles[some].T]).squared
+        squared = closest_in_columns(images[:, surface.triangles[some].T])[0]
         squared[~counts[first : first + AT_ONCE]] = np.inf
         best = int(squared.argmin())
         if squared[best] < least:
@@ -204,9 +204,7 @@ def stacked(contacts: Sequence[Contact], channels: Iterable[int]) -> Stacked:
     order = np.argsort(channel, kind="stable")
     owner, channel, k = owner[order], channel[order], k[order]
     begins = np.flatnonzero(np.r_[True, channel[1:] != channel[:-1], True])
-    cross = np.zeros((len(u), 3, 3))
-    cross[:, [2, 0, 1], [1, 2, 0]], cross[:, [1, 2, 0], [2, 0, 1]] = u, -u
-    a = k[:, None, None] * cross[owner]
+    a = k[:, None, None] * cross_matrix(u)[owner]
     return Stacked(channel[begins[:-1]].tolist(), a.reshape(-1, 3), (k[:, None] * right[owner]).ravel(), 3 * begins)
 
 
@@ -243,53 +241,29 @@ def closest_in_triangles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     shares : (n, 3) float, barycentric: the point is `shares @ corners`
     squared : (n,) float, its squared distance
     """
-    found = closest_in_columns(np.ascontiguousarray(corners.transpose(2, 1, 0)))
-    return np.ascontiguousarray(found.shares().T), found.squared
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Closest:
-    """The nearest points of n triangles, each as the better of a point on a side and one inside."""
-
-    squared: FloatArray
-    """(n,) float: squared distance from the origin."""
-    within: FloatArray
-    """(n,) float: that of the plane's nearest point; infinite where it is outside the triangle."""
-    side: IntArray
-    """(n,) the side with the nearest point of the outline; side s runs from corner s to corner (s + 1) mod 3."""
-    along: FloatArray
-    """(n,) where on that side, 0 to 1."""
-    longest: IntArray
-    """(n,) the longest side, from which u and v are taken."""
-    u: FloatArray
-    v: FloatArray
-
-    def shares(self) -> FloatArray:
-        """Return (3, n) the barycentric coordinates of the points."""
-        inside = self.within <= self.squared
-        first = np.where(inside, self.longest, self.side)
-        u, v = np.where(inside, self.u, self.along), np.where(inside, self.v, 0.0)
-        shares = np.empty((3, len(u)))
-        column = np.arange(len(u))
-        shares[first, column] = 1.0 - u - v
-        shares[_AFTER[first], column], shares[_BEFORE[first], column] = u, v
-        return shares
+    squared, within, side, along, longest, u, v = closest_in_columns(np.ascontiguousarray(corners.transpose(2, 1, 0)))
+    inside = within <= squared
+    first, u, v = np.where(inside, longest, side), np.where(inside, u, along), np.where(inside, v, 0.0)
+    shares, row = np.empty((len(u), 3)), np.arange(len(u))
+    shares[row, first], shares[row, _AFTER[first]], shares[row, _BEFORE[first]] = 1.0 - u - v, u, v
+    return shares, squared
 
 
 _AFTER = np.array([1, 2, 0])
 _BEFORE = np.array([2, 0, 1])
 
 
-def closest_in_columns(corners: FloatArray) -> Closest:
-    """Do the same for `corners` (3, 3, n): component, corner, triangle."""
-    count = corners.shape[2]
-    if count <= AT_ONCE:
-        return _closest(corners)
-    parts = [_closest(np.ascontiguousarray(corners[:, :, at : at + AT_ONCE])) for at in range(0, count, AT_ONCE)]
-    return Closest(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Closest)))
+def closest_in_columns(
+    corners: FloatArray,
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, IntArray, FloatArray, FloatArray]:
+    """Find the nearest points of triangles `corners` (3, 3, n): component, corner, triangle.
 
-
-def _closest(corners: FloatArray) -> Closest:
+    Returns
+    -------
+    squared distance (n,); that of the plane's nearest point, infinite where it is outside; the side, from corner s to corner
+    (s + 1) mod 3, with the outline's nearest point, and where on it, 0 to 1; the longest side, and from it the shares u, v of
+    the plane's nearest point
+    """
     count = int(corners.shape[2])
     column = np.arange(count)
     edges = np.empty_like(corners)
@@ -316,7 +290,7 @@ def _closest(corners: FloatArray) -> Closest:
         starts.ravel().take(at, mode="clip"),
     )
     along = along.ravel().take(side * count + column, mode="clip")
-    return Closest(np.minimum(best, within), within, side, along, longest, u, v)
+    return np.minimum(best, within), within, side, along, longest, u, v
 
 
 def _second_or_third(second: NDArray[np.bool_], third: NDArray[np.bool_]) -> IntArray:

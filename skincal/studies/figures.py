@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from skincal.model.errors import InputError
 from skincal.studies.measuring import time_words
@@ -321,24 +321,36 @@ def _lines(
 
 # ---- run time ----
 
-MARKS: dict[str, tuple[str, str, str]] = {
-    "surface": ("*", BLUE, "surface, as shipped"),
-    "free": ("*", VERMILION, "free, as shipped"),
-    "brute": ("s", SKY, "every triangle, closed form"),
-    "facing": ("p", SKY, "those that are pushed"),
-    "compiled": ("X", SKY, "pushed ones, compiled"),
-    "bounded": ("D", SKY, "every triangle's bound first"),
-    "quadprog": ("o", ORANGE, "the paper's way: quadprog"),
-    "slsqp": ("o", BLACK, "the paper's way: SLSQP"),
-    "modules": ("*", GREEN, "modules, as shipped"),
-    "modules-general": ("d", GREEN, "modules, scipy's Levenberg-Marquardt"),
-    "modules-per-pose": ("^", GREEN, "modules, poses averaged"),
-    "surface-per-pose": ("^", BLUE, "surface, poses averaged"),
-    "free-per-pose": ("^", VERMILION, "free, poses averaged"),
-    "lstsq": ("v", ORANGE, "numpy lstsq"),
-    "normal": ("P", PINK, "normal equations"),
+
+class Look(NamedTuple):
+    """How a method is drawn and named."""
+
+    mark: str
+    colour: str
+    words: str
+    """In the figure."""
+    label: str
+    """In a table."""
+
+
+LOOKS: dict[str, Look] = {
+    "surface": Look("*", BLUE, "surface, as shipped", "surface, as shipped"),
+    "free": Look("*", VERMILION, "free, as shipped", "free, as shipped"),
+    "brute": Look("s", SKY, "every triangle, closed form", "surface: every triangle, closed form"),
+    "facing": Look("p", SKY, "those that are pushed", "surface: every triangle that is pushed, closed form"),
+    "compiled": Look("X", SKY, "pushed ones, compiled", "surface: every triangle that is pushed, compiled"),
+    "bounded": Look("D", SKY, "every triangle's bound first", "surface: every triangle's bound, then closed form"),
+    "quadprog": Look("o", ORANGE, "the paper's way: quadprog", "surface: each triangle by quadprog"),
+    "slsqp": Look("o", BLACK, "the paper's way: SLSQP", "surface: each triangle by SLSQP"),
+    "modules": Look("*", GREEN, "modules, as shipped", "modules, as shipped"),
+    "modules-general": Look("d", GREEN, "modules, scipy's Levenberg-Marquardt", "modules: scipy's Levenberg-Marquardt"),
+    "modules-per-pose": Look("^", GREEN, "modules, poses averaged", "modules: each pose alone, averaged"),
+    "surface-per-pose": Look("^", BLUE, "surface, poses averaged", "surface: each pose alone, averaged"),
+    "free-per-pose": Look("^", VERMILION, "free, poses averaged", "free: each pose alone, averaged"),
+    "lstsq": Look("v", ORANGE, "numpy lstsq", "free: numpy's lstsq for each taxel"),
+    "normal": Look("P", PINK, "normal equations", "free: normal equations"),
 }
-"""Mark, colour and words of each method."""
+"""By the method's name in JSON."""
 PARTS = {"icub-forearm": "forearm", "whole-body": "whole body"}
 GROWTH_AXES = {"triangles": "triangles of the mesh", "taxels": "taxels", "pokes_per_taxel": "pokes per taxel"}
 KEY = (
@@ -363,7 +375,7 @@ def draw_runtime(result: dict[str, Any], rows: Sequence[Measured], figure: Figur
 
 def _error_against_time(axes: Axes, rows: Sequence[Measured]) -> None:
     for row in rows:
-        mark, colour, words = MARKS[row["method"]]
+        mark, colour, words, _ = LOOKS[row["method"]]
         (x, across), (y, along) = _around([row["time_ms"]]), _around([row["error_mm"]])
         axes.errorbar(
             x, y, along, across, color=colour, fmt=mark, label=words, linewidth=1.6, capsize=2.5,
@@ -396,7 +408,7 @@ def _growth(axes: Axes, points: Sequence[Measured], name: str, words: str) -> No
     for point in points:
         series.setdefault((point["part"], point["method"]), []).append(point)
     for (part, method), own in series.items():
-        mark, colour, _ = MARKS[method]
+        mark, colour, *_ = LOOKS[method]
         if len(own) > 1:
             costs, ways = _around([point["us_per_taxel"] for point in own])
             axes.errorbar(

@@ -17,11 +17,12 @@ import os
 import platform
 import time
 import tracemalloc
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
+from itertools import chain
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,35 +32,18 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import build_tree
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels
+from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, ModulePoses, Pads
 from skincal.modules.pose_fit import Touches, find_touches, start_of, whitened
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.studies import alternatives
 from skincal.studies.alternatives import Problems, Systems, problems
-from skincal.studies.figures import Figure, draw_runtime
-from skincal.studies.measuring import CLOCK, Quartiles, at_rest, bar_lines, bars_of, clock, sampled, time_words, timed
+from skincal.studies.figures import LOOKS, Figure, draw_runtime
+from skincal.studies.measuring import CLOCK, bar_lines, bars_of, quartiles, time_words, timed
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
-LABELS = {
-    "surface": "surface, as shipped",
-    "free": "free, as shipped",
-    "brute": "surface: every triangle, closed form",
-    "facing": "surface: every triangle that is pushed, closed form",
-    "compiled": "surface: every triangle that is pushed, compiled",
-    "bounded": "surface: every triangle's bound, then closed form",
-    "quadprog": "surface: each triangle by quadprog",
-    "slsqp": "surface: each triangle by SLSQP",
-    "modules": "modules, as shipped",
-    "modules-general": "modules: scipy's Levenberg-Marquardt",
-    "modules-per-pose": "modules: each pose alone, averaged",
-    "surface-per-pose": "surface: each pose alone, averaged",
-    "free-per-pose": "free: each pose alone, averaged",
-    "lstsq": "free: numpy's lstsq for each taxel",
-    "normal": "free: normal equations",
-}
-"""Name of each method in JSON, and in words."""
 SEARCHES: Mapping[str, Callable[..., FloatArray]] = {
     "brute": alternatives.every_triangle,
     "facing": alternatives.facing_triangles,
@@ -170,7 +154,7 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
         "growth": growth_of(rows, sizes.per_taxel),
         "agreement_m": off,
         **lively,
-        "tree_build_ms": {name: 1e3 * timed(partial(build_tree, mesh), 1)[0][0] for name, mesh in fresh.items()},
+        "tree_build_ms": {name: 1e3 * timed([partial(build_tree, mesh)])[0][0] for name, mesh in fresh.items()},
         "ratios": ratios,
         "bars": runtime_bars(ratios, off, lively),
         "left_out": left_out,
@@ -208,62 +192,78 @@ class Cell:
     budget_s: float
     """s. How long each slow alternative may run."""
 
-    def row(
-        self, method: str, seconds: Quartiles, found: Sequence[Positions], part: Mapping[str, Any] | None = None, **more: Any
-    ) -> Row:
+    def row(self, method: str, seconds: Sequence[float], found: Sequence[Positions], **more: Any) -> Row:
         """Return a row of the table.
 
         Parameters
         ----------
-        seconds : of a whole solve, from contacts to positions
+        seconds : of whole solves, from contacts to positions
         found : positions by channel, one a seed
-        part : what the seconds were extrapolated from; None where nothing was left out
         """
         means = [1e3 * float(np.mean(errors)) for errors in map(self.bench.errors, found) if len(errors)]
         return {
             "part": self.bench.name, "taxels": len(self.channels), "triangles": len(self.surface.triangles),
-            "pokes_per_taxel": self.per_taxel, "contacts": len(self.runs[0]), "method": method, "label": LABELS[method],
-            "time_ms": seconds.times(1e3).json(), "error_mm": Quartiles.of(means).json() if means else None,
+            "pokes_per_taxel": self.per_taxel, "contacts": len(self.runs[0]), "method": method, "label": LOOKS[method].label,
+            "time_ms": ms_of(seconds), "error_mm": quartiles(means) if means else None,
             "error_of_taxels": len(found[0]) if found else 0, "from_session_ms": None, "off_ours_m": None,
-            "error_beside_ours_mm": None, "extrapolated_from": part, **more,
+            "error_beside_ours_mm": None, "extrapolated_from": None, **more,
         }  # fmt: skip
 
-    def each_run(self, solve: Callable[[Sequence[Contact]], Any], repeats: int) -> tuple[list[float], list[Any]]:
-        """Return the seconds of all runs of `solve` on each seed's contacts, and what the last one of each gave."""
-        both = [timed(partial(solve, contacts), repeats) for contacts in self.runs]
-        return [second for seconds, _ in both for second in seconds], [result for _, result in both]
+    def measured(self, method: str, solve: Callable[[Sequence[Contact]], Positions], repeats: int, **more: Any) -> Row:
+        """Return the row of what is fast enough to be run whole, `repeats` times on each seed's contacts."""
+        both = [timed([partial(solve, contacts)] * repeats) for contacts in self.runs]
+        return self.row(method, [second for seconds, _ in both for second in seconds], [found[-1] for _, found in both], **more)
 
-    def slow(
-        self, name: str, solve: Callable[[int], object], order: Sequence[int], what: str, front: float
-    ) -> Mapping[str, Any]:
-        """Run `solve` on each of `order` as far as the budget goes; return what `row` takes of it.
+    def sampled(
+        self, method: str, ours: Row, pieces: Iterable[tuple[Callable[[], object], int]], whole: tuple[int, str, float]
+    ) -> Callable[..., Row]:
+        """Do pieces of a slow solve as far as the budget goes; return what makes the row of the positions that they gave.
 
         Parameters
         ----------
-        what : they are, in words
-        front : s, from contacts to what each of them begins from
+        ours : row of the method that it is compared with
+        pieces : what is done, and how many of `whole` it is
+        whole : how many there are, what they are, and the seconds from contacts to what each of them begins from
         """
-        seconds = sampled((partial(solve, piece) for piece in order), self.budget_s)
-        part = None
-        if len(seconds) < len(order):
-            part = {what: len(seconds), f"of_{what}": len(order), "seconds": float(np.sum(seconds))}
-        return {"method": name, "seconds": Quartiles.of(seconds).times(len(order)).plus(front), "part": part}
+        works, sizes = zip(*pieces, strict=True)
+        seconds, _ = timed(works, self.budget_s)
+        (count, what, front), done = whole, sum(sizes[: len(seconds)])
+        part = None if done >= count else {what: done, f"of_{what}": count, "seconds": float(np.sum(seconds))}
+        spent = [second / size * count + front for second, size in zip(seconds, sizes, strict=False)]
+
+        def row(found: Positions, near: Positions, beside: Positions) -> Row:
+            # How far the answers lie from ours, and what they err more: the row's error is our row's plus that.
+            off = [float(np.linalg.norm(found[channel] - point)) for channel, point in near.items()]
+            made = self.row(method, spent, [found], off_ours_m=max(off, default=None), extrapolated_from=part)
+            if beside:
+                errors, error = self.bench.errors, ours["error_mm"]
+                more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in beside})) - np.mean(errors(beside)))
+                made["error_beside_ours_mm"] = more
+                if error is not None:
+                    made["error_mm"] = {**error, **{key: error[key] + more for key in ("median", "q1", "q3")}}
+            return made
+
+        return row
+
+
+def ms_of(seconds: Sequence[float]) -> dict[str, Any]:
+    """Return quartiles, ms."""
+    return quartiles([1e3 * second for second in seconds])
 
 
 def _table(benches: Sequence[tuple[Bench, PartSizes]], sizes: RuntimeSizes, progress: Say, leave_out: Say) -> Iterator[Row]:
     """Measure what the ratios need, then how cost grows, as far as there is time."""
     began = time.perf_counter()
-    mains: list[Cell] = []
+    growths: list[Iterator[Iterator[Row]]] = []
     for bench, part in benches:
         progress(f"poking {part.scene}: {len(bench.channels)} taxels, {sizes.per_taxel} pokes each")
         runs = [bench.contacts(sizes.per_taxel, seed) for seed in range(1, part.seeds + 1)]
-        mains.append(Cell(bench, bench.surface, sizes.per_taxel, runs, bench.channels, part.repeats, part.budget_s))
-        yield from _free(mains[-1])
-        yield from _surface(mains[-1], True)
-        yield from _modules(replace(mains[-1], repeats=max(1, part.repeats // 2)))
-    pairs = list(zip(mains, (part for _, part in benches), strict=True))
-    growth = (on_size for main, part in reversed(pairs) for on_size in _growth(main, part, sizes))
-    for number, on_size in enumerate(growth):
+        main = Cell(bench, bench.surface, sizes.per_taxel, runs, bench.channels, part.repeats, part.budget_s)
+        yield from _free(main)
+        yield from _surface(main, True)
+        yield from _modules(replace(main, repeats=max(1, part.repeats // 2)))
+        growths.insert(0, _growth(main, part, sizes))
+    for number, on_size in enumerate(chain(*growths)):
         if number > 0 and time.perf_counter() - began > sizes.growth_until_s:
             leave_out("the machine is slow: some sizes of the problem are left out")
             return
@@ -274,36 +274,17 @@ def _growth(main: Cell, part: PartSizes, sizes: RuntimeSizes) -> Iterator[Iterat
     """Give the cells on which one size differs; the first of the large part is needed for the ratios."""
     short = replace(main, runs=main.runs[:1], repeats=max(1, part.repeats // 2), budget_s=part.budget_s / 5)
     for triangles in part.meshes:
-        yield _on_mesh(replace(short, surface=main.bench.mesh(triangles)), sizes.everywhere)
+        cell = replace(short, surface=main.bench.mesh(triangles))
+        yield chain(_surface(cell, sizes.everywhere), _shipped(cell, [Method.MODULES] if sizes.everywhere else []))
     for taxels in part.taxels:
         channels = main.channels[:taxels]
         answered = [contact for contact in main.runs[0] if not set(channels).isdisjoint(contact.channels.tolist())]
-        yield _as_shipped(replace(short, channels=channels, runs=[answered]))
+        yield _shipped(replace(short, channels=channels, runs=[answered]))
     for per_taxel in part.pokes:
         seeds = part.seeds if per_taxel < SLOW_TO_POKE else 1
-        yield _poked(short, per_taxel, seeds, sizes.everywhere)
-
-
-def _poked(cell: Cell, per_taxel: int, seeds: int, everything: bool) -> Iterator[Row]:
-    runs = [cell.bench.contacts(per_taxel, seed) for seed in range(1, seeds + 1)]
-    cell = replace(cell, runs=runs, per_taxel=per_taxel)
-    if not everything:
-        yield from _as_shipped(cell)
-        return
-    yield shipped(cell, Method.SURFACE)
-    yield shipped(cell, Method.MODULES)
-    yield from _free(cell)
-
-
-def _on_mesh(cell: Cell, everything: bool) -> Iterator[Row]:
-    yield from _surface(cell, everything)
-    if everything:
-        yield shipped(cell, Method.MODULES)
-
-
-def _as_shipped(cell: Cell) -> Iterator[Row]:
-    for method in Method:
-        yield shipped(cell, method)
+        runs = [main.bench.contacts(per_taxel, seed) for seed in range(1, seeds + 1)]
+        cell = replace(short, runs=runs, per_taxel=per_taxel)
+        yield chain(_shipped(cell, [Method.SURFACE, Method.MODULES]), _free(cell)) if sizes.everywhere else _shipped(cell)
 
 
 # ---- the methods as shipped, and each pose alone ----
@@ -314,66 +295,36 @@ def positions_of(estimates: Mapping[int, Estimate]) -> Positions:
     return {channel: found.position for channel, found in estimates.items() if found.position is not None}
 
 
-class Shipped:
-    """A method of the program on a cell, from contacts to estimates with their uncertainty.
+def shipped(cell: Cell, method: Method, repeats: int) -> Row:
+    """Measure a method of the program, from contacts to estimates with their uncertainty."""
+    model, noise, more = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise, {}
 
-    It may be run again after what it is compared with, so that a machine that slows down meanwhile slows both.
-    """
+    def solve(contacts: Sequence[Contact], channels: Sequence[int] = cell.channels) -> Positions:
+        return positions_of(estimate_taxels(contacts, channels, [method], noise, cell.surface, model=model)[method])
 
-    def __init__(self, cell: Cell, method: Method) -> None:
-        self.cell, self.method = cell, method
-        self._seconds: list[float] = []
-        self._results: list[dict[int, Estimate]] = []
-        self._model = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None
-        # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
-        self._solve(cell.runs[0][:WARM], cell.channels[:WARM])
-
-    def _solve(self, contacts: Sequence[Contact], channels: Sequence[int]) -> dict[int, Estimate]:
-        noise = self.cell.bench.scene.noise
-        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, model=self._model)[self.method]
-
-    def run(self) -> dict[int, Estimate]:
-        """Measure, and return the first seed's estimates."""
-        cell = self.cell
-        seconds, self._results = cell.each_run(lambda contacts: self._solve(contacts, cell.channels), cell.repeats)
-        self._seconds += seconds
-        return self._results[0]
-
-    def row(self) -> Row:
-        """Return the row of all that was measured; of the surface method also from what a session keeps of its contacts."""
-        cell, more = self.cell, dict[str, Any]()
-        if self.method is Method.SURFACE:
-            table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
-            again, _ = timed(lambda: estimate_from(table, cell.channels, [self.method], noise, cell.surface), cell.repeats)
-            more["from_session_ms"] = Quartiles.of(again).times(1e3).json()
-        found = [positions_of(estimates) for estimates in self._results]
-        return cell.row(self.method.value, Quartiles.of(self._seconds), found, **more)
+    # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
+    solve(cell.runs[0][:WARM], cell.channels[:WARM])
+    if method is Method.SURFACE:
+        # The same from what a session keeps of its contacts.
+        again = partial(estimate_from, ContactTable(cell.runs[0]), cell.channels, [method], noise, cell.surface)
+        more["from_session_ms"] = ms_of(timed([again] * cell.repeats)[0])
+    return cell.measured(method.value, solve, repeats, **more)
 
 
-def shipped(cell: Cell, method: Method) -> Row:
-    """Measure a method of the program."""
-    measured = Shipped(cell, method)
-    measured.run()
-    return measured.row()
+def _shipped(cell: Cell, methods: Iterable[Method] = Method) -> Iterator[Row]:
+    return (shipped(cell, method, cell.repeats) for method in methods)
 
 
-def per_pose(cell: Cell, method: Method) -> Row:
-    """Measure the paper's averaging over arm poses (IV-B)."""
-    model, noise = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
+def _per_pose(cell: Cell, methods: Iterable[Method]) -> Iterator[Row]:
+    """Measure the paper's averaging over arm poses (IV-B), where there are some."""
+    for method in methods if len(cell.bench.rig.stances) > 1 else ():
+        model = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None
 
-    def solve(contacts: Sequence[Contact]) -> Positions:
-        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=model))
+        def solve(contacts: Sequence[Contact], method: Method = method, model: ModuleModel | None = model) -> Positions:
+            noise = cell.bench.scene.noise
+            return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=model))
 
-    seconds, found = cell.each_run(solve, cell.repeats)
-    return cell.row(f"{method.value}-per-pose", Quartiles.of(seconds), found)
-
-
-def _beside(row: Row, ours: Row) -> Row:
-    """Return the row of an alternative that solved some taxels: its error is ours plus what differs on these."""
-    more, error = row["error_beside_ours_mm"], ours["error_mm"]
-    if more is None or error is None:
-        return row
-    return {**row, "error_mm": {**error, **{key: error[key] + more for key in ("median", "q1", "q3")}}}
+        yield cell.measured(f"{method.value}-per-pose", solve, cell.repeats)
 
 
 # ---- the free method beside its alternatives ----
@@ -381,7 +332,7 @@ def _beside(row: Row, ours: Row) -> Row:
 
 def _free(cell: Cell) -> Iterator[Row]:
     """Measure the free method beside its alternatives, and both methods with each pose alone."""
-    yield shipped(cell, Method.FREE)
+    yield from _shipped(cell, [Method.FREE])
     for name, way in {"lstsq": alternatives.by_lstsq, "normal": alternatives.by_normal_equations}.items():
 
         def solve(contacts: Sequence[Contact], way: Callable[..., FloatArray] = way) -> Positions:
@@ -390,11 +341,8 @@ def _free(cell: Cell) -> Iterator[Row]:
             pairs = zip(system.channels, way(system), np.diff(system.starts) > 3, strict=True)
             return {channel: p for channel, p, enough in pairs if enough and np.isfinite(p).all()}
 
-        seconds, found = cell.each_run(solve, max(1, cell.repeats // 2))
-        yield cell.row(name, Quartiles.of(seconds), found)
-    if len(cell.bench.rig.stances) > 1:
-        for method in PER_TAXEL:
-            yield per_pose(cell, method)
+        yield cell.measured(name, solve, max(1, cell.repeats // 2))
+    yield from _per_pose(cell, PER_TAXEL)
 
 
 # ---- the surface method beside other searches ----
@@ -402,18 +350,15 @@ def _free(cell: Cell) -> Iterator[Row]:
 
 def _surface(cell: Cell, all_ways: bool) -> Iterator[Row]:
     """Measure the surface method beside the other ways to search the surface."""
-    ours = Shipped(cell, Method.SURFACE)
-    searches = Searches.of(cell, ours.run())
-    found = [searches.over_triangles("brute", SEARCHES["brute"])]
-    ours.run()
-    row = ours.row()
+    row = shipped(cell, Method.SURFACE, 2 * cell.repeats)
     yield row
-    found += [searches.over_triangles(name, SEARCHES[name]) for name in ("facing", "compiled", "bounded")]
+    searches = Searches.of(cell, row)
+    for name, way in SEARCHES.items():
+        yield searches.over_triangles(name, way)
     if all_ways:
-        found.append(searches.each_triangle("slsqp", alternatives.by_slsqp))
+        yield searches.each_triangle("slsqp", alternatives.by_slsqp)
     if all_ways and alternatives.has_quadprog():
-        found.append(searches.each_triangle("quadprog", alternatives.by_quadprog))
-    yield from (_beside(other, row) for other in found)
+        yield searches.each_triangle("quadprog", alternatives.by_quadprog)
 
 
 @dataclass(frozen=True, eq=False)
@@ -421,6 +366,8 @@ class Searches:
     """The other ways to search the surface on one cell, with what they begin from."""
 
     cell: Cell
+    row: Row
+    """The shipped method's."""
     systems: Systems
     front: float
     """s. From contacts to the taxels' factors, which every alternative needs too."""
@@ -430,12 +377,13 @@ class Searches:
     """Taxels in random order."""
 
     @classmethod
-    def of(cls, cell: Cell, ours: Mapping[int, Estimate]) -> Searches:
+    def of(cls, cell: Cell, row: Row) -> Searches:
         """Prepare the first seed's contacts."""
-        contacts, noise = cell.runs[0], cell.bench.scene.noise
-        seconds, begun = timed(lambda: alternatives.systems(contacts, cell.channels, noise), cell.repeats)
-        order = np.random.default_rng(1).permutation(len(begun.channels))
-        return cls(cell, begun, Quartiles.of(seconds).median, ours, order.tolist())
+        contacts, noise, method = cell.runs[0], cell.bench.scene.noise, Method.SURFACE
+        seconds, begun = timed([lambda: alternatives.systems(contacts, cell.channels, noise)] * cell.repeats)
+        ours = estimate_taxels(contacts, cell.channels, [method], noise, cell.surface)[method]
+        order = np.random.default_rng(1).permutation(len(begun[0].channels))
+        return cls(cell, row, begun[0], float(np.median(seconds)), ours, order.tolist())
 
     def over_triangles(self, name: str, way: Callable[..., FloatArray]) -> Row:
         """Measure a way that goes through a taxel's triangles by itself."""
@@ -445,37 +393,25 @@ class Searches:
             found[self.systems.channels[taxel]] = way(self.cell.surface, *self._system(taxel))
 
         solve(self.order[0])
-        return self._row(found, **self.cell.slow(name, solve, self.order, "taxels", self.front))
+        pieces = [(partial(solve, taxel), 1) for taxel in self.order]
+        return self._row(found, self.cell.sampled(name, self.row, pieces, (len(self.order), "taxels", self.front)))
 
     def each_triangle(self, name: str, solver: Callable[[Problems], FloatArray]) -> Row:
         """Measure the paper's way: each triangle a constrained least squares."""
         few = self.order[:SPREAD_OVER]
         total = round(float(np.mean([len(self._facing(taxel)) for taxel in few])) * len(self.order))
-        sizes: list[int] = []
 
         def solve(taxel: int, triangles: IntArray) -> None:
             solver(self._problems(taxel, triangles))
-            sizes.append(len(triangles))
 
         solve(few[0], self._facing(few[0])[:CHUNK])
-        sizes.clear()
-        pieces = self._pieces(self.order if total <= WHOLE else few)
-        seconds = sampled((partial(solve, *piece) for piece in pieces), self.cell.budget_s)
-        rates = Quartiles.of([spent / size for spent, size in zip(seconds, sizes, strict=True)])
-        found: Positions = {self.systems.channels[taxel]: self._winner(taxel, solver) for taxel in few}
-        part = None
-        if sum(sizes) < total:
-            part = {"triangles": sum(sizes), "of_triangles": total, "seconds": float(np.sum(seconds))}
-        return self._row(found, method=name, seconds=rates.times(total).plus(self.front), part=part)
+        pieces = [(partial(solve, *piece), len(piece[1])) for piece in self._pieces(self.order if total <= WHOLE else few)]
+        row = self.cell.sampled(name, self.row, pieces, (total, "triangles", self.front))
+        return self._row({self.systems.channels[taxel]: self._winner(taxel, solver) for taxel in few}, row)
 
-    def _row(self, found: Positions, **measured: Any) -> Row:
+    def _row(self, found: Positions, row: Callable[..., Row]) -> Row:
         ours = {channel: point for channel, point in positions_of(self.ours).items() if channel in found}
-        off = [float(np.linalg.norm(found[channel] - point)) for channel, point in ours.items()]
-        more = None
-        if ours:
-            errors = self.cell.bench.errors
-            more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in ours})) - np.mean(errors(ours)))
-        return self.cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
+        return row(found, ours, ours)
 
     def _system(self, taxel: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         return self.systems.roots[taxel], self.systems.offsets[taxel], self.systems.pushes[taxel]
@@ -515,36 +451,26 @@ class Searches:
 
 def _modules(cell: Cell) -> Iterator[Row]:
     """Measure the modules method from contacts, with the surface method that it begins from; then what it is compared with."""
-    row = shipped(cell, Method.MODULES)
+    row = shipped(cell, Method.MODULES, cell.repeats)
     yield row
-    if len(cell.bench.rig.stances) > 1:
-        yield per_pose(cell, Method.MODULES)
-    yield _beside(_general(cell), row)
-
-
-def _general(cell: Cell) -> Row:
-    model, found = cell.bench.modules_on(cell.surface), Positions()
-    front, start = timed(lambda: _begin(cell, model), 1)
+    yield from _per_pose(cell, [Method.MODULES])
+    model, found, noise = cell.bench.modules_on(cell.surface), Positions(), cell.bench.scene.noise
+    (front,), (start,) = timed([lambda: _begin(cell, model)])
 
     def solve(module: int) -> None:
-        found.update(_solved(*start[module], model, module, cell))
+        found.update(_solved(*start[module], model, module, noise))
 
-    measured = cell.slow(
-        "modules-general", solve, np.random.default_rng(3).permutation(list(start)).tolist(), "modules", front[0]
-    )
-    plain, doubting = (
-        positions_of(
-            estimate_taxels(
-                cell.runs[0], sorted(found), [Method.MODULES], cell.bench.scene.noise, cell.surface, {}, doubts, model
-            )[Method.MODULES]
+    pieces = [(partial(solve, module), 1) for module in np.random.default_rng(3).permutation(list(start)).tolist()]
+    general = cell.sampled("modules-general", row, pieces, (len(start), "modules", front))
+
+    def ours(doubting: bool) -> Positions:
+        channels, methods = sorted(found), [Method.MODULES]
+        return positions_of(
+            estimate_taxels(cell.runs[0], channels, methods, noise, cell.surface, {}, doubting, model)[methods[0]]
         )
-        for doubts in (False, True)
-    )
-    # How far the answers lie from ours, every poke counting fully, and what they err more than ours as shipped.
-    off = [float(np.linalg.norm(found[channel] - point)) for channel, point in plain.items()]
-    errors = cell.bench.errors
-    more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in doubting})) - np.mean(errors(doubting)))
-    return cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
+
+    # Near to ours, every poke counting fully; the errors beside ours as shipped.
+    yield general(found, ours(doubting=False), ours(doubting=True))
 
 
 def _begin(cell: Cell, model: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
@@ -560,7 +486,7 @@ def _begin(cell: Cell, model: ModuleModel) -> dict[int, tuple[Touches, ModulePos
     return found
 
 
-def _solved(touches: Touches, start: ModulePoses, model: ModuleModel, module: int, cell: Cell) -> Positions:
+def _solved(touches: Touches, start: ModulePoses, model: ModuleModel, module: int, noise: NoiseSettings) -> Positions:
     """Return where a general solver puts a module's pads."""
     flat, of = model.pads[module], np.zeros(len(model.pads[module]), dtype=np.int64)
 
@@ -568,7 +494,7 @@ def _solved(touches: Touches, start: ModulePoses, model: ModuleModel, module: in
         return model.ground.laid(model.ground.moved(start, move[None]).take(of), flat)
 
     def misses(move: FloatArray) -> FloatArray:
-        return whitened(touches, laid(move), cell.bench.scene.noise).misses.ravel()
+        return whitened(touches, laid(move), noise).misses.ravel()
 
     optimize: Any = import_module("scipy.optimize")
     move: FloatArray = optimize.least_squares(misses, np.zeros(model.ground.unknowns), **GENERAL).x
@@ -600,8 +526,7 @@ def poke_time(bench: Bench, per_taxel: int, pokes: int) -> dict[str, Any]:
     JSON: `time_ms` by the two methods of the paper, `with_modules_ms` by all that the scene has
     """
     ways = {"time_ms": PER_TAXEL, "with_modules_ms": None}
-    spent = {key: Quartiles.of(_poke_seconds(bench, per_taxel, pokes, methods)) for key, methods in ways.items()}
-    times = {key: seconds.times(1e3).json() for key, seconds in spent.items()}
+    times = {key: ms_of(_poke_seconds(bench, per_taxel, pokes, methods)) for key, methods in ways.items()}
     return {"pokes_per_taxel": per_taxel, "taxels_touched": TOUCHED, **times}
 
 
@@ -609,14 +534,12 @@ def _poke_seconds(bench: Bench, per_taxel: int, pokes: int, methods: Collection[
     session = solved_session(bench, bench.contacts(per_taxel, seed=1), methods)
     others = bench.contacts(-(-2 * pokes // len(bench.channels)), seed=2)[: 2 * pokes]
     fresh = [replace(touching(bench, contact), poke=session.last_poke + 1 + i) for i, contact in enumerate(others)]
-    seconds: list[float] = []
-    with at_rest():
-        for contact in fresh:
-            start = clock()
-            session.add(contact)
-            session.snapshot()
-            seconds.append(clock() - start)
-    return seconds[pokes:]
+
+    def poke(contact: Contact) -> None:
+        session.add(contact)
+        session.snapshot()
+
+    return timed([partial(poke, contact) for contact in fresh])[0][pokes:]
 
 
 def touching(bench: Bench, contact: Contact) -> Contact:
@@ -639,7 +562,7 @@ def resolve_time(bench: Bench, pokes: int, repeats: int) -> dict[str, Any]:
 
     solve()
     works = {"time_ms": solve, "session_ms": lambda: solved_session(bench, contacts)}
-    times = {name: Quartiles.of(timed(work, repeats)[0]).times(1e3).json() for name, work in works.items()}
+    times = {name: ms_of(timed([work] * max(1, repeats))[0]) for name, work in works.items()}
     return {"contacts": len(contacts), **times}
 
 
@@ -730,7 +653,7 @@ def _in_words(row: Row) -> str:
     error = row["error_mm"]
     return (
         f"{row['part']}, {row['taxels']} taxels, {row['triangles']} triangles, {row['pokes_per_taxel']} pokes: "
-        f"{LABELS[row['method']]}: {time_words(row['time_ms']['median'])}"
+        f"{row['label']}: {time_words(row['time_ms']['median'])}"
         + (" (extrapolated)" if row["extrapolated_from"] else "")
         + ("" if error is None else f", {error['median']:.2f} mm")
         + ("" if row["off_ours_m"] is None else f", at most {row['off_ours_m']:.1e} m from ours")
