@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,7 +26,7 @@ _TAXEL_SEED, _MODULE_SEED = 20260721, 20261122
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SensorReadings:
+class Readings:
     """The numbers that n contacts come with: every one of them is an input."""
 
     forces: FloatArray
@@ -39,52 +39,36 @@ class SensorReadings:
     """(g, 4, 4) float: link_from_sensor of each arm pose."""
     pose_of: IntArray
     """(n,) int: which of `poses` a contact has."""
+    beside: FloatArray
+    """(n,) float: of another taxel, stronger than the one, or of another module; zero where none answered."""
 
-    def ordered(self, order: IntArray) -> Self:
+    @property
+    def strongest(self) -> FloatArray:
+        """(n,) float: max_y t_y of a taxel's contacts."""
+        return np.maximum(self.responses, self.beside)
+
+    def ordered(self, order: IntArray) -> Readings:
         """Return the contacts in another order; one named twice is there twice."""
         return replace(self, **{own.name: getattr(self, own.name)[order] for own in fields(self) if own.name != "poses"})
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TaxelReadings(SensorReadings):
-    """Those of one taxel."""
-
-    strongest: FloatArray
-    """(n,) float: max_y t_y of the contact; where it equals t_j, the taxel is the strongest itself."""
-
-    def moved(self, rng: np.random.Generator) -> TaxelReadings:
+    def moved(self, rng: np.random.Generator) -> Readings:
         """Return the readings with every number moved by one unit in its last place, up or down."""
-        own = self.responses == self.strongest
-        strongest = moved(self.strongest, rng)
-        responses = np.where(own, strongest, moved(self.responses, rng))
-        poses = _moved_poses(self.poses, rng)
-        return TaxelReadings(moved(self.forces, rng), moved(self.moments, rng), responses, poses, self.pose_of, strongest)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleReadings(SensorReadings):
-    """Those of the pads of one module."""
-
-    beside: FloatArray
-    """(n,) float: of a taxel of another module; zero where none answered."""
-
-    def moved(self, rng: np.random.Generator) -> ModuleReadings:
-        """Return the readings with every number moved by one unit in its last place, up or down."""
-        poses = _moved_poses(self.poses, rng)
-        forces, moments, responses = (moved(numbers, rng) for numbers in (self.forces, self.moments, self.responses))
-        return ModuleReadings(forces, moments, responses, poses, self.pose_of, moved(self.beside, rng))
+        answers = None
+        if self.responses.ndim == 1:
+            # A taxel that is the strongest itself stays so.
+            own, top = self.beside == 0, moved(self.strongest, rng)
+            answers = np.where(own, top, moved(self.responses, rng)), np.where(own, 0.0, top)
+        poses = self.poses.copy()
+        poses[:, :3] = moved(poses[:, :3], rng)
+        forces, moments = moved(self.forces, rng), moved(self.moments, rng)
+        responses, beside = answers or (moved(self.responses, rng), moved(self.beside, rng))
+        return Readings(forces, moments, responses, poses, self.pose_of, beside)
 
 
 def moved(values: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return each of `values` moved by one unit in its last place, up or down; zero has none and stays."""
     towards = np.where(rng.integers(0, 2, values.shape) == 0, -np.inf, np.inf)
     return np.where(values == 0, 0.0, np.nextafter(values, towards))
-
-
-def _moved_poses(poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-    poses = poses.copy()
-    poses[:, :3] = moved(poses[:, :3], rng)
-    return poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +91,7 @@ class Case:
     """One taxel, to be solved by the free method, or on a mesh by the surface method."""
 
     name: str
-    readings: TaxelReadings
+    readings: Readings
     mesh: RawMesh | None = None
     blind: bool = False
     """All axes are parallel to the last digit: rank 2 is right."""
@@ -116,6 +100,11 @@ class Case:
     many: bool = False
     """Too many readings to solve them 200 times in 80 digits: the draws take the exact answer's derivative. The sensor is
     in the link frame, which stays, and the taxel is the strongest."""
+
+    @property
+    def solver(self) -> str:
+        """The method that has to solve it."""
+        return "free" if self.mesh is None else "surface"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,20 +129,21 @@ class PlacedModule:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleCase:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModuleCase(Case):
     """One module, to be placed."""
 
-    name: str
-    readings: ModuleReadings
     module: PlacedModule
     start: ModulePoses
     """Where the search begins, one pose."""
     noise: NoiseSettings = field(default_factory=NoiseSettings)
-    copies: int = 1
-    """How many times each poke is there, to the last digit, in the draws too."""
     lost: bool = False
     """The answer is farther off than a search goes: what is said of the pads is compared, and not their places."""
+
+    @property
+    def solver(self) -> str:
+        """The method that has to solve it."""
+        return "modules"
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +209,7 @@ def press(
     scatter: FloatArray | float = 0.001,
     poses: FloatArray | None = None,
     pitch: float = 0.0,
-) -> TaxelReadings:
+) -> Readings:
     """Press a taxel in `directions` (n, 3) unit, link frame; what the sensor reads, poses in turn.
 
     Parameters
@@ -233,8 +223,8 @@ def press(
     felt, moments, pose_of = _sensed(rng, directions, places, forces, poses)
     strongest = rng.uniform(50.0, 200.0, count)
     weights = np.broadcast_to(weights, count)
-    responses = np.where(weights == 1.0, strongest, strongest * weights)
-    return TaxelReadings(felt, moments + pitch * felt, responses, poses, pose_of, strongest)
+    responses, beside = np.where(weights == 1.0, [strongest, 0.0 * strongest], [strongest * weights, strongest])
+    return Readings(felt, moments + pitch * felt, responses, poses, pose_of, beside)
 
 
 # ---- cases of the free method ----
@@ -538,7 +528,7 @@ def press_module(
     forces: FloatArray | float = 8.0,
     scatter: float = 0.0005,
     poses: FloatArray | None = None,
-) -> ModuleReadings:
+) -> Readings:
     """Press a module's pads in turn; what sensor and skin read, arm poses in turn.
 
     Parameters
@@ -560,7 +550,7 @@ def press_module(
     places = middles + scatter * unit(np.cross(directions, rng.normal(size=(count, 3))))
     poses = np.eye(4)[None] if poses is None else poses
     felt, moments, pose_of = _sensed(rng, directions, places, forces, poses)
-    return ModuleReadings(felt, moments, answers, poses, pose_of, np.zeros(count))
+    return Readings(felt, moments, answers, poses, pose_of, np.zeros(count))
 
 
 def in_space(rng: np.random.Generator, mirror: bool = False, at: FloatArray = TAXEL) -> PlacedModule:
@@ -604,8 +594,8 @@ def beside(rng: np.random.Generator, module: PlacedModule, shift: float = 0.002,
     return ModulePoses(at.points + shift * unit(rng.normal(size=3)), at.x @ turned.T, at.normals @ turned.T, at.triangles)
 
 
-def _case(rng: np.random.Generator, name: str, module: PlacedModule, readings: ModuleReadings, **rest: Any) -> ModuleCase:
-    return ModuleCase(name, readings, module, beside(rng, module), **rest)
+def _case(rng: np.random.Generator, name: str, module: PlacedModule, readings: Readings, **rest: Any) -> ModuleCase:
+    return ModuleCase(name, readings, module.mesh, module=module, start=beside(rng, module), **rest)
 
 
 ModuleCases: TypeAlias = Iterator[ModuleCase]
@@ -706,7 +696,7 @@ def _lying(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
         two = replace(usual, beside=0.6 * usual.responses.max(axis=1) * (np.arange(n) % 2))
         yield _case(rng, f"{name}, another one answers too", module, two)
         begun = beside(rng, module, 0.0075, np.radians(50.0))
-        yield ModuleCase(f"{name}, begun 50 degrees and 7.5 mm off", usual, module, begun)
+        yield ModuleCase(f"{name}, begun 50 degrees and 7.5 mm off", usual, module.mesh, module=module, start=begun)
 
 
 # ---- all of them; the numbers of one family do not depend on the others ----
