@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -104,8 +104,7 @@ def between(p: Exact, q: Exact) -> float:
 # ---- a taxel ----
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NormalEquations:
+class NormalEquations(NamedTuple):
     """N (3, 3), h (3,) and c of one taxel."""
 
     n: Exact
@@ -310,27 +309,22 @@ def _drawn_sum(effects: FloatArray, draws: int, rng: np.random.Generator) -> flo
 # ---- where a module's pads lie ----
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExactPads:
-    """Where k pads lie."""
+class ExactPads(NamedTuple):
+    """Where k pads lie (k, 3), how that changes with each unknown (k, 3, d), and the normals there (k, 3)."""
 
     points: Exact
-    """(k, 3)."""
     changes: Exact
-    """(k, 3, d): of each pad, with each unknown."""
     normals: Exact
-    """(k, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPlane:
-    """A flat module anywhere: a shift and a turn about its origin."""
+    """A flat module with pads (k, 2) anywhere: a shift and a turn about its origin."""
 
     origin: Exact
     x: Exact
     normal: Exact
     flat: Exact
-    """(k, 2)."""
 
     @classmethod
     def begin(cls, at: ModulePoses, flat: FloatArray) -> InPlane:
@@ -390,7 +384,7 @@ class ExactMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnMesh:
-    """A module on a mesh: a place on it, and a turn in its plane.
+    """A module with pads (k, 2) on a mesh: a place on it, and a turn in its plane.
 
     A way to a pad is straight in space: at an edge its direction keeps its share along the edge, and its share across the edge
     is carried from the one triangle's plane into the other's. Past the rim it goes on in the last triangle's plane.
@@ -401,7 +395,6 @@ class OnMesh:
     origin: Exact
     x: Exact
     flat: Exact
-    """(k, 2)."""
 
     @classmethod
     def begin(cls, at: ModulePoses, flat: FloatArray, mesh: RawMesh) -> OnMesh:
@@ -484,28 +477,23 @@ _KNOWN = 1e5
 """m: a pad whose place is known worse than this is not known at all."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExactPokes:
-    """What n pokes say of their module, whatever its pose."""
+class ExactPokes(NamedTuple):
+    """What n pokes say of their module, whatever its pose.
+
+    `answered` (n, m) are the pads that answered, `shares` (n, m) of the middle; where a poke has fewer, the first pad with a
+    share of zero. `pairs` (n, 2, 3) are two orthonormal directions across u. `moment` and `offset` (n,) are in m^2:
+    (sm/|f|)^2 and s^2; `force` (n,) is (sf/|f|)^2.
+    """
 
     answered: IntArray
-    """(n, m): pads that answered; where a poke has fewer, the first pad with a share of zero."""
     shares: Exact
-    """(n, m): of the middle."""
     u: Exact
-    """(n, 3)."""
     a: Exact
-    """(n, 3)."""
     pairs: Exact
-    """(n, 2, 3): two orthonormal directions across u."""
     sensor: Exact
-    """(n, 3)."""
     moment: Exact
-    """(n,) m^2: (sm/|f|)^2."""
     force: Exact
-    """(n,): (sf/|f|)^2."""
     offset: Exact
-    """(n,) m^2: s^2."""
 
     def middles(self, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
         """Return the middles of the pads that answered, their change with each unknown (n, 3, d), and the normals there."""
