@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
-from itertools import chain
+from itertools import chain, groupby
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -38,7 +38,7 @@ from skincal.modules.pose_fit import Touches, find_touches, start_of, whitened
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.studies import alternatives
-from skincal.studies.alternatives import Problems, Systems, problems
+from skincal.studies.alternatives import Problems, problems
 from skincal.studies.figures import LOOKS, Figure, draw_runtime
 from skincal.studies.measuring import CLOCK, bar_lines, bars_of, quartiles, time_words, timed
 from skincal.taxels.contact_table import ContactTable
@@ -352,7 +352,7 @@ def _surface(cell: Cell, all_ways: bool) -> Iterator[Row]:
     """Measure the surface method beside the other ways to search the surface."""
     row = shipped(cell, Method.SURFACE, 2 * cell.repeats)
     yield row
-    searches = Searches.of(cell, row)
+    searches = Searches(cell, row)
     for name, way in SEARCHES.items():
         yield searches.over_triangles(name, way)
     if all_ways:
@@ -361,29 +361,17 @@ def _surface(cell: Cell, all_ways: bool) -> Iterator[Row]:
         yield searches.each_triangle("quadprog", alternatives.by_quadprog)
 
 
-@dataclass(frozen=True, eq=False)
 class Searches:
-    """The other ways to search the surface on one cell, with what they begin from."""
+    """The other ways to search the surface on one cell, from the contacts of the first seed; `row` is the shipped method's."""
 
-    cell: Cell
-    row: Row
-    """The shipped method's."""
-    systems: Systems
-    front: float
-    """s. From contacts to the taxels' factors, which every alternative needs too."""
-    ours: Mapping[int, Estimate]
-    """The shipped method's answers."""
-    order: list[int]
-    """Taxels in random order."""
-
-    @classmethod
-    def of(cls, cell: Cell, row: Row) -> Searches:
-        """Prepare the first seed's contacts."""
+    def __init__(self, cell: Cell, row: Row) -> None:
+        self.cell, self.row = cell, row
         contacts, noise, method = cell.runs[0], cell.bench.scene.noise, Method.SURFACE
         seconds, begun = timed([lambda: alternatives.systems(contacts, cell.channels, noise)] * cell.repeats)
-        ours = estimate_taxels(contacts, cell.channels, [method], noise, cell.surface)[method]
-        order = np.random.default_rng(1).permutation(len(begun[0].channels))
-        return cls(cell, row, begun[0], float(np.median(seconds)), ours, order.tolist())
+        # From contacts to the taxels' factors, which every alternative needs too.
+        self.systems, self.front = begun[0], float(np.median(seconds))
+        self.ours = estimate_taxels(contacts, cell.channels, [method], noise, cell.surface)[method]
+        self.order: list[int] = np.random.default_rng(1).permutation(len(self.systems.channels)).tolist()
 
     def over_triangles(self, name: str, way: Callable[..., FloatArray]) -> Row:
         """Measure a way that goes through a taxel's triangles by itself."""
@@ -585,31 +573,21 @@ def memory(bench: Bench, pokes: int) -> dict[str, Any]:
 # ---- what the table says ----
 
 
-def _find(rows: Sequence[Row], part: str, method: str, per_taxel: int, triangles: int | None = None) -> Row | None:
-    """Return the row of a method on the whole part; on its own mesh, or on the one nearest to so many triangles."""
-    of_part = [row for row in rows if (row["part"], row["pokes_per_taxel"]) == (part, per_taxel)]
-    taxels = max(row["taxels"] for row in of_part)
-    found = [row for row in of_part if row["taxels"] == taxels and row["method"] == method]
-    if triangles is None:
-        return found[0] if found else None
-    return min(found, key=lambda row: abs(row["triangles"] - triangles))
-
-
 def ratios_of(rows: Sequence[Row], part: str, per_taxel: int) -> dict[str, float]:
-    """Return the ratios of median times on the large part's own mesh, and the growth with its triangles."""
-
-    def ms(method: str, triangles: int | None = None, key: str = "time_ms") -> float | None:
-        row = _find(rows, part, method, per_taxel, triangles)
-        return None if row is None else row[key]["median"]
-
-    ours, free, coarse = ms("surface"), ms("free"), ms("surface", 1_000)
+    """Return the ratios of median times on the whole large part's own mesh, and the growth with its triangles."""
+    whole = [row for row in rows if (row["part"], row["pokes_per_taxel"]) == (part, per_taxel)]
+    taxels = max(row["taxels"] for row in whole)
+    # Its own mesh comes first.
+    own = {row["method"]: row for row in reversed(whole) if row["taxels"] == taxels}
+    ms = {name: row["time_ms"]["median"] for name, row in own.items()}
+    sizes = [row for row in whole if (row["taxels"], row["method"]) == (taxels, "surface")]
+    coarse = min(sizes, key=lambda row: abs(row["triangles"] - 1_000))["time_ms"]["median"]
     # A re-solve begins from what a session keeps of its contacts.
-    again = ms("surface", key="from_session_ms")
-    pairs = {f"{name}_over_surface": (ms(name), again) for name in (*SEARCHES, "slsqp", "quadprog")}
-    pairs |= {f"{name}_over_free": (ms(name), free) for name in ("lstsq", "normal")}
-    pairs["brute_over_surface_from_contacts"] = (ms("brute"), ours)
-    pairs["per_taxel_100k_over_1k"] = (ours, coarse)
-    return {name: top / bottom for name, (top, bottom) in pairs.items() if top is not None and bottom is not None}
+    again = own["surface"]["from_session_ms"]["median"]
+    ratios = {f"{name}_over_surface": ms[name] / again for name in (*SEARCHES, "slsqp", "quadprog") if name in ms}
+    ratios |= {f"{name}_over_free": ms[name] / ms["free"] for name in ("lstsq", "normal")}
+    ratios["brute_over_surface_from_contacts"] = ms["brute"] / ms["surface"]
+    return {**ratios, "per_taxel_100k_over_1k": ms["surface"] / coarse}
 
 
 def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -629,22 +607,13 @@ def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: 
 
 
 def growth_of(rows: Sequence[Row], per_taxel: int) -> dict[str, list[dict[str, Any]]]:
-    """Return what a taxel costs against triangles, taxels and pokes, the other two held."""
-    whole: dict[str, int] = {}
-    own: dict[str, int] = {}
+    """Return what a taxel costs against triangles, taxels and pokes, the other two held as on the part's first row."""
+    first = {row["part"]: {**row, "pokes_per_taxel": per_taxel} for row in reversed(rows)}
+    growth: dict[str, list[dict[str, Any]]] = {name: [] for name in ("triangles", "taxels", "pokes_per_taxel")}
     for row in rows:
-        whole[row["part"]] = max(row["taxels"], whole.get(row["part"], 0))
-        own.setdefault(row["part"], row["triangles"])
-    growth: dict[str, list[dict[str, Any]]] = {"triangles": [], "taxels": [], "pokes_per_taxel": []}
-    for row in rows:
-        held = {
-            "triangles": row["triangles"] == own[row["part"]],
-            "taxels": row["taxels"] == whole[row["part"]],
-            "pokes_per_taxel": row["pokes_per_taxel"] == per_taxel,
-        }
         cost = {key: row["time_ms"][key] * 1e3 / row["taxels"] for key in ("median", "q1", "q3")}
         for name, points in growth.items():
-            if all(is_held for other, is_held in held.items() if other != name):
+            if all(row[other] == first[row["part"]][other] for other in growth if other != name):
                 points.append({"part": row["part"], "method": row["method"], name: row[name], "us_per_taxel": cost})
     return {name: sorted(points, key=lambda point: point[name]) for name, points in growth.items()}
 
@@ -663,24 +632,18 @@ def _in_words(row: Row) -> str:
 def summary(result: dict[str, Any]) -> list[str]:
     """Return the two cells on which everything is measured, the bars, and what was left out."""
     lines: list[str] = []
-    last: tuple[Any, ...] | None = None
-    for row in main_rows(result):
-        size = (row["part"], *_size(row))
-        if size != last:
-            lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))
-            last = size
-        error = "" if row["error_mm"] is None else f"{row['error_mm']['median']:6.2f} mm"
-        part = "  extrapolated" if row["extrapolated_from"] else ""
-        lines.append(f"  {row['label']:52s}{time_words(row['time_ms']['median']):>10s} {error}{part}")
+    for size, rows in groupby(main_rows(result), key=lambda row: (row["part"], *_size(row))):
+        lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))
+        for row in rows:
+            error = "" if row["error_mm"] is None else f"{row['error_mm']['median']:6.2f} mm"
+            part = "  extrapolated" if row["extrapolated_from"] else ""
+            lines.append(f"  {row['label']:52s}{time_words(row['time_ms']['median']):>10s} {error}{part}")
     return [*lines, *bar_lines(result["bars"], digits=4), AS_SHIPPED, *result["left_out"]]
 
 
 def main_rows(result: dict[str, Any]) -> list[Row]:
     """Return the rows of the cells on which everything is measured: those of the lstsq rows' size, one a part."""
-    sizes: dict[str, tuple[Any, ...]] = {}
-    for row in result["table"]:
-        if row["method"] == "lstsq":
-            sizes.setdefault(row["part"], _size(row))
+    sizes = {row["part"]: _size(row) for row in reversed(result["table"]) if row["method"] == "lstsq"}
     return [row for row in result["table"] if _size(row) == sizes.get(row["part"])]
 
 
