@@ -18,9 +18,8 @@ solved beside it, and arrays of one component each are what numpy goes through f
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from importlib import import_module, util
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,17 +39,13 @@ AT_ONCE = 1 << 11
 """Triangles solved at once: their intermediate numbers, 1 MB, stay in a core's cache. Measured: 1,000 and 16,000 are slower."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Systems:
-    """For each of t taxels |root p - offset|^2, and from where it is pushed."""
+class Systems(NamedTuple):
+    """For each of t taxels |root p - offset|^2, roots (t, 3, 3) and offsets (t, 3), and from where it is pushed, (t, 3)."""
 
     channels: list[int]
     roots: FloatArray
-    """(t, 3, 3) float."""
     offsets: FloatArray
-    """(t, 3) float."""
     pushes: FloatArray
-    """(t, 3) float."""
 
 
 def systems(contacts: Sequence[Contact], channels: Iterable[int], noise: NoiseSettings) -> Systems:
@@ -113,16 +108,15 @@ def _point(surface: Surface, root: FloatArray, offset: FloatArray, triangle: int
     return shares[0] @ corners
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Problems:
-    """Triangles as quadratic programmes of two shares x: minimise x'G x/2 + g'x, x >= 0, x_1 + x_2 <= 1; in mm^2."""
+class Problems(NamedTuple):
+    """Triangles as quadratic programmes of two shares x: minimise x'G x/2 + g'x, x >= 0, x_1 + x_2 <= 1; in mm^2.
+
+    `grams` (n, 2, 2) are G, `slopes` (n, 2) g; `corners` (n, 3, 3), metres, those of the triangles themselves.
+    """
 
     grams: FloatArray
-    """(n, 2, 2) float: G."""
     slopes: FloatArray
-    """(n, 2) float: g."""
     corners: FloatArray
-    """(n, 3, 3) float, metres: of the triangles themselves."""
 
     def points(self, shares: FloatArray) -> FloatArray:
         """Return the points (n, 3) of `shares` (n, 2), metres."""
@@ -174,17 +168,16 @@ def by_slsqp(some: Problems) -> FloatArray:
     return np.array(solved).reshape(-1, 2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stacked:
-    """The paper's system (5) of each of t taxels, three rows an answer, one taxel after another."""
+class Stacked(NamedTuple):
+    """The paper's system (5) of each of t taxels, three rows an answer, one taxel after another.
+
+    `a` (3n, 3) is k S(u), `b` (3n,) is -k m/|f|; taxel i has the rows starts[i] to starts[i + 1] of `starts` (t + 1,).
+    """
 
     channels: list[int]
     a: FloatArray
-    """(3n, 3) float: k S(u)."""
     b: FloatArray
-    """(3n,) float: -k m/|f|."""
     starts: IntArray
-    """(t + 1,): taxel i has the rows starts[i] to starts[i + 1]."""
 
 
 def stacked(contacts: Sequence[Contact], channels: Iterable[int]) -> Stacked:

@@ -134,23 +134,17 @@ def find_truth(case: Case, draws: int, rng: np.random.Generator) -> Truth:
     """Return the exact answer of a case and its largest change over `draws` draws of the inputs' last digits."""
     if isinstance(case, ModuleCase):
         return _module_truth(case, draws, rng)
-    equations = normal_equations(case.readings)
+    readings, equations = case.readings, normal_equations(case.readings)
     if case.mesh is not None:
-        answer, change = _on_mesh(case.readings, case.mesh, equations, draws, rng)
+        answer, change = _on_mesh(readings, case.mesh, equations, draws, rng)
         return Truth(answer[None], (change,))
-    others = (normal_equations(case.readings.moved(rng)) for _ in range(0 if case.many else draws))
-    if case.blind:
-        answer, blind = solve_blind(equations)
-        drawn = [solve_blind(other) for other in others]
-        change, turn = max(distance(answer, p) for p, _ in drawn), max(between(blind, turned) for _, turned in drawn)
-        return Truth(answer[None], (change,), direction=blind, turn=turn)
-    answer = solve(equations)
-    change = (
-        _first_order(case.readings, equations, answer, draws, rng)
-        if case.many
-        else max(distance(answer, solve(other)) for other in others)
-    )
-    return Truth(answer[None], (change,))
+    if case.many:
+        answer = solve(equations)
+        return Truth(answer[None], (_first_order(readings, equations, answer, draws, rng),))
+    every = [equations, *(normal_equations(readings.moved(rng)) for _ in range(draws))]
+    (answer, direction), *drawn = [solve_blind(some) if case.blind else (solve(some), None) for some in every]
+    turn = max(between(direction, turned) for _, turned in drawn) if case.blind else 0.0
+    return Truth(answer[None], (max(distance(answer, p) for p, _ in drawn),), direction=direction, turn=turn)
 
 
 def normal_equations(readings: Readings) -> NormalEquations:

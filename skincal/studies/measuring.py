@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -28,7 +28,8 @@ def side_by_side(trees: Sequence[Any]) -> Any:
     """Return mappings and lists of one shape as one of them, which holds the list of all their numbers in place of each."""
     first = trees[0]
     if isinstance(first, dict):
-        return {key: side_by_side([tree[key] for tree in trees]) for key in first}
+        shape = cast("dict[Any, Any]", first)
+        return {name: side_by_side([tree[name] for tree in trees]) for name in shape}
     return [side_by_side(some) for some in zip(*trees, strict=True)] if isinstance(first, list) else list(trees)
 
 
