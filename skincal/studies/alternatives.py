@@ -5,7 +5,7 @@ taxel; and its normal equations, all taxels at once. For the surface method (II-
 triangles that face the pokes: every triangle by a closed form (brute force); only those that face the pokes, in numpy and
 compiled; only those of them that a bound on their balls does not rule out; and the paper's way, each triangle a constrained
 least squares, by quadprog and by scipy's SLSQP, only on the side that is pushed. All get the taxel's 3 x 3 factor, not its
-hundreds of rows, and none computes an uncertainty. Both favour the alternative.
+hundreds of rows, and none computes an uncertainty. Both favour the alternative. For the modules method: scipy's general solver.
 
 **The closed form** is the point of a triangle nearest to the origin. It holds for needles and for triangles without area, which
 a metric that does not see one direction makes of good ones. The interior point comes from an orthogonalised pair of edges,
@@ -18,6 +18,8 @@ solved beside it, and arrays of one component each are what numpy goes through f
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module, util
 from typing import Any, NamedTuple
 
@@ -29,6 +31,8 @@ from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
 from skincal.mesh.search import GRAZING, nearest_to_rows
 from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
+from skincal.modules.pose import ModuleModel, ModulePoses, Pads
+from skincal.modules.pose_fit import Touches, find_touches
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.solve import solve
 
@@ -218,6 +222,39 @@ def by_normal_equations(rows: Stacked) -> FloatArray:
     sure = np.abs(np.linalg.det(normal)) > 0
     positions[sure] = np.linalg.solve(normal[sure], right[sure][:, :, None])[:, :, 0]
     return positions
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleProblem:
+    """One module to be placed, from what the program begins with."""
+
+    model: ModuleModel
+    module: int
+    table: ContactTable
+    start: ModulePoses
+    noise: NoiseSettings
+
+    @cached_property
+    def touches(self) -> Touches:
+        """Its pokes."""
+        evidence = self.table.evidence(self.model.channels_of([self.module]))
+        return find_touches(evidence, self.table.totals(evidence.pokes), self.model, self.noise, [self.module])
+
+    def laid(self, pose: ModulePoses) -> Pads:
+        """Return where its pads lie at one pose."""
+        flat = self.model.pads[self.module]
+        return self.model.ground.laid(pose.take(np.zeros(len(flat), dtype=np.int64)), flat)
+
+    def by_least_squares(self, misses: Callable[[Pads], FloatArray], **settings: float) -> FloatArray:
+        """Return the pads (k, 3), metres, of least `misses`, by scipy's Levenberg-Marquardt with its differenced Jacobian."""
+        optimize: Any = import_module("scipy.optimize")
+
+        def reached(move: FloatArray) -> Pads:
+            return self.laid(self.model.ground.moved(self.start, move[None]))
+
+        zero = np.zeros(self.model.ground.unknowns)
+        found = optimize.least_squares(lambda move: misses(reached(move)).ravel(), zero, method="lm", **settings)
+        return reached(np.asarray(found.x, dtype=np.float64)).points
 
 
 # ---- the closed form ----

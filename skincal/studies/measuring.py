@@ -14,9 +14,13 @@ import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar, cast
 
 import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.session.session import Session
 
 
 def finite(number: float) -> float | None:
@@ -108,6 +112,16 @@ def timed(works: Iterable[Callable[[], Result]], budget_s: float = float("inf"))
             results.append(work())
             seconds.append(clock() - start)
     return seconds, results
+
+
+def poke_seconds(session: Session, contacts: Iterable[Contact]) -> list[float]:
+    """Return the seconds that each contact takes: taken in by the session, solved, shown."""
+
+    def poke(contact: Contact) -> None:
+        session.add(contact)
+        session.snapshot()
+
+    return timed([partial(poke, contact) for contact in contacts])[0]
 
 
 def time_words(ms: float) -> str:

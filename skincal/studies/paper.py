@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import accumulate
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -28,7 +29,7 @@ from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.figures import draw_paper
-from skincal.studies.measuring import at_rest, bar_lines, bars_of, clock, finite, processes, side_by_side
+from skincal.studies.measuring import bar_lines, bars_of, finite, poke_seconds, processes, side_by_side
 from skincal.taxels.result import Method
 
 Measured: TypeAlias = dict[str, Any]
@@ -297,15 +298,10 @@ def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> Me
 
 def _seconds(contacts: Sequence[Contact], methods: Sequence[Method], steps: Sequence[int]) -> list[float]:
     """Return the processor time, s, until each step of a session that solves each contact as it comes."""
-    session, total, at = Session(bench().scene, bench().surface, methods), 0.0, dict[int, float]()
-    with at_rest():
-        for count, contact in enumerate(contacts, start=1):
-            start = clock()
-            session.add(replace(contact, poke=count))
-            session.snapshot()
-            total += clock() - start
-            at[count] = total
-    return [at.get(step, float("nan")) for step in steps]
+    session = Session(bench().scene, bench().surface, methods)
+    numbered = [replace(contact, poke=count) for count, contact in enumerate(contacts, start=1)]
+    until = list(accumulate(poke_seconds(session, numbered)))
+    return [until[step - 1] if step <= len(until) else float("nan") for step in steps]
 
 
 def run_safety(seed: int, pokes: int = 84) -> dict[str, float]:

@@ -20,7 +20,6 @@ import tracemalloc
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from importlib.metadata import version
 from itertools import chain, groupby
 from typing import Any, TypeAlias
@@ -32,15 +31,14 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import build_tree
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels
-from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import ModuleModel, ModulePoses, Pads
-from skincal.modules.pose_fit import Touches, find_touches, start_of, whitened
+from skincal.modules.pose import ModuleModel
+from skincal.modules.pose_fit import start_of, whitened
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.studies import alternatives
-from skincal.studies.alternatives import Problems, problems
+from skincal.studies.alternatives import ModuleProblem, Problems, problems
 from skincal.studies.figures import LOOKS, Figure, draw_runtime
-from skincal.studies.measuring import CLOCK, bar_lines, bars_of, quartiles, time_words, timed
+from skincal.studies.measuring import CLOCK, bar_lines, bars_of, poke_seconds, quartiles, time_words, timed
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
@@ -59,7 +57,7 @@ WHOLE = 100_000
 """Pairs of taxel and triangle. Where there are no more, all may be solved; else a sample of them."""
 SPREAD_OVER = 24
 """Taxels over which a sample of triangles is spread, and whose answers are compared."""
-GENERAL: dict[str, Any] = {"method": "lm", "xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
+GENERAL = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
 """Unknowns are metres: it stops where a step is a hundredth of a micrometre of a pose some centimetres away."""
 TOUCHED = 7
 """Taxels that a timed poke touches: what a tip of 4 mm between pads 5 mm apart reaches at most."""
@@ -446,7 +444,8 @@ def _modules(cell: Cell) -> Iterator[Row]:
     (front,), (start,) = timed([lambda: _begin(cell, model)])
 
     def solve(module: int) -> None:
-        found.update(_solved(*start[module], model, module, noise))
+        places = start[module].by_least_squares(lambda pads: whitened(start[module].touches, pads, noise).misses, **GENERAL)
+        found.update(zip(model.channels_of([module]), places, strict=True))
 
     pieces = [(partial(solve, module), 1) for module in np.random.default_rng(3).permutation(list(start)).tolist()]
     general = cell.sampled("modules-general", row, pieces, (len(start), "modules", front))
@@ -461,32 +460,13 @@ def _modules(cell: Cell) -> Iterator[Row]:
     yield general(found, ours(doubting=False), ours(doubting=True))
 
 
-def _begin(cell: Cell, model: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
-    """Solve by the surface method, and return the pokes and the start of each module that can be solved."""
+def _begin(cell: Cell, model: ModuleModel) -> dict[int, ModuleProblem]:
+    """Solve by the surface method, and return pokes and start of each module that can be solved."""
     table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
     others = [estimate_from(table, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
-    found: dict[int, tuple[Touches, ModulePoses]] = {}
-    for module in model.modules_of(cell.channels):
-        evidence, pose = table.evidence(model.channels_of([module])), start_of(model, module, others)
-        touches = find_touches(evidence, table.totals(evidence.pokes), model, noise, [module])
-        if pose is not None and len(touches.of) > 1:
-            found[module] = touches, pose
-    return found
-
-
-def _solved(touches: Touches, start: ModulePoses, model: ModuleModel, module: int, noise: NoiseSettings) -> Positions:
-    """Return where a general solver puts a module's pads."""
-    flat, of = model.pads[module], np.zeros(len(model.pads[module]), dtype=np.int64)
-
-    def laid(move: FloatArray) -> Pads:
-        return model.ground.laid(model.ground.moved(start, move[None]).take(of), flat)
-
-    def misses(move: FloatArray) -> FloatArray:
-        return whitened(touches, laid(move), noise).misses.ravel()
-
-    optimize: Any = import_module("scipy.optimize")
-    move: FloatArray = optimize.least_squares(misses, np.zeros(model.ground.unknowns), **GENERAL).x
-    return dict(zip(model.channels_of([module]), laid(move).points, strict=True))
+    starts = {module: start_of(model, module, others) for module in model.modules_of(cell.channels)}
+    begun = [ModuleProblem(model, module, table, start, noise) for module, start in starts.items() if start is not None]
+    return {problem.module: problem for problem in begun if len(problem.touches.of) > 1}
 
 
 # ---- what the window waits for ----
@@ -522,12 +502,7 @@ def _poke_seconds(bench: Bench, per_taxel: int, pokes: int, methods: Collection[
     session = solved_session(bench, bench.contacts(per_taxel, seed=1), methods)
     others = bench.contacts(-(-2 * pokes // len(bench.channels)), seed=2)[: 2 * pokes]
     fresh = [replace(touching(bench, contact), poke=session.last_poke + 1 + i) for i, contact in enumerate(others)]
-
-    def poke(contact: Contact) -> None:
-        session.add(contact)
-        session.snapshot()
-
-    return timed([partial(poke, contact) for contact in fresh])[0][pokes:]
+    return poke_seconds(session, fresh)[pokes:]
 
 
 def touching(bench: Bench, contact: Contact) -> Contact:

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib import import_module
 from itertools import chain, count
 from typing import Any, TypeAlias
 
@@ -29,9 +28,10 @@ from skincal.mesh.surface import Surface, heights, make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Anchor, Layout, Module
 from skincal.modules.estimate import estimate_modules
-from skincal.modules.pose import ModuleModel, ModulePoses, Pads
-from skincal.modules.pose_fit import Touches, bends_of, find_touches, fit_modules, whitened
+from skincal.modules.pose import ModuleModel, Pads
+from skincal.modules.pose_fit import bends_of, fit_modules, whitened
 from skincal.studies import exact
+from skincal.studies.alternatives import ModuleProblem
 from skincal.studies.exact import NO_NUMBER, Truth, distance, distance_to
 from skincal.studies.figures import draw_stability
 from skincal.studies.measuring import processes
@@ -305,25 +305,6 @@ ALTERNATIVES: dict[str, Way] = {
 # ---- modules ----
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleProblem:
-    """A case as the program has it."""
-
-    model: ModuleModel
-    table: ContactTable
-    touches: Touches
-    start: ModulePoses
-    noise: NoiseSettings
-
-    def laid(self, pose: ModulePoses) -> Pads:
-        """Return where the pads of the module at one pose lie."""
-        return self.model.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.model.pads[0])
-
-    def reached(self, move: FloatArray) -> Pads:
-        """Return where the pads lie after a step from the start."""
-        return self.laid(self.model.ground.moved(self.start, move[None]))
-
-
 def problem_of(case: Case, order: IntArray, surface: Surface | None) -> ModuleProblem:
     """Return pokes as the program gets them, the module's start as its plan."""
     assert isinstance(case, ModuleCase)
@@ -331,13 +312,10 @@ def problem_of(case: Case, order: IntArray, surface: Surface | None) -> ModulePr
     anchor = Anchor(np.zeros(2), at.points[0], at.x[0], at.normals[0])
     layout = Layout((Module(0, KIND, 0, np.zeros(2), 0.0, case.module.mirror),), PADS + 1)
     model = ModuleModel(layout, anchor, surface)
-    table = ContactTable(_contacts(case, order))
-    evidence = table.evidence(model.channels_of([0]))
-    touches = find_touches(evidence, table.totals(evidence.pokes), model, case.noise, [0])
     start = model.plan(0)
     if start is None:
         raise ValueError(f"{case.name}: the search begins off the mesh")
-    return ModuleProblem(model, table, touches, start, case.noise)
+    return ModuleProblem(model, 0, ContactTable(_contacts(case, order)), start, case.noise)
 
 
 def shipped_module(case: Case, order: IntArray, surface: Surface | None) -> Found:
@@ -383,15 +361,11 @@ def modules_by_differences(case: Case, order: IntArray, surface: Surface | None)
     rows = whitened(problem.touches, _fitted(problem), problem.noise)
     at, pairs = problem.touches.rows, problem.touches.evidence.pairs[problem.touches.rows]
 
-    def misses(move: FloatArray) -> FloatArray:
-        places = problem.touches.middles(problem.reached(move))[0]
-        off = np.sum(pairs * (problem.touches.evidence.nearest[at] - places)[:, None], axis=2)
-        return np.sum(rows.whiten * off[:, None], axis=2).ravel()
+    def misses(pads: Pads) -> FloatArray:
+        off = np.sum(pairs * (problem.touches.evidence.nearest[at] - problem.touches.middles(pads)[0])[:, None], axis=2)
+        return np.sum(rows.whiten * off[:, None], axis=2)
 
-    optimize: Any = import_module("scipy.optimize")
-    zero = np.zeros(problem.model.ground.unknowns)
-    found = optimize.least_squares(misses, zero, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    return problem.reached(np.asarray(found.x, dtype=np.float64)).points
+    return problem.by_least_squares(misses, xtol=1e-15, ftol=1e-15, gtol=1e-15)
 
 
 MODULE_ALTERNATIVES: dict[str, Way] = {
