@@ -252,8 +252,10 @@ class ModuleProblem:
         def reached(move: FloatArray) -> Pads:
             return self.laid(self.model.ground.moved(self.start, move[None]))
 
-        zero = np.zeros(self.model.ground.unknowns)
-        found = optimize.least_squares(lambda move: misses(reached(move)).ravel(), zero, method="lm", **settings)
+        def off(move: FloatArray) -> FloatArray:
+            return misses(reached(move)).ravel()
+
+        found = optimize.least_squares(off, np.zeros(self.model.ground.unknowns), method="lm", **settings)
         return reached(np.asarray(found.x, dtype=np.float64)).points
 
 
