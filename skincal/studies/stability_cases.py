@@ -56,7 +56,7 @@ class Readings:
         """Return the readings with every number moved by one unit in its last place, up or down."""
         answers = None
         if self.responses.ndim == 1:
-            # A taxel that is the strongest itself stays so.
+            # The strongest first: it may be the taxel itself, which then has that one number.
             own, top = self.beside == 0, moved(self.strongest, rng)
             answers = np.where(own, top, moved(self.responses, rng)), np.where(own, 0.0, top)
         poses = self.poses.copy()
