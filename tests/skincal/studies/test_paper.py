@@ -10,7 +10,7 @@ import pytest
 from skincal.simulate.courses import TABLE_I
 from skincal.studies import paper
 from skincal.studies.figures import write_figure
-from skincal.studies.paper import QUICK, ErrorSpread, run_course, run_good, run_trial
+from skincal.studies.paper import QUICK, run_course, run_good, run_trial, spread
 
 TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84))
 
@@ -65,26 +65,25 @@ def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
 
 def test_a_course_is_the_same_again_but_for_its_times():
     first, again = (run_course(1, timed, (28,), 0.1) for timed in (0, 28))
-    assert first.errors == again.errors
-    assert np.isnan(first.seconds["free"]).all()
-    assert again.seconds["free"][0] > 0
+    assert first["errors"] == again["errors"]
+    assert np.isnan(first["seconds"]["free"]).all()
+    assert again["seconds"]["free"][0] > 0
 
 
 def test_a_trial_is_the_same_again_and_another_seed_is_another_rig():
     first, again, other = run_trial(1, 0.1), run_trial(1, 0.1), run_trial(2, 0.1)
-    assert first.pooled == again.pooled
-    assert first.pooled != other.pooled
-    assert first.pokes == sum(round(0.1 * minutes * 24) for minutes in TABLE_I.values())
+    assert first["pooled"] == again["pooled"]
+    assert first["pooled"] != other["pooled"]
+    assert first["pokes"] == sum(round(0.1 * minutes * 24) for minutes in TABLE_I.values())
 
 
 def test_more_pokes_of_a_good_rig_tell_more():
     good = run_good(3, (42, 252))
-    assert all(good.course[252][method].mean < good.course[42][method].mean for method in ("surface", "modules"))
+    assert all(good["course"][252][method]["mean"] < good["course"][42][method]["mean"] for method in ("surface", "modules"))
 
 
 def test_errors_are_summed_up_in_millimetres():
-    said = ErrorSpread.of(np.array([0.001, 0.003, np.nan]))
-    assert (said.mean, said.sd, said.largest, said.missing) == pytest.approx((2.0, 1.0, 3.0, 1))
+    assert spread(np.array([0.001, 0.003, np.nan])) == pytest.approx({"mean": 2.0, "sd": 1.0, "largest": 3.0, "missing": 1})
 
 
 def test_the_figure_is_drawn(tmp_path):

@@ -13,11 +13,11 @@ from skincal.mesh.surface import make_surface
 from skincal.model.actions import Exclude, Restore, Undo
 from skincal.session.session import Session
 from skincal.studies import exact, stability
-from skincal.studies.stability import ALTERNATIVES, FoundTaxel, judge, shipped
+from skincal.studies.stability import ALTERNATIVES, Found, judge, shipped_taxel
 from skincal.studies.stability_cases import (
     Case,
     CaseSizes,
-    TaxelReadings,
+    Readings,
     all_cases,
     all_module_cases,
     arm_poses,
@@ -41,7 +41,7 @@ def digits():
         yield
 
 
-def rows_of_the_paper(readings: TaxelReadings):
+def rows_of_the_paper(readings: Readings):
     """(5) with K and (6) row by row in mpmath: A (3n, 3) and b (3n)."""
     mp = mpmath.mpf
     rows, right = [], []
@@ -151,8 +151,9 @@ def test_triangles_left_out_of_the_draws_are_the_best_in_none():
     for _ in range(draws):
         corners = moved(case.mesh.vertices, rng)[case.mesh.triangles[facing]]
         other = exact.best(exact.normal_equations(case.readings.moved(rng)), exact.exactly(corners))
-        change = max(change, exact.distance(truth.answer, other))
-    assert truth.change == change > 0
+        change = max(change, exact.distance(truth.points[0], other))
+    assert truth.changes == (change,)
+    assert change > 0
 
 
 def test_a_draw_moves_every_number_by_one_unit_in_its_last_place():
@@ -174,8 +175,8 @@ def test_the_derivative_moves_the_answer_as_the_draws_in_80_digits_do():
     case = Case("some", readings, many=True)
     fast = exact.find_truth(case, 300, rng)
     draws = (replace(readings, forces=moved(readings.forces, rng), moments=moved(readings.moments, rng)) for _ in range(300))
-    slow = max(exact.distance(fast.answer, exact.solve(exact.normal_equations(one))) for one in draws)
-    assert fast.change == pytest.approx(slow, rel=0.25)
+    slow = max(exact.distance(fast.points[0], exact.solve(exact.normal_equations(one))) for one in draws)
+    assert fast.changes[0] == pytest.approx(slow, rel=0.25)
 
 
 def truth_of(name, draws=8):
@@ -200,21 +201,13 @@ SOME = [
 
 @pytest.mark.parametrize("name", SOME)
 def test_the_shipped_solvers_hold(name):
-    for record in judge(CASES[name], truth_of(name), shipped):
+    for record in judge(CASES[name], truth_of(name)):
         assert record["holds"], record
 
 
-def unsorted(contacts, _surface):
+def unsorted(case, order, _surface):
     """Solve by QR of the rows as they come."""
-    readings = TaxelReadings(
-        forces=np.array([one.force for one in contacts]),
-        moments=np.array([one.moment for one in contacts]),
-        responses=np.array([one.responses[0] for one in contacts]),
-        strongest=np.array([one.responses[-1] for one in contacts]),
-        poses=np.array([one.link_from_sensor for one in contacts]),
-        pose_of=np.arange(len(contacts)),
-    )
-    return FoundTaxel(stability.by_qr(*stability.two_rows(readings))[0])
+    return Found(stability.by_qr(*stability.two_rows(case.readings.ordered(order)))[0][None])
 
 
 def test_unsorted_qr_is_caught_on_stiff_weights():
@@ -237,14 +230,14 @@ def test_a_third_row_lets_a_heavy_torque_leak_even_sorted_and_pivoted():
     truth = truth_of(name)
     shares = {one["method"]: one["error_over_bound"] for one in stability.compare(CASES[name], truth)}
     assert shares["sorted and pivoted QR, three rows a contact"] > 100
-    assert judge(CASES[name], truth, shipped)[0]["holds"]
+    assert judge(CASES[name], truth)[0]["holds"]
 
 
 def test_a_solver_that_follows_the_order_of_the_contacts_is_caught():
     name = "a bent sheet, inside a triangle"
 
-    def by_order(contacts, surface):
-        return FoundTaxel(shipped(contacts, surface).point + 1e-17 * contacts[0].poke)
+    def by_order(case, order, surface):
+        return Found(shipped_taxel(case, order, surface).points + 1e-17 * order[0])
 
     (record,) = judge(CASES[name], truth_of(name), by_order)
     assert record["error"] <= record["bound"]
@@ -255,8 +248,8 @@ def test_a_solver_that_follows_the_order_of_the_contacts_is_caught():
 def test_a_solver_that_reports_no_blind_direction_is_caught():
     name = "one axis, read many times"
 
-    def sure(contacts, surface):
-        return FoundTaxel(shipped(contacts, surface).point)
+    def sure(case, order, surface):
+        return Found(shipped_taxel(case, order, surface).points)
 
     position, direction = judge(CASES[name], truth_of(name), sure)
     assert position["holds"]
@@ -265,7 +258,7 @@ def test_a_solver_that_reports_no_blind_direction_is_caught():
 
 def test_a_solver_without_a_number_is_caught():
     name = "two axes that cross"
-    (record,) = judge(CASES[name], truth_of(name), lambda *_: FoundTaxel(np.full(3, np.nan)))
+    (record,) = judge(CASES[name], truth_of(name), lambda *_: Found(np.full((1, 3), np.nan)))
     assert record["error"] == exact.NO_NUMBER
     assert not record["holds"]
 
