@@ -119,7 +119,7 @@ def _read(path: Path) -> tuple[str, dict[int, FloatArray]]:
     if path.suffix.lower() != ".json":
         from skincal.files.icub import read_icub
 
-        return "", {channel: place for channel, place in enumerate(read_icub(path).positions) if np.any(place != 0.0)}
+        return "", {channel: place for channel, place in enumerate(read_icub(path)[:, :3]) if np.any(place != 0.0)}
     try:
         document: Any = json.loads(path.read_text(encoding="utf-8"))
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
