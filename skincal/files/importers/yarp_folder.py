@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
-from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, agree, check_overlap, merged, scan
+from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, check_overlap, merged
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import (
@@ -132,7 +132,7 @@ def read_yarp(
     check_overlap(timelines)
     findings += _clock_findings(logs)
     # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
-    chunks = merged(agree(timelines), [log.lines for log in logs], (Stream.JOINTS.value,))
+    chunks = merged(timelines, [log.lines for log in logs], (Stream.JOINTS.value,))
     return tuple(log.link for log in logs), chunks, tuple(findings)
 
 
@@ -240,7 +240,7 @@ def _ends_open(path: Path) -> bool:
 def _read_through(log: _Log) -> tuple[RecordedTimes, _Contents]:
     """Read a log once: its timeline, and what it holds."""
     contents = _Contents()
-    timeline = scan(log.name, _stamps(log, contents))
+    timeline = RecordedTimes(log.name, _stamps(log, contents))
     if not timeline.lines:
         seen = f"has {plural(contents.unreadable, 'line')}, none of them of the form <number> <time> <values>"
         seen = seen if contents.unreadable else "is empty"
