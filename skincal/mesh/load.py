@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import solver_copy
-from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, heights, make_surface
+from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, heights, make_surface, near_pairs
 from skincal.model.errors import InputError
 from skincal.model.scene import UNITS, SurfaceSpec
 
@@ -314,8 +314,6 @@ SIDE_MIN = 0.1
 """Smallest |s| that separates inside from outside: chance reaches it on a rough flat sheet of 100 triangles."""
 FLAT_HEIGHT = 1e-6
 """m. A component whose heights are below this (rms) is flat: it is the distance at which vertices are one."""
-_SWEEP = np.array([0.4472135954999579, 0.5773502691896258, 0.6831300510639733])
-"""A unit direction along which no CAD grid lines up, so that few vertices fall together when projected on it."""
 _WALLS = 32
 """Largest components that are looked at as outer walls."""
 
@@ -445,7 +443,7 @@ def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArra
     vertices = vertices[used]
     same = _identical(vertices)
     keep = np.flatnonzero(same == np.arange(len(vertices)))
-    near = connected(len(keep), _near_pairs(vertices[keep]))
+    near = connected(len(keep), near_pairs(vertices[keep], MERGE_DISTANCE))
     index = np.empty(len(vertices), dtype=np.int64)
     index[keep] = keep[near]
     index = index[same]
@@ -464,26 +462,6 @@ def _identical(vertices: FloatArray) -> IntArray:
     # lexsort is stable, so the first of a run is the lowest index.
     first[order] = order[np.flatnonzero(new)][np.cumsum(new) - 1]
     return first
-
-
-def _near_pairs(vertices: FloatArray) -> IntArray:
-    """Return (m, 2): the pairs nearer than `MERGE_DISTANCE`, by a sweep along one direction; exact."""
-    along = vertices @ _SWEEP
-    order = np.argsort(along, kind="stable")
-    along = along[order]
-    pairs: list[IntArray] = []
-    here = np.arange(len(order))
-    step = 1
-    while True:
-        here = here[here + step < len(order)]
-        here = here[along[here + step] - along[here] <= MERGE_DISTANCE]
-        if here.size == 0:
-            break
-        a, b = order[here], order[here + step]
-        near = np.linalg.norm(vertices[a] - vertices[b], axis=1) <= MERGE_DISTANCE
-        pairs.append(np.stack([a[near], b[near]], axis=1))
-        step += 1
-    return np.concatenate(pairs) if pairs else np.empty((0, 2), dtype=np.int64)
 
 
 def duplicate_triangles(triangles: IntArray) -> NDArray[np.bool_]:
