@@ -28,8 +28,7 @@ from skincal.model.scene import Scene, load_scene, scene_file
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.link_reader import Reader
-    from skincal.streams.links import LinkSpec
+    from skincal.streams.links import LinkSpec, Reader
 
 
 SceneOption = Annotated[
@@ -160,7 +159,7 @@ def _recorded(
     pokes: int | None,
     items: Items,
 ) -> Pipeline:
-    from skincal.streams.link_reader import Reader
+    from skincal.streams.links import Reader
 
     pipeline = _new_pipeline(scene, into[0], links, into[1])
     readers = {link.name: Reader(link, items) for link in links}

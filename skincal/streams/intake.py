@@ -31,7 +31,7 @@ gives the same samples bit for bit.
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -255,7 +255,7 @@ class Stamper:
 
     def __init__(self) -> None:
         self._device = HullClock()
-        self._index: dict[Stream, IndexClock] = {}
+        self._index = defaultdict[Stream, IndexClock](IndexClock)
         self._last: dict[Stream, float] = {}
 
     def reopened(self) -> None:
@@ -279,17 +279,11 @@ class Stamper:
         last = self._last.get(stream, -math.inf)
         stamps: list[float] = []
         for x in device_s.tolist():
-            made_s = self._index_of(stream).map(arrival_s) if math.isnan(x) else self._device.map(x, arrival_s)
+            made_s = self._index[stream].map(arrival_s) if math.isnan(x) else self._device.map(x, arrival_s)
             last = made_s if made_s >= last + STEP_S else last + STEP_S
             stamps.append(last)
         self._last[stream] = last
         return np.array(stamps)
-
-    def _index_of(self, stream: Stream) -> IndexClock:
-        index = self._index.get(stream)
-        if index is None:
-            index = self._index[stream] = IndexClock()
-        return index
 
 
 WAIT_S = 0.25
@@ -529,12 +523,10 @@ class Pairing:
         among = self.ring.between(frame.host_s - frame.period_s + EDGE_S, frame.host_s + EDGE_S)
         wrench, readings = self.ring.mean(among)
         if not readings:
-            middle_s = frame.host_s - frame.period_s / 2
-            pair = self.ring.usable_around(middle_s, INTERPOLATE_S)
-            if pair is None or self.ring.gap(pair) >= INTERPOLATE_S:
+            between = self.ring.interpolate(frame.host_s - frame.period_s / 2, INTERPOLATE_S)
+            if between is None:
                 return None
-            wrench, readings = self.ring.interpolate(pair, middle_s), len(pair)
-            among = slice(pair[0], pair[1] + 1)
+            (wrench, among), readings = between, 2
         return Sample(frame.host_s, frame.values, wrench, readings, self.ring.flagged(among), self._angles_at(frame.host_s))
 
     def _angles_at(self, host_s: float) -> FloatArray | None:
@@ -621,26 +613,21 @@ class WrenchRing:
         """Say whether the device flagged a reading of a slice."""
         return bool(self._flagged[among].any())
 
-    def usable_around(self, host_s: float, within_s: float) -> tuple[int, int] | None:
-        """Return where the last usable reading before and the first at or after `host_s` lie; None if one is missing.
+    def interpolate(self, host_s: float, apart_s: float) -> tuple[FloatArray, slice] | None:
+        """Return the wrench on the straight line between the usable readings around `host_s`, and where these lie.
 
-        Parameters
-        ----------
-        within_s : s, how far to look on either side
+        None where one of them is missing, or where they are `apart_s` seconds apart or more.
         """
-        near = self.between(host_s - within_s, host_s + within_s)
+        near = self.between(host_s - apart_s, host_s + apart_s)
         usable = near.start + np.flatnonzero(self._usable[near])
         right = int(np.searchsorted(self._host_s[usable], host_s))
-        return None if right in (0, len(usable)) else (int(usable[right - 1]), int(usable[right]))
-
-    def interpolate(self, pair: tuple[int, int], host_s: float) -> FloatArray:
-        """Return the wrench at `host_s` on the straight line between two readings."""
-        (left_s, right_s), (left, right) = self._host_s[list(pair)], self._wrench[list(pair)]
-        return left + (right - left) * ((host_s - left_s) / (right_s - left_s))
-
-    def gap(self, pair: tuple[int, int]) -> float:
-        """Return the time between two readings, seconds."""
-        return float(self._host_s[pair[1]] - self._host_s[pair[0]])
+        if right in (0, len(usable)):
+            return None
+        pair = usable[right - 1 : right + 1]
+        (first_s, second_s), (first, second) = self._host_s[pair], self._wrench[pair]
+        if second_s - first_s >= apart_s:
+            return None
+        return first + (second - first) * ((host_s - first_s) / (second_s - first_s)), slice(int(pair[0]), int(pair[1]) + 1)
 
     def since(self, host_s: float) -> tuple[FloatArray, FloatArray]:
         """Return copies of the stamps (n,) and wrenches (n, 6) from `host_s` on, usable or not."""
