@@ -129,12 +129,7 @@ def _objections(
 
 
 def widest_gap(places: FloatArray) -> float:
-    """Return the longest step of the shortest tree that joins all places: the widest gap between two groups.
-
-    Parameters
-    ----------
-    places : (k, 2) float, metres, k >= 1
-    """
+    """Return the longest step of the shortest tree that joins all places (k, 2), metres: the widest gap between two groups."""
     # Prim's algorithm: the place nearest to the tree joins it, and brings its own distances.
     distance = np.linalg.norm(places[0] - places, axis=1)
     inside = np.zeros(len(places), dtype=bool)
@@ -151,11 +146,7 @@ def widest_gap(places: FloatArray) -> float:
 def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise: FloatArray, period_s: float) -> FinishedPress:
     """Sum up a press at its release.
 
-    Parameters
-    ----------
-    number : the poke's number
-    candidates : (c,) channels that are taxels
-    noise : (channels,) float, raw units, sd of each channel at rest
+    `candidates` are the (c,) channels that are taxels; `noise` is (channels,), raw units, the sd of each channel at rest.
     """
     best = press.best
     channels, responses = np.empty(0, dtype=np.int64), np.empty(0)

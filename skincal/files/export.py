@@ -271,12 +271,7 @@ ESTIMATE_KEYS = {
 
 
 def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> str:
-    """Return the JSON text of every method.
-
-    Parameters
-    ----------
-    mesh_findings : sentences on the mesh, from `skincal.mesh.load.load_surface`
-    """
+    """Return the JSON text of every method; `mesh_findings` are sentences on the mesh."""
     scene = calibration.scene
     layout = scene.skin.layout
     check = calibration.landmark_check

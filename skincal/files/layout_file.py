@@ -22,13 +22,7 @@ SAME = 1e-7
 
 
 def write_layout(given: Layout, mend: LayoutMend, path: Path) -> None:
-    """Write the corrected layout to a file; an older one there is kept with `.bak` after its name.
-
-    Parameters
-    ----------
-    given : as it was read from its file
-    mend : of this layout, with at least one change
-    path : another file than the one that was read
+    """Write the corrected layout to another file than was read; an older one there is kept with `.bak` after its name.
 
     Raises
     ------

@@ -54,11 +54,7 @@ class ErrorSummary:
 
 
 def read_reference(path: Path) -> dict[int, FloatArray]:
-    """Read known taxel places from a `truth.json` or an iCub position file.
-
-    Returns
-    -------
-    Channel to (3,) float, metres, link frame of the file.
+    """Read known taxel places, (3,) float in metres by channel, from a `truth.json` or an iCub position file.
 
     Raises
     ------
@@ -69,12 +65,7 @@ def read_reference(path: Path) -> dict[int, FloatArray]:
 
 
 def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> Reference:
-    """Read known taxel places and check that they are of this part.
-
-    Parameters
-    ----------
-    path : as for `read_reference`
-    link, channels : of the scene
+    """Read known taxel places and check that they are of the scene's `link` and `channels`.
 
     Raises
     ------
@@ -103,12 +94,9 @@ def find_truth(folder: Path, link: str, channels: Collection[int]) -> Reference 
 
 
 def plan_reference(name: str, places: FloatArray) -> Reference | None:
-    """Return a laid layout as a reference; None where it places no taxel.
+    """Return a scene's laid layout as a reference; None where it places no taxel.
 
-    Parameters
-    ----------
-    name : of the scene
-    places : (width, 3) float, metres, link frame; NaN where a channel is no taxel or has no place
+    `places` are (width, 3) float, metres, link frame; NaN where a channel is no taxel or has no place.
     """
     known = {int(channel): places[channel] for channel in np.flatnonzero(np.isfinite(places).all(axis=1))}
     return Reference(Origin.PLAN, name, known) if known else None

@@ -53,12 +53,7 @@ class AnsweringTaxels:
 
 
 def find_answering(places: FloatArray, spacing: float, noise: NoiseSettings, most: int = 6) -> AnsweringTaxels:
-    """Find the taxels around each of `places` (n, 3), metres.
-
-    Parameters
-    ----------
-    spacing : m, usual distance of neighbours
-    """
+    """Find the taxels around each of `places` (n, 3), metres; neighbours are usually `spacing` apart."""
     count = len(places)
     rows, weights = np.tile(np.arange(count)[:, None], (1, most + 1)), np.zeros((count, most + 1))
     weights[:, 0] = 1.0
@@ -150,9 +145,7 @@ def predicted(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> 
 def gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: float) -> FloatArray:
     """Return (m, d) by how much each push at the taxels `rows` (m,) lowers the sum of the predicted rms errors, metres.
 
-    Parameters
-    ----------
-    others : 0 to 1, how far the neighbours count beside the taxel itself
+    The neighbours count `others`, 0 to 1, beside the taxel itself.
     """
     touched, weights = state.neighbours.rows[rows], state.neighbours.weights[rows]
     before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
@@ -199,12 +192,7 @@ ASTRAY = 0.025
 
 
 class Cover:
-    """Places spread evenly over a surface, and which of them are still to be poked.
-
-    Parameters
-    ----------
-    surface : of the part
-    """
+    """Places spread evenly over a part's surface, and which of them are still to be poked."""
 
     def __init__(self, surface: Surface) -> None:
         self._surface = surface
@@ -247,12 +235,7 @@ class Cover:
         self._left_out[index] = True
 
     def next(self, hand: FloatArray | None) -> int | None:
-        """Return which place to poke; None where all are covered.
-
-        Parameters
-        ----------
-        hand : (3,) float, metres, where the last poke was
-        """
+        """Return which place to poke, the last poke having been at `hand` (3,), metres; None where all are covered."""
         waiting = (self._poked > SPACING) & ~self._left_out
         near = np.flatnonzero(waiting & (self._answered <= AROUND))
         if near.size:
@@ -269,13 +252,7 @@ class Cover:
 
 
 def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
-    """Return places spread over a surface, none nearer than `APART` of `spacing` to another, and their triangles.
-
-    Returns
-    -------
-    places : (n, 3) float, metres
-    triangles : (n,) int
-    """
+    """Return (n, 3) places over a surface, none nearer than `APART` of `spacing` to another, and their triangles (n,)."""
     corners = surface.corners
     longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
     # Pieces of at most half the spacing; what lies too near together is thinned out afterwards.

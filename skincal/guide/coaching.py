@@ -78,10 +78,7 @@ def smooth(before: Smoothed | None, progress: Progress) -> Smoothed | None:
 def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) -> Coaching | None:
     """Compare the poke in progress with its target; None while nothing presses hard enough.
 
-    Parameters
-    ----------
-    progress : with the taxels that answer
-    skin : (3,) float, metres: the target on the skin, which a believed place may lie above or below
+    `skin` is the target on the skin, (3,) metres, which a believed place may lie above or below.
     """
     size = float(np.sqrt(felt.force @ felt.force))
     if size < FELT:

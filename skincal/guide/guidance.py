@@ -70,12 +70,9 @@ class LandmarkRound:
         return targets
 
     def next(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> LandmarkTarget | None:
-        """Return the landmark to poke now; None where none is asked for.
+        """Return the landmark to poke now in an arm pose; None where none is asked for.
 
-        Parameters
-        ----------
-        poked : pose and landmark's name of each landmark poke that counts
-        pose : the arm pose that holds
+        `poked` holds the pose and the landmark's name of each landmark poke that counts.
         """
         every = list(poked)
         here = Counter(name for there, name in every if there == pose)
@@ -105,11 +102,7 @@ def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
     """Return by how much a rig's errors move what it measures, sd in each direction, metres; 0 where there are too few pokes.
 
     The median of how far landmark pokes pass their landmark, which a single poke at another point does not change, less the
-    parts of the sensor's noise and of the hand (`RigPrior.landmark`).
-
-    Parameters
-    ----------
-    pokes : as the corrections in use have them
+    parts of the sensor's noise and of the hand (`RigPrior.landmark`). The pokes are as the corrections in use have them.
     """
     if len(pokes) < A_POSE:
         return 0.0
@@ -152,9 +145,7 @@ def _apart(place: FloatArray, others: Sequence[FloatArray]) -> float:
 def was_there(outcome: Outcome, landmark: Landmark, places: Mapping[int, FloatArray]) -> bool:
     """Return whether a poke that a landmark was asked for may have been there: not where taxels farther away answered.
 
-    Parameters
-    ----------
-    places : (3,) float, metres, of taxels by their channel, as far as they are known
+    `places` holds (3,) float, metres, of taxels by their channel, as far as they are known.
     """
     if not isinstance(outcome, Contact):
         return True
@@ -237,12 +228,9 @@ class Guidance:
         return sum(not each for each in self.needs)
 
     def before_skin(self, asked: LandmarkTarget, normal: FloatArray, gain: Gain | None) -> Guidance:
-        """Return the guidance that asks for a landmark first.
+        """Return the guidance that asks for a landmark first, where the part's outward normal is `normal` (3,), unit.
 
-        Parameters
-        ----------
-        normal : (3,) float, unit, outward there
-        gain : of all landmarks that are asked for in this arm pose
+        `gain` is that of all landmarks that are asked for in this arm pose.
         """
         place = asked.landmark.place
         target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), asked.landmark.name)

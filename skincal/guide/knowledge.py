@@ -21,7 +21,6 @@ class Knowledge:
     Parameters
     ----------
     channels : (n,) ascending
-    noise : the rig's
     unknown : m, sd of a place of which nothing is known
     in_plane : whether only the place along the skin counts (surface method)
     """

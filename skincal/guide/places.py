@@ -58,9 +58,7 @@ def plan_from(layout: Layout, laid: LaidSkin) -> PlannedPlaces | None:
 def unplaced(channels: IntArray, modules: IntArray | None = None) -> PlannedPlaces:
     """Return a plan that puts none of `channels` (n,) anywhere: there is no layout, or it lies nowhere.
 
-    Parameters
-    ----------
-    modules : (n,) index of each channel's module; None without a layout
+    `modules` is (n,) the index of each channel's module; None without a layout.
     """
     nowhere = np.full((len(channels), 3), np.nan)
     return PlannedPlaces(
@@ -72,12 +70,8 @@ def believed(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.
     """Return (n, 3) the believed places, metres; NaN where neither plan nor estimate says anything.
 
     A rig's errors move all estimates nearly alike, as if the skin lay elsewhere. Where they are known to be large, what the
-    estimates are off in common is theirs rather than the skin's, and the tool is sent where the skin is.
-
-    Parameters
-    ----------
-    estimates : one a taxel, in the plan's order
-    rig : m, sd of what the rig moves all estimates by, each direction; 0 where nothing is known of it
+    estimates are off in common is theirs rather than the skin's, and the tool is sent where the skin is. Estimates stand in the
+    plan's order; `rig` is as in `Guide.update`.
     """
     measured, precision = _measured(estimates)
     off = np.where(np.isfinite(plan.places), measured - plan.places, np.nan)

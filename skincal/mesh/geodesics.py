@@ -49,12 +49,7 @@ class Footing:
 
 
 class Geodesics:
-    """A surface, ready to be walked on.
-
-    Parameters
-    ----------
-    surface : its triangles have an area
-    """
+    """A surface whose triangles have an area, ready to be walked on."""
 
     def __init__(self, surface: Surface) -> None:
         # Not the surface itself: what is kept for each must not hold it.
@@ -104,12 +99,9 @@ class Geodesics:
         return np.stack([_dot(own, e1[:, None]), _dot(own, e2[:, None])], axis=2)
 
     def walk(self, start: Footing, ways: FloatArray) -> Footing:
-        """Return where straight walks from each start end; x there is the start's x, carried along.
+        """Return where straight walks from each of n places end; x there is the start's x, carried along.
 
-        Parameters
-        ----------
-        start : n places
-        ways : (n, 2) float, metres: how far along the start's x, and along normal x x
+        `ways` are (n, 2) float, metres: how far along the start's x, and along normal x x.
         """
         at = start.triangles.copy()
         e1, e2 = (axes[at] for axes in self._frames)

@@ -55,17 +55,9 @@ _FACE_LISTS = ("vertex_indices", "vertex_index")
 
 
 def read_mesh(path: Path, data: bytes) -> Mesh:
-    """Read the vertices and triangles in a mesh file's bytes.
+    """Read vertices (nv, 3), in the file's unit, and triangles (nt, 3), indices in range, in a mesh file's bytes.
 
-    Parameters
-    ----------
-    path : the file's name; its suffix names the format
-    data : the file's content
-
-    Returns
-    -------
-    vertices : (nv, 3) float, the file's unit
-    triangles : (nt, 3) int, indices in range
+    The suffix of `path` names the format.
 
     Raises
     ------
@@ -89,16 +81,9 @@ def read_mesh(path: Path, data: bytes) -> Mesh:
 
 
 def fan(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
-    """Cut polygons into fans of triangles.
+    """Cut polygons into fans of triangles, (nt, 3) int, in their order.
 
-    Parameters
-    ----------
-    corners : the vertices of all polygons, one after the other
-    sizes : number of vertices of each polygon
-
-    Returns
-    -------
-    (nt, 3) int, in the order of the polygons
+    `corners` holds the vertices of all polygons, one after the other, `sizes` how many each of them has.
     """
     flat, size = np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)
     if size.min(initial=3) < 3:
@@ -432,10 +417,7 @@ def _drop(path: Path, vertices: FloatArray, triangles: IntArray) -> tuple[IntArr
 def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray, int]:
     """Make one vertex of those nearer than `MERGE_DISTANCE`; vertices no triangle uses go.
 
-    Returns
-    -------
-    vertices, triangles : in the order of the file
-    merged : number of vertices that became another
+    Returns vertices and triangles, in the order of the file, and how many vertices became another.
     """
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True
@@ -475,13 +457,7 @@ def duplicate_triangles(triangles: IntArray) -> NDArray[np.bool_]:
 
 
 def connected(count: int, pairs: IntArray) -> IntArray:
-    """Label what hangs together: (count,) each node's label is the lowest number of its component.
-
-    Parameters
-    ----------
-    count : number of nodes
-    pairs : (m, 2) nodes that hang together
-    """
+    """Label `count` nodes, of which `pairs` (m, 2) hang together: each has the lowest number of its component."""
     labels = np.arange(count)
     a, b = pairs[:, 0], pairs[:, 1]
     while True:

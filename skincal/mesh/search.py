@@ -89,12 +89,9 @@ def nearest_to_rows(
 
 
 def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Find for each of `points` (n, 3), metres, the surface's nearest point, exactly.
+    """Find for each of `points` (n, 3), metres, the surface's nearest point (n, 3), exactly, and its triangle (n,).
 
-    Returns
-    -------
-    nearest : (n, 3) float, metres
-    triangles : (n,) int; of equally near ones the lowest
+    Of equally near triangles it is the lowest.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     found = nearest_to_rows(surface, np.broadcast_to(np.eye(3), (len(points), 3, 3)), points, None)

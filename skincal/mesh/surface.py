@@ -170,16 +170,9 @@ def near_pairs(points: FloatArray, reach: float) -> IntArray:
 
 
 def entry_points(surface: Surface, point: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return every point where a line enters the surface, in the line's order.
+    """Return (k, 3) every point, metres, where a line enters the surface, in its order; none where it meets inner sides only.
 
-    Parameters
-    ----------
-    point : (3,) float, metres, on the line
-    direction : (3,) float, unit, the way the force pushes
-
-    Returns
-    -------
-    (k, 3) float, metres; empty where the line misses, or meets inner sides only
+    `point` (3,), metres, lies on the line; `direction` (3,), unit, is the way the force pushes.
     """
     across = _plane_across(direction)
     # Few triangles have an enclosing ball that the line meets.
@@ -209,16 +202,9 @@ def _area(p: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def contact_point(surface: Surface | None, point: FloatArray, direction: FloatArray, near: FloatArray) -> FloatArray:
-    """Return where a poke touches: the entry nearest to `near`, else the axis's own point nearest to it.
+    """Return (3,) where a poke touches, metres: the entry nearest to `near`, else the axis's own point nearest to it.
 
-    Parameters
-    ----------
-    point, direction : (3,) float, metres and unit: the force axis
-    near : (3,) float, metres: where the taxels are that answered, or the middle of the part
-
-    Returns
-    -------
-    (3,) float, metres
+    `point` and `direction` are the force axis; `near` is where the taxels are that answered, or the middle of the part.
     """
     entries = np.empty((0, 3)) if surface is None else entry_points(surface, point, direction)
     if len(entries):
@@ -232,15 +218,9 @@ def skin_point(surface: Surface | None, place: FloatArray, normal: FloatArray) -
 
 
 def seen_point(surface: Surface, place: FloatArray, direction: FloatArray) -> FloatArray | None:
-    """Return where a line of sight meets the outer side of a part, exactly; None where it misses, or sees an inner side first.
+    """Return (3,) where a line of sight meets a part's outer side, metres; None where it misses, or sees an inner side first.
 
-    Parameters
-    ----------
-    place, direction : (3,) float, metres and unit: where the eye is, and which way it looks
-
-    Returns
-    -------
-    (3,) float, metres
+    The eye is at `place` (3,) and looks along `direction` (3,), unit.
     """
     outer, inner = (_first(entry_points(surface, place, way), place, direction) for way in (direction, -direction))
     if outer is None or (inner is not None and (inner - place) @ direction < (outer - place) @ direction):

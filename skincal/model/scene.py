@@ -154,11 +154,7 @@ class Scene:
 
 
 def load_scene(path: Path) -> Scene:
-    """Read a scene file and the layout it names; the mesh is read elsewhere, which costs more.
-
-    Parameters
-    ----------
-    path : a `*.toml` file
+    """Read a scene's TOML file and the layout it names; the mesh is read elsewhere, which costs more.
 
     Raises
     ------

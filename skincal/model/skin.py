@@ -123,13 +123,9 @@ class Module:
 
 
 class Layout:
-    """The modules of a skin and what follows from their places.
+    """The modules of a skin, at least one, and what follows from their places; a skin frame has `width` channels.
 
-    Parameters
-    ----------
-    modules : at least one
-    width : channels of a skin frame
-    path, text : of the file it was read from; None and empty where it was made otherwise
+    `path` and `text` are those of the file it was read from; None and empty where it was made otherwise.
     """
 
     def __init__(self, modules: tuple[Module, ...], width: int, path: Path | None = None, text: str = "") -> None:
@@ -174,13 +170,10 @@ class Layout:
 
 
 def load_layout(path: Path, width: int) -> Layout:
-    """Read a `*.modules.toml` file.
+    """Read a `*.modules.toml` file for skin frames of `width` channels.
 
-    Parameters
-    ----------
-    path : file with an array of tables `[[modules]]`: `id`, `kind`, `first_channel`, `place_mm`, `angle_deg`, `mirror`,
-        optionally `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`, `centre_pad`
-    width : channels of a skin frame
+    It holds an array of tables `[[modules]]`: `id`, `kind`, `first_channel`, `place_mm`, `angle_deg`, `mirror`, optionally
+    `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`, `centre_pad`.
 
     Raises
     ------
@@ -191,18 +184,7 @@ def load_layout(path: Path, width: int) -> Layout:
 
 
 def read_layout(text: str, path: Path, width: int) -> Layout:
-    """Read the text of a `*.modules.toml` file.
-
-    Parameters
-    ----------
-    path : of the file, for the sentences about it
-    width : channels of a skin frame
-
-    Raises
-    ------
-    InputError
-        As for `load_layout`.
-    """
+    """Read the text of a `*.modules.toml` file; raises what `load_layout` raises, whose sentences name `path`."""
     document = Table(parse_toml(text, path), str(path))
     kinds, own = dict(KINDS), document.table("kinds")
     for name, table in own.each_table() if own is not None else ():

@@ -43,13 +43,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
 
 
 class Table:
-    """Gives out each value once; `done` refuses what was not asked for.
-
-    Parameters
-    ----------
-    values : the table's content
-    where : file and place of the table, with which every sentence begins
-    """
+    """Gives out each value once; `done` refuses what was not asked for. Sentences begin with `where`: file and place."""
 
     def __init__(self, values: dict[str, Any], where: str) -> None:
         self._values = dict(values)

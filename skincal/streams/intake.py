@@ -106,10 +106,7 @@ class HullClock:
     def map(self, device_s: float, arrival_s: float) -> float:
         """Return when the reading was made, up to the constant least delay, on the host's clock.
 
-        Parameters
-        ----------
-        device_s : stamp of the device, seconds; may step back a little, not by `JUMP_S`
-        arrival_s : host's clock at its arrival, seconds
+        The device's stamp, seconds, may step back a little, not by `JUMP_S`; `arrival_s` is the host's clock, seconds.
         """
         if self._origin is None:
             self._begin(device_s, arrival_s)
@@ -161,12 +158,9 @@ class HullClock:
 
 
 def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: float) -> tuple[float, float]:
-    """Find offset and slope of the line under all points that is highest at their mean x.
+    """Find offset and slope of the line under all `points` (x, y), seconds, ascending in x, that is highest at their mean x.
 
-    Parameters
-    ----------
-    points : at least one (x, y), seconds, ascending in x
-    slope_change_max : the slope is held within this of 1
+    The slope is held within `slope_change_max` of 1.
     """
     hull = _lower_hull(points)
     mean = math.fsum(x for x, _ in points) / len(points)
@@ -271,10 +265,7 @@ class Stamper:
     def stamp(self, stream: Stream, device_s: FloatArray, arrival_s: float) -> FloatArray:
         """Return the host's clock at each reading, seconds, strictly ascending from call to call.
 
-        Parameters
-        ----------
-        device_s : (n,) device's clock, seconds; NaN where it has none
-        arrival_s : host's clock when the last of them arrived
+        `device_s` is (n,), seconds, NaN where the device has no clock; the last of them arrived at `arrival_s`.
         """
         last = self._last.get(stream, -math.inf)
         stamps: list[float] = []
@@ -368,12 +359,7 @@ class Intake:
         return self._pairing.ring.since(self._pairing.ring.newest_s - RECENT_S)
 
     def health(self, now_ns: int) -> tuple[LinkHealth, ...]:
-        """Say how each link does, in the order of their description.
-
-        Parameters
-        ----------
-        now_ns : host's monotonic clock, nanoseconds: the rate counts the last two seconds before it
-        """
+        """Say how each link does; the rate counts the two seconds before `now_ns` of the host's monotonic clock."""
         none: Counter[Loss] = Counter()
         return tuple(
             link.health(now_ns, self._pairing.counts if Stream.SKIN in link.spec.carries else none)
@@ -496,12 +482,7 @@ class Pairing:
             self.counts[Loss.UNPAIRED] += 1
 
     def advance(self, now_s: float) -> list[Sample]:
-        """Return the frames whose wrench is known, in order; count those that waited too long.
-
-        Parameters
-        ----------
-        now_s : s, arrival of the newest bytes of any link
-        """
+        """Return the frames whose wrench is known when bytes came at `now_s`, in order; count those that waited too long."""
         samples: list[Sample] = []
         while self._waiting:
             frame = self._waiting[0]
@@ -553,14 +534,9 @@ class WrenchRing:
         self._dropped = False
 
     def append(self, host_s: FloatArray, wrench: FloatArray, usable: NDArray[np.bool_], flagged: NDArray[np.bool_]) -> None:
-        """Add readings that are newer than all before.
+        """Add n readings that are newer than all before, N and N m, their stamps ascending, seconds.
 
-        Parameters
-        ----------
-        host_s : (n,) float, seconds, ascending
-        wrench : (n, 6) float, N and N m
-        usable : (n,) the reading may be averaged
-        flagged : (n,) the device says saturated or invalid
+        `usable` ones may be averaged; of `flagged` ones the device says that they are saturated or invalid.
         """
         kept = slice(max(len(host_s) - self._capacity, 0), None)
         count = len(host_s[kept])

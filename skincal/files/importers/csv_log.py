@@ -100,11 +100,7 @@ class _Table:
 def read_csv(
     wrench: Path, skin: Path, joints: Path | None = None
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
-    """Read the CSV files of one recording: links, chunks merged by time, and sentences on what was found.
-
-    Returns
-    -------
-    Links named `wrench`, `skin` and `joints`; chunks of whole lines; findings.
+    """Read the CSV files of one recording: links, chunks of whole lines merged by time, and sentences on what was found.
 
     Raises
     ------

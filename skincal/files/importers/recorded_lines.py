@@ -78,13 +78,7 @@ class _Leap:
 
 
 class RecordedTimes:
-    """What a first reading of a file's stamps finds.
-
-    Parameters
-    ----------
-    name : of the file's link
-    stamps : s, of each line
-    """
+    """What a first reading of a file's stamps, in seconds, finds; `name` is that of the file's link."""
 
     def __init__(self, name: str, stamps: Iterable[float]) -> None:
         self.name = name
@@ -241,13 +235,9 @@ def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
 
 
 def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: Collection[str] = ()) -> Iterator[Chunk]:
-    """Yield the lines of all files in the order of their time, neighbours of one file in one chunk; lazily.
+    """Yield the lines of all files, of one time each, in the order of their time, neighbours of one file in one chunk; lazily.
 
-    Parameters
-    ----------
-    timelines : one a file, of the same time
-    sources : the same files
-    alone : names of files of which every line is a chunk, so that it comes before all later lines of the others
+    Of the files named in `alone` every line is a chunk, so that it comes before all later lines of the others.
     """
     agree(timelines)
     origin = min(timeline.first for timeline in timelines)

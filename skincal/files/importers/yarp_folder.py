@@ -104,14 +104,8 @@ def read_yarp(
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
     """Read the logs of one recording: links, chunks merged by time, and sentences on what was found.
 
-    Parameters
-    ----------
-    wrench, skin, joints : folders of `yarpdatadumper`, or their `data.log`
-
-    Returns
-    -------
-    Links named `wrench`, `skin` and `joints`; chunks of whole lines with `host_ns` from the receiver's stamp of the
-    last of them, or from the only one; findings.
+    `wrench`, `skin` and `joints` are folders of `yarpdatadumper`, or their `data.log`; the links are named like them. A chunk
+    holds whole lines, its `host_ns` from the receiver's stamp of the last of them, or from the only one.
 
     Raises
     ------
