@@ -28,7 +28,7 @@ from app.text.now_text import Now, Tone
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
 from app.theme import GAP, Colours
 from app.units import ChannelNames
-from skincal.guide.coaching import leeway
+from skincal.guide.guidance import leeway
 from skincal.session.part import Part
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method

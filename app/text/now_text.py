@@ -30,8 +30,7 @@ from app.text.guidance_text import (
 from app.text.outcomes import counted_words, link_detail, peak_channel, verdict_detail, verdict_words
 from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
-from skincal.guide.coaching import PRESSING
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
 from skincal.session.snapshot import Snapshot
 

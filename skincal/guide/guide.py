@@ -16,8 +16,7 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide import candidates
 from skincal.guide.guidance import Guidance, GuidePhase, Target
-from skincal.guide.knowledge import Knowledge
-from skincal.guide.places import PlannedPlaces, believed
+from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed
 from skincal.guide.poke_history import PokeHistory, axis_of
 from skincal.guide.progress import (
     AxisDiversity,

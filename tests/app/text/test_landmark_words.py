@@ -14,7 +14,7 @@ from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide import guidance as landmarks_module
 from skincal.guide.guidance import GuidePhase, LandmarkTarget
-from skincal.guide.places import PlannedPlaces
+from skincal.guide.knowledge import PlannedPlaces
 from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain

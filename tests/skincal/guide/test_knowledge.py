@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.guide import candidates
-from skincal.guide.knowledge import Knowledge, diversity, offset_square
-from skincal.guide.places import PlannedPlaces, believed
+from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed, diversity, offset_square
 from skincal.guide.progress import Facts, GuideSettings, Need, needs
 from skincal.mesh.surface import near_pairs
 from skincal.model.scene import NoiseSettings
