@@ -3,8 +3,8 @@
 Numbers and reasons, no sentences.
 
 *Landmarks.* A few in each arm pose, at the start and after each change of pose. Three in the first pose show whether the
-sensor's frame is right, and a correction of the rig is found from a few in every pose. They come before pokes on the skin, which
-are worth more on a corrected rig, and any of them may be skipped.
+sensor's frame is right, and a correction of the rig is found from a few in every pose. They come before pokes on the skin,
+which are worth more on a corrected rig, and any of them may be skipped.
 
 *The poke in progress* is known by the force/torque sensor alone: while a tool presses, its wrench is an axis. Where that meets
 the skin is the tip, the way it runs is how the tool is held.
