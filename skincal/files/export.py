@@ -417,10 +417,7 @@ def write_calibration(
     -------
     Sentences: faults found (`skincal.files.export`) and what is left out. They do not stop the writing.
 
-    Raises
-    ------
-    InputError
-        The format or method is unknown, or the file cannot be written.
+    Raises InputError: the format or method is unknown, or the file cannot be written.
     """
     if format not in FORMATS:
         raise InputError(f"the format is {format!r}; expected one of {', '.join(FORMATS)}.")

@@ -127,10 +127,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
 def read_icub(path: Path) -> FloatArray:
     """Read a position file in the current grammar or the old one (bare rows); returns (n, 6) float, metres and normals.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, has no rows, or a row is not six finite numbers; names the line.
+    Raises InputError: the file cannot be read, has no rows, or a row is not six finite numbers; names the line.
     """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")

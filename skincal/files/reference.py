@@ -56,10 +56,7 @@ class ErrorSummary:
 def read_reference(path: Path) -> dict[int, FloatArray]:
     """Read known taxel places, (3,) float in metres by channel, from a `truth.json` or an iCub position file.
 
-    Raises
-    ------
-    InputError
-        The file is missing or is neither of the two.
+    Raises InputError: the file is missing or is neither of the two.
     """
     return _read(path)[1]
 
@@ -67,10 +64,7 @@ def read_reference(path: Path) -> dict[int, FloatArray]:
 def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> Reference:
     """Read known taxel places and check that they are of the scene's `link` and `channels`.
 
-    Raises
-    ------
-    InputError
-        As for `read_reference`; also if the file is of another link or knows none of the channels.
+    Raises InputError: as for `read_reference`; also if the file is of another link or knows none of the channels.
     """
     named, places = _read(path)
     # An iCub file names no link; the operator answers for it.
@@ -84,10 +78,7 @@ def load_reference(path: Path, link: str, channels: Collection[int], origin: Ori
 def find_truth(folder: Path, link: str, channels: Collection[int]) -> Reference | None:
     """Return the truth that lies in a session's folder; None where there is none.
 
-    Raises
-    ------
-    InputError
-        As for `load_reference`.
+    Raises InputError: as for `load_reference`.
     """
     path = folder / TRUTH_NAME
     return load_reference(path, link, channels, Origin.TRUTH) if path.is_file() else None

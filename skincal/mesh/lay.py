@@ -39,10 +39,7 @@ class LaidSkin:
 def lay(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> LaidSkin | None:
     """Lay each module from its own anchor, or else from the layout's; None where there is no anchor at all.
 
-    Raises
-    ------
-    InputError
-        An anchor is farther than `ANCHOR_GAP_MAX` from the surface, or its normal points into the part.
+    Raises InputError: an anchor is farther than `ANCHOR_GAP_MAX` from the surface, or its normal points into the part.
     """
     anchors = [module.anchor or anchor for module in layout.modules]
     if all(own is None for own in anchors):
@@ -95,10 +92,7 @@ def _on_surface(flat: FloatArray, anchor: Anchor, surface: Surface, name: str) -
 def stand(surface: Surface, anchor: Anchor, name: str) -> Footing:
     """Return where an anchor stands on a surface, one place.
 
-    Raises
-    ------
-    InputError
-        As for `lay`.
+    Raises InputError: as for `lay`.
     """
     found = nearest_to_rows(surface, np.eye(3)[None], anchor.point[None], -anchor.normal[None])
     if found.triangles[0] < 0:

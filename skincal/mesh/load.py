@@ -59,10 +59,7 @@ def read_mesh(path: Path, data: bytes) -> Mesh:
 
     The suffix of `path` names the format.
 
-    Raises
-    ------
-    InputError
-        The suffix is not known, or the content is not of that format.
+    Raises InputError: the suffix is not known, or the content is not of that format.
     """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
@@ -332,11 +329,8 @@ class Finding:
 def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[Finding, ...]]:
     """Read a mesh into the link frame with outward normals, and say what was found.
 
-    Raises
-    ------
-    InputError
-        The file is missing, unreadable, of an unknown format, empty, has vertices that are not finite, or is a
-        thousand times too large or too small; the message says what was seen and what to do.
+    Raises InputError: the file is missing, unreadable, of an unknown format, empty, has vertices that are not finite, or is a
+    thousand times too large or too small; the message says what was seen and what to do.
     """
     data = _read_bytes(spec.path)
     vertices, triangles = read_mesh(spec.path, data)

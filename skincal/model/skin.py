@@ -175,10 +175,7 @@ def load_layout(path: Path, width: int) -> Layout:
     It holds an array of tables `[[modules]]`: `id`, `kind`, `first_channel`, `place_mm`, `angle_deg`, `mirror`, optionally
     `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`, `centre_pad`.
 
-    Raises
-    ------
-    InputError
-        Names the file, the module and what was expected.
+    Raises InputError, which names the file, the module and what was expected.
     """
     return read_layout(read_text(path), path, width)
 
@@ -250,10 +247,7 @@ def _read_module(table: Table, kinds: dict[str, ModuleKind], width: int) -> Modu
 def read_anchor(table: Table) -> Anchor:
     """Read an anchor table: `at_mm` in the layout's plane, `point_mm`, `x` and `normal` in the link frame.
 
-    Raises
-    ------
-    InputError
-        A key is missing, is not numbers, or `x` and `normal` are not perpendicular to within a degree.
+    Raises InputError: a key is missing, is not numbers, or `x` and `normal` are not perpendicular to within a degree.
     """
     at, point = table.array("at_mm", (2,)) * 1e-3, table.array("point_mm", (3,)) * 1e-3
     x, normal = table.direction("x"), table.direction("normal")

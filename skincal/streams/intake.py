@@ -305,10 +305,7 @@ CLOCKLESS_LOSSES = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM, Loss.MIS
 class Intake:
     """Decodes, dates and pairs what the links of one session send.
 
-    Raises
-    ------
-    InputError
-        From the constructor: a format is not known, or two links have one name. From `feed`: see `check`.
+    The constructor raises InputError: a format is not known, or two links have one name; for `feed` see `check`.
     """
 
     def __init__(self, channels: int, links: Sequence[LinkSpec]) -> None:

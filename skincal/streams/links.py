@@ -106,10 +106,7 @@ class Address:
 def parse_address(address: str) -> Address:
     """Return what an address names; nothing is opened.
 
-    Raises
-    ------
-    InputError
-        No link that is known has such an address; the sentence says which have.
+    Raises InputError: no link that is known has such an address; the sentence says which have.
     """
     if not address:
         raise InputError(f"The address is empty; expected {KNOWN}.")
@@ -129,10 +126,7 @@ def parse_address(address: str) -> Address:
 def describe_links(addresses: Mapping[Stream, str | None]) -> tuple[LinkSpec, ...]:
     """Return the links for the address of each stream; one address for several streams is one link.
 
-    Raises
-    ------
-    InputError
-        An address is of no link that is known.
+    Raises InputError: an address is of no link that is known.
     """
     carried: dict[str, list[Stream]] = {}
     for stream, address in addresses.items():
@@ -165,9 +159,7 @@ class Link(Protocol):
 def open_link(spec: LinkSpec) -> Link:
     """Open what a link's address names.
 
-    Raises
-    ------
-    LinkFailure : with a sentence: not there, in use, permission denied, refused, address not understood
+    Raises LinkFailure with a sentence: not there, in use, permission denied, refused, address not understood.
     """
     try:
         address = parse_address(spec.address)

@@ -56,10 +56,7 @@ class _Columns:
 class _Table:
     """One CSV file and how its rows are read.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no text, has no row, or lacks a column or a unit.
+    Raises InputError: the file cannot be read, is no text, has no row, or lacks a column or a unit.
     """
 
     def __init__(self, stream: Stream, path: Path) -> None:
@@ -102,10 +99,7 @@ def read_csv(
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
     """Read the CSV files of one recording: links, chunks of whole lines merged by time, and sentences on what was found.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
+    Raises InputError: a file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
     """
     places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
     tables = [_Table(stream, path) for stream, path in places.items()]

@@ -213,10 +213,7 @@ def _nearest(back: float, known: Sequence[float]) -> float:
 def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
     """Check that every file shares time with the first.
 
-    Raises
-    ------
-    InputError
-        A file spans years, or two have no time in common, so that nothing can be paired.
+    Raises InputError: a file spans years, or two have no time in common, so that nothing can be paired.
     """
     for timeline in timelines:
         if timeline.last - timeline.first > SPAN_MAX:

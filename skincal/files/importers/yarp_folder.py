@@ -107,10 +107,7 @@ def read_yarp(
     `wrench`, `skin` and `joints` are folders of `yarpdatadumper`, or their `data.log`; the links are named like them. A chunk
     holds whole lines, its `host_ns` from the receiver's stamp of the last of them, or from the only one.
 
-    Raises
-    ------
-    InputError
-        A folder has no log, a file is not such a log, holds no record, or the logs are of different times.
+    Raises InputError: a folder has no log, a file is not such a log, holds no record, or the logs are of different times.
     """
     places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
     logs = [_open_log(stream, place) for stream, place in places.items()]
@@ -144,10 +141,7 @@ def find_log(place: Path) -> tuple[Path, list[str]]:
     The path is a log file, a folder with `data.log`, or the name of a port's folder that exists only with the numeric suffix
     that the dumper appends (`right_arm_00001`).
 
-    Raises
-    ------
-    InputError
-        There is no log there, or more than one.
+    Raises InputError: there is no log there, or more than one.
     """
     if place.is_file():
         return place, []

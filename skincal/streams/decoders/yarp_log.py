@@ -52,10 +52,7 @@ class BottleError(ValueError):
 def parse_bottle(text: str) -> list[Item]:
     """Read a YARP bottle in text form; a number becomes a float, any other word a string.
 
-    Raises
-    ------
-    BottleError
-        A parenthesis, bracket or quote has no partner.
+    Raises BottleError: a parenthesis, bracket or quote has no partner.
     """
     open_lists: list[list[Item]] = [[]]
     at = 0
