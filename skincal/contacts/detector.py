@@ -1,10 +1,9 @@
-"""Which channels cannot be trusted: no number, stuck, or always on; each with a sentence.
+"""From samples to pokes: when one begins and ends, what it ends as, and which channels cannot be trusted.
 
-A channel is dead while the cause lasts: one that moves again, or gives numbers again, is used again.
+*Channels.* One that gives no number, is stuck or always on is dead while the cause lasts: one that moves again, or gives
+numbers again, is used again.
 
-From samples to pokes: when one begins and ends, and what it ends as.
-
-Theory of operation. The detector is in one of three situations.
+*Pokes.* The detector is in one of three situations.
 
 * *Untared*: it waits for a quiet window (phase TARING). No force is known, so no poke can begin.
 * *Idle*: tared, nothing presses (READY). Every quiet window renews the tare, so slow drift never builds up.

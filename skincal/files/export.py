@@ -517,6 +517,6 @@ def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> l
 
 def _read_back(calibration: Calibration, method: Method, text: str) -> list[str]:
     """Return which positions a reader does not find in the text."""
-    placed = parse_icub(text, "the file as written")[:, :3].any(axis=1)
-    lost = sorted(channel for channel in placed_taxels(calibration.of(method)).channels.tolist() if not placed[channel])
+    placed = np.flatnonzero(parse_icub(text, "the file as written")[:, :3].any(axis=1))
+    lost = np.setdiff1d(placed_taxels(calibration.of(method)).channels, placed).tolist()
     return [f"the file as written has no position for channel {channel}." for channel in lost]

@@ -1,6 +1,6 @@
-"""When a reading was made, on the host's clock, from when it arrived.
+"""Chunks and events of all links in, paired samples out: the one facade of the streams.
 
-Theory. Reading i is stamped x_i by the device and arrives at y_i = f(x_i) + d_i on the host's clock. f is a straight line
+*When was a reading made?* Reading i is stamped x_i by the device and arrives at y_i = f(x_i) + d_i on the host's clock. f is a straight line
 over a minute (two crystals differ by a constant factor), and the delay d_i of sensor, wire, adapter and program is never
 less than a constant d. So the line that is wanted, f + d, lies under all points and touches some. Of all lines a + b x
 under all points the one with the least sum of y_i - a - b x_i is taken: with n points that sum is sum(y_i) - n (a + b m),
@@ -16,9 +16,7 @@ line pushes the line down at once, so no reading is ever dated after its arrival
 
 A device without a clock is dated by its count times its period, where it keeps a constant pace (`IndexClock`).
 
-Chunks and events of all links in, paired samples out: the one facade of the streams.
-
-Which wrench acted while a skin frame was taken? A frame's stamp ends its interval: the wrench of a frame is the mean of the
+*Which wrench acted while a skin frame was taken?* A frame's stamp ends its interval: the wrench of a frame is the mean of the
 readings in the interval of one frame period up to the stamp, so no reading from after the frame is needed and the means of
 neighbouring frames share no reading. Where the wrench is slower than the skin and no reading falls into an interval, the
 wrench at its middle is interpolated. A frame waits until the wrench stream has passed its stamp; a frame that waited too
