@@ -1,12 +1,12 @@
 """Chunks and events of all links in, paired samples out: the one facade of the streams.
 
-*When was a reading made?* Reading i is stamped x_i by the device and arrives at y_i = f(x_i) + d_i on the host's clock. f is a straight line
-over a minute (two crystals differ by a constant factor), and the delay d_i of sensor, wire, adapter and program is never
-less than a constant d. So the line that is wanted, f + d, lies under all points and touches some. Of all lines a + b x
-under all points the one with the least sum of y_i - a - b x_i is taken: with n points that sum is sum(y_i) - n (a + b m),
-m the mean of x_i, so it is the line that is highest at m, the edge of the lower convex hull above m. Queueing (a timer of
-16 ms in a serial adapter, bursts, a busy program) makes delays longer, never shorter, and drops out; what is left is the
-constant d, which no stamp of arrival can show. A least-squares line would keep the mean delay instead.
+*When was a reading made?* Reading i is stamped x_i by the device and arrives at y_i = f(x_i) + d_i on the host's clock. f is a
+straight line over a minute (two crystals differ by a constant factor), and the delay d_i of sensor, wire, adapter and program
+is never less than a constant d. So the line that is wanted, f + d, lies under all points and touches some. Of all lines a + b x
+under all points the one with the least sum of y_i - a - b x_i is taken: with n points that sum is sum(y_i) - n (a + b m), m the
+mean of x_i, so it is the line that is highest at m, the edge of the lower convex hull above m. Queueing (a timer of 16 ms in a
+serial adapter, bursts, a busy program) makes delays longer, never shorter, and drops out; what is left is the constant d, which
+no stamp of arrival can show. A least-squares line would keep the mean delay instead.
 
 Live, the points of the last minute count, and the line is carried on to the newest one. To keep the work per reading
 constant, readings are gathered in buckets of a quarter second, of which only the point lowest above the present line is
