@@ -46,8 +46,7 @@ from app.text.verdict_text import rig_state
 from app.theme import GAP
 from app.units import ChannelNames
 from skincal.files.calibration import landmark_check
-from skincal.guide.coaching import leeway
-from skincal.guide.guidance import Guidance
+from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.model.errors import InputError

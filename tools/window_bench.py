@@ -109,7 +109,7 @@ class Measure(QObject):
 
     def take(self, tick: Tick) -> None:
         """Take a moment of the session: whether the tool presses."""
-        from skincal.guide.coaching import PRESSING
+        from skincal.guide.guidance import PRESSING
 
         now = time.monotonic()
         pressing = tick.live.progress.phase in PRESSING

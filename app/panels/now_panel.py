@@ -17,7 +17,7 @@ from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, Colours
 from app.units import degrees, millimetres, newtons
 from skincal.geometry import FloatArray
-from skincal.guide.coaching import leeway
+from skincal.guide.guidance import leeway
 from skincal.session.snapshot import Snapshot
 
 SIGN_PX = 52

@@ -12,8 +12,7 @@ import numpy as np
 
 from app.scene3d.camera import Eye
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.coaching import Coaching
-from skincal.guide.guidance import Guidance, Target
+from skincal.guide.guidance import Coaching, Guidance, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings
 from skincal.taxels.result import Method
 

@@ -10,7 +10,7 @@ from app.scene3d.scene_state import Look, StaticScene, View3DState
 from app.scene3d.shapes import Balls, Layer, Segments
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
-from skincal.guide.coaching import PRESSING
+from skincal.guide.guidance import PRESSING
 from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from app.scene3d.scene_state import View3DState
 from skincal.geometry import FloatArray, cross_matrix
-from skincal.guide.coaching import PRESSING
-from skincal.guide.guidance import Target
+from skincal.guide.guidance import PRESSING, Target
 from skincal.mesh.surface import Surface, entry_points, skin_point
 
 if TYPE_CHECKING:

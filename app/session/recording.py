@@ -22,8 +22,7 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from skincal.model.readings import Chunk, LinkEvent
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.link_reader import Reader
-    from skincal.streams.links import LinkSpec
+    from skincal.streams.links import LinkSpec, Reader
 
 
 class Storage:
@@ -106,7 +105,7 @@ class Recording:
 
     def start(self) -> None:
         """Begin to read the links; returns at once."""
-        from skincal.streams.link_reader import Reader
+        from skincal.streams.links import Reader
 
         self._readers = [Reader(link, self._queue) for link in self.links]
         for reader in self._readers:

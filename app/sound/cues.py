@@ -21,13 +21,13 @@ from enum import Enum
 
 import numpy as np
 
-from app.state.policies import Running, is_news, newest_outcome
+from app.state.policies import is_news, newest_outcome
+from app.state.running import Running
 from app.state.view_state import LinkLook, ViewState
 from app.text.guidance_text import newly_done
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.coaching import PRESSING
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.session.snapshot import Snapshot
 
 RATE = 48_000

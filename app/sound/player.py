@@ -106,7 +106,7 @@ class NoSoundError(Exception):
     """There is nothing to play on; the text says why, for the log."""
 
 
-class _Output(Protocol):
+class Output(Protocol):
     """What plays a stream that was begun, in a thread of its own; it may be started again after a stop."""
 
     def start(self, stream: Stream, /) -> None: ...
@@ -114,7 +114,7 @@ class _Output(Protocol):
     def close(self) -> None: ...
 
 
-def open_output(*, real: bool = True) -> _Output:
+def open_output(*, real: bool = True) -> Output:
     """Open the sound device that the desktop uses; where not `real`, one that takes samples at the right pace, unheard.
 
     Raises
@@ -176,9 +176,9 @@ class Line:
 class _Outlet:
     """The device as its thread sees it: there or not, running or at rest."""
 
-    def __init__(self, opener: Callable[[], _Output]) -> None:
+    def __init__(self, opener: Callable[[], Output]) -> None:
         self._open = opener
-        self._output: _Output | None = None
+        self._output: Output | None = None
         self._line = Line(b"")
         self.running = False
 
@@ -235,7 +235,7 @@ class Player:
     the system's, none where empty.
     """
 
-    def __init__(self, opener: Callable[[], _Output] = open_output, speech: tuple[str, ...] | None = None) -> None:
+    def __init__(self, opener: Callable[[], Output] = open_output, speech: tuple[str, ...] | None = None) -> None:
         self.on = True
         """The operator wants to hear."""
         self.speaks = False

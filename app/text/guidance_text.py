@@ -11,8 +11,7 @@ from app.state.view_state import ViewState
 from app.text.outcomes import METHOD_NAMES
 from app.units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, newtons, number
 from skincal.contacts.outcome import Contact
-from skincal.guide.coaching import Coaching
-from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, Target
+from skincal.guide.guidance import Coaching, Guidance, GuidePhase, LandmarkTarget, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method

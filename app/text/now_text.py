@@ -10,8 +10,9 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from app.state.policies import GOOD_RMS, Running, is_news, newest_outcome
+from app.state.policies import GOOD_RMS, is_news, newest_outcome
 from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
+from app.state.running import Running
 from app.state.view_state import LinkLook, ViewState
 from app.text.guidance_text import (
     BETWEEN,
@@ -29,8 +30,7 @@ from app.text.guidance_text import (
 from app.text.outcomes import counted_words, link_detail, peak_channel, verdict_detail, verdict_words
 from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
-from skincal.guide.coaching import PRESSING
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
 from skincal.session.snapshot import Snapshot
 

@@ -31,8 +31,7 @@ from skincal.model.scene import Scene, load_scene, scene_file
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.link_reader import Reader
-    from skincal.streams.links import LinkSpec
+    from skincal.streams.links import LinkSpec, Reader
 
 
 SceneOption = Annotated[
@@ -126,8 +125,7 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
     """
-    from skincal.streams.link_reader import Reader
-    from skincal.streams.links import describe_links
+    from skincal.streams.links import Reader, describe_links
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)

@@ -164,10 +164,7 @@ def to_json(action: Action) -> dict[str, Any]:
 def from_json(document: Mapping[str, Any]) -> Action:
     """Return the action of a JSON object.
 
-    Raises
-    ------
-    InputError
-        It is not one that this version knows.
+    Raises InputError: it is not one that this version knows.
     """
     kind = _KINDS.get(str(document.get("do")))
     if kind is None:

@@ -14,7 +14,7 @@ from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, rig_moves
 from skincal.guide.guide import Guide
-from skincal.guide.places import SPACING, PlannedPlaces, plan_from, unplaced
+from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.scene import Landmark

@@ -21,7 +21,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.places import PlannedPlaces, plan_from
+from skincal.guide.knowledge import PlannedPlaces, plan_from
 from skincal.mesh.lay import lay
 from skincal.mesh.load import load_surface
 from skincal.mesh.search import nearest_points

@@ -13,7 +13,7 @@ from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog
 from app.dialogs.pedals import MODIFIERS, PEDALS, USED_BY_WIDGETS, Pedals, PedalsDialog, key_name, objection
 from app.session.opening import OpenRequest
-from app.state.policies import Running
+from app.state.running import Running
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS, Bench
 from tests.app.window_support import changed, pixels

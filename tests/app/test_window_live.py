@@ -19,7 +19,7 @@ from PySide6.QtTest import QTest
 from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
 from app.session.opening import OpenRequest, server_command
-from app.state.policies import Running
+from app.state.running import Running
 from app.state.view_state import LinkLook
 from app.text.message import Message
 from app.theme import Choice

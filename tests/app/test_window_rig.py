@@ -14,7 +14,7 @@ from PySide6.QtTest import QTest
 
 from app.session import controller
 from app.session.opening import OpenRequest
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.message import STILL_SOLVING
 from app.text.rig_text import offer_text, offer_words
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection

@@ -19,7 +19,7 @@ from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.pedals import PedalsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest, server_command
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.outcomes import peak_channel
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import load_reference

@@ -15,7 +15,7 @@ from app import run
 from app.__main__ import main
 from app.preflight import LIBRARIES, X_LIBRARIES, objection
 from app.session.opening import OpenRequest
-from app.state.policies import Running
+from app.state.running import Running
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 60

@@ -10,7 +10,8 @@ from PySide6.QtGui import QFontMetrics, QImage
 from PySide6.QtWidgets import QApplication, QWidget
 
 from app.panels.widgets import FittedLabel
-from app.state.policies import Running, allowed
+from app.state.policies import allowed
+from app.state.running import Running
 from app.state.view_state import ViewState
 from app.theme import Colours
 from app.units import ChannelNames

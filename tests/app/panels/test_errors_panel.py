@@ -48,7 +48,6 @@ from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
 from tests.app.whole_window import OPEN_MS, Bench, Paints
 from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, show_in, touch
-from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, touch
 from tests.skincal.poke_script import error_series
 
 BOTH = (Method.FREE, Method.SURFACE)

@@ -12,7 +12,7 @@ from PySide6.QtCore import Qt
 
 from app.session.controller import Controller, operator_target
 from app.session.opening import server_command
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
 from skincal.cli.record import OrderLine, _loop

@@ -11,7 +11,7 @@ from guide_support import guidance, target
 from window_support import NAMES, frame, link, reading, session, slip, touch
 
 from app.sound.cues import ALARM_S, EDGE_S, LEVEL, LONGEST_S, RATE, Cue, CueMemory, DueCue, due_cue, samples_of
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.now_text import NowMemory, now_line
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.model.readings import LinkState

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from app.panels.rig_panel import NO_POINTS, NOT_YET, WAITING, RigPanel
-from app.state.policies import RigReview, Running, allowed, offers_of
+from app.state.policies import RigReview, allowed, offers_of
+from app.state.running import Running
 from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
 from app.units import DASH
 from skincal.contacts.outcome import Reason

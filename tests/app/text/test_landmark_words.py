@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from app.sound.cues import CueMemory, DueCue, due_cue
-from app.state.policies import Running, allowed
+from app.state.policies import allowed
+from app.state.running import Running
 from app.text.guidance_text import gain_words, landmark_words, target_words, why_words
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide import guidance as landmarks_module
 from skincal.guide.guidance import GuidePhase, LandmarkTarget
-from skincal.guide.places import PlannedPlaces
+from skincal.guide.knowledge import PlannedPlaces
 from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain

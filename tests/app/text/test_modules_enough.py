@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.now_text import modules_enough_words
 from skincal.session.guiding import ModulesEnough, plan_of
 from skincal.taxels.result import Estimate, Method, State

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from app.panels.plots import min_max_decimation
 from app.session.opening import Addresses, OpenRequest, dated_folder, link_specs
 from app.session.recording import Storage
-from app.state.policies import Mark, Running, allowed, answer_levels, curve_range, marks, worst
+from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
+from app.state.running import Running
 from app.state.view_state import LinkLook, same_results
 from app.text.now_text import SETTLE_S, VERDICT_S, NowMemory, Tone, now_line
 from app.text.outcomes import (

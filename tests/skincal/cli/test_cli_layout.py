@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.files.json_file import read_json
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin import load_layout
 from skincal.taxels.result import Method
 from tests.skincal.cli.test_cli_health import sample
+from tests.skincal.files.json_reader import read_json
 from tests.skincal.sim_support import recorded_anew
 
 SAMPLE = resource("sessions/sample")

@@ -9,12 +9,13 @@ from mesh_support import (
     poked,
     random_metrics,
     same,
+    second_to_rows,
     soup,
     together,
     tube,
 )  # fmt: skip
 
-from skincal.mesh.search import nearest_to_rows, second_to_rows
+from skincal.mesh.search import nearest_to_rows
 from skincal.mesh.surface import make_surface
 
 TIE = 1e-12

@@ -10,7 +10,6 @@ from skincal.cli import main
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.files.calibration import LandmarkCheck, landmark_check
 from skincal.files.export import write_calibration
-from skincal.files.json_file import read_json
 from skincal.geometry import axis_point, move_wrench
 from skincal.journal.documents import Taken
 from skincal.journal.writer import create_session
@@ -29,6 +28,7 @@ from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method
+from tests.skincal.files.json_reader import read_json
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene
 from tests.skincal.sim_support import make_rig
 
@@ -278,21 +278,10 @@ def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp
     assert (again.before, again.after) == (expected.before, expected.after)
 
 
-def test_an_older_file_knows_no_landmark_pokes_and_one_without_a_check_says_so(bad, tmp_path):
+def test_a_file_without_a_check_of_landmarks_says_so(bad, tmp_path):
     session, _ = bad
     write_calibration(session.calibration(), "json", tmp_path / "c.json", Method.MODULES)
     assert read_json(tmp_path / "c.json").landmark_check is None
-    document = json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) | {"format": "skincal-calibration/2"}
-    for key in ("corrections", "landmark_pokes", "landmark_check"):
-        del document[key]
-    (tmp_path / "older.json").write_text(json.dumps(document), encoding="utf-8")
-    older = read_json(tmp_path / "older.json")
-    # The first files of format 3 hold no landmark pokes.
-    (tmp_path / "first.json").write_text(
-        json.dumps(document | {"format": "skincal-calibration/3", "corrections": []}), encoding="utf-8"
-    )
-    assert read_json(tmp_path / "first.json").landmark_pokes == ()
-    assert (older.corrections, older.landmark_pokes, older.landmark_check) == ((), (), None)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from skincal.contacts.outcome import Reason
 from skincal.geometry import move_wrench
 from skincal.guide.guide import Guide
-from skincal.guide.places import plan_from
+from skincal.guide.knowledge import plan_from
 from skincal.mesh.lay import lay
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError

@@ -17,13 +17,14 @@ import serial
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams import links
-from skincal.streams.link_reader import NEW_REASON_S, Reader
 from skincal.streams.links import (
+    NEW_REASON_S,
     Address,
     FailureKind,
     LinkFailure,
     LinkKind,
     LinkSpec,
+    Reader,
     describe_links,
     open_link,
     parse_address,
@@ -479,7 +480,7 @@ def test_fault_in_the_thread_arrives_as_a_message(monkeypatch):
     def broken(_spec):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("skincal.streams.link_reader.open_link", broken)
+    monkeypatch.setattr("skincal.streams.links.open_link", broken)
     items = queue.SimpleQueue()
     reader = Reader(spec("x"), items)
     reader.start()
@@ -490,5 +491,5 @@ def test_fault_in_the_thread_arrives_as_a_message(monkeypatch):
 def test_serial_is_imported_only_when_a_port_is_opened():
     import subprocess
 
-    code = "import sys, skincal.streams.intake, skincal.streams.link_reader; sys.exit('serial' in sys.modules)"
+    code = "import sys, skincal.streams.intake, skincal.streams.links; sys.exit('serial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
