@@ -17,6 +17,7 @@ from app.state.policies import Running
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS, Bench
 from tests.app.window_support import changed, pixels
+from tests.approved import approved
 
 Key = Qt.Key
 
@@ -74,7 +75,7 @@ def test_a_pedal_is_learnt_by_keys_and_acts_as_the_space_bar(bench, recorded):
     bench.until_all_is_there()
     dialog = learn(bench, Key.Key_F13)
     assert dialog.keys["space"].text() == "F13"
-    assert "F13 is the pedal for Space bar" in dialog.outcome.text()
+    assert approved("commands.pedal_set", key="F13") in dialog.outcome.text()
     assert QSettings("skincal", "test").value("pedal/space") == "F13"
     tap(bench, Key.Key_F13)  # the focused button is Close
     gone(bench, PedalsDialog)
@@ -136,26 +137,31 @@ def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
 def test_a_key_that_means_something_is_refused_and_the_next_one_is_waited_for(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     dialog = learn(bench, Key.Key_V)
-    assert "V means something already: Next method" in dialog.outcome.text()
+    assert approved("commands.key_taken", key="V", command="Next method") in dialog.outcome.text()
     assert bench.window.session_view.state.method is Method.SURFACE, "the key went to nobody else"
     tap(bench, Key.Key_Control)
-    assert "Ctrl only changes other keys" in dialog.outcome.text()
+    assert approved("commands.key_modifies", key="Ctrl") in dialog.outcome.text()
     tap(bench, Key.Key_B, Qt.KeyboardModifier.ControlModifier)
     assert dialog.keys["space"].text() == "Ctrl+B"
-    dialog._ask(PEDALS[1])
+    dialog.learn["undo"].click()
     tap(bench, Key.Key_B, Qt.KeyboardModifier.ControlModifier)
-    assert "it is the pedal for Space bar" in dialog.outcome.text()
+    assert approved("commands.pedal_already") in dialog.outcome.text()
     tap(bench, Key.Key_Escape)
     assert dialog.isVisible(), "Escape leaves the pedal as it is"
     assert "undo" not in bench.window.pedals.keys
     tap(bench, Key.Key_Escape)
     gone(bench, PedalsDialog)
-    assert bench.window.pedals._listener is None
+    bench.key(Key.Key_V)
+    assert bench.window.session_view.state.method is not Method.SURFACE, "keys go to the window again"
 
 
 @pytest.mark.parametrize(
     ("key", "said"),
-    [("", "no name"), *((m, "only changes other keys") for m in MODIFIERS.values()), ("Alt+B", "may open a menu")]
+    [
+        ("", "no name"),
+        *((m, approved("commands.modifies_clause")) for m in MODIFIERS.values()),
+        ("Alt+B", approved("commands.opens_menu")),
+    ]
     + [(k, "means something already") for k in (*USED_BY_WIDGETS, "Space", "N")],
 )
 def test_why_a_key_is_no_pedal(key, said):

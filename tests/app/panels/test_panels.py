@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QObject, QPoint, Qt
+from PySide6.QtCore import QEvent, QObject, QPoint, Qt, QTimer
 from PySide6.QtGui import QColor, QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QWidget
@@ -29,6 +29,7 @@ from skincal.model.readings import LinkState, Stream
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, changed, frame, link, pixels, reading, session, slip, touch
+from tests.approved import approved
 
 BOTH = (Method.SURFACE, Method.FREE)
 
@@ -108,7 +109,7 @@ def test_now_says_what_happens_and_the_ring_fills(qtbot):
     panel.show_state(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
     assert changed(gauge, pixels(panel.gauge)) > 200
     panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
-    assert panel.headline.text() == "rejected: slid 2.1 mm, at most 1.5 mm"
+    assert panel.headline.text() == approved("now.rejected_slid", seen_mm=2.1, most_mm=1.5)
     bad = QColor(DARK.bad).getRgb()[:3]
     assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100
 
@@ -243,7 +244,7 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
     with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
         QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
     assert clicked.args == [5]
-    assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nnot poked yet")
+    assert taxels.tell(5).startswith(approved("now.taxel_not_poked", short="10-05", pad=5, module=10, channel=5))
     taxels.show_state(frame(selected=3))
     with qtbot.waitSignal(taxels.taxel_clicked) as moved:
         QTest.keyClick(taxels, Qt.Key.Key_Left)
@@ -269,7 +270,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     row = [panel.model.index(1, column).data() for column in range(6)]
     assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0\N{DEGREE SIGN}", "2.0"]
     assert panel.model.index(0, 1).data() == "\N{BALLOT X} slid 2.1 mm"
-    assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == "slid 2.1 mm, at most 1.5 mm"
+    assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
     assert panel.tally.text() == "2 pokes, 1 rejected (slid: 1)"
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
         panel.select(1)
@@ -349,7 +350,7 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     card = show(link(), 100.1)
     assert card.rate.text() == "1000 Hz"
     assert "/dev/ttyUSB0" in card.about.text()
-    assert "3  checksum does not fit" in card.losses.text()
+    assert approved("now.checksum_count", count=3) in card.losses.text()
     assert "2 skin frames" in panel.unpaired.text()
     good = pixels(card.icon)
     card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 vanished; plug it in again."), 100.2)
@@ -400,9 +401,9 @@ def test_errors_stay_until_they_are_read_and_news_goes_by_itself(qtbot):
     bar.tell(Message("The disk is full.", error=True))
     bar.tell(Message("Written."))
     assert "Written." in bar.text.text()
-    bar._timer.timeout.emit()
+    bar.findChild(QTimer).timeout.emit()
     assert "The disk is full." in bar.text.text()
-    bar._timer.timeout.emit()
+    bar.findChild(QTimer).timeout.emit()
     assert bar.isVisible()
     QTest.mouseClick(bar.close_button, Qt.MouseButton.LeftButton)
     assert not bar.isVisible()
@@ -461,7 +462,7 @@ def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
     dialog.fields["skin"].setText("spy:///dev/ttyACM0?file=x")
     with qtbot.assertNotEmitted(dialog.request_chosen):
         dialog.buttons.accepted.emit()
-    assert "begins with spy:, expected a serial port" in dialog.objection.text()
+    assert approved("links.refused_scheme_clause", scheme="spy") in dialog.objection.text()
     dialog.fields["skin"].setText("/dev/ttyACM0")
     with qtbot.waitSignal(dialog.request_chosen) as chosen:
         dialog.buttons.accepted.emit()

@@ -140,10 +140,10 @@ def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked
     session_view = bench.window.session_view
     bench.until(lambda: session_view.state.target is not None and session_view.state.target.landmark != "")
     bench.until(lambda: len(bench.snapshot.at_landmarks) >= 3)
-    lived = bench.controller._recording.pipeline
+    lived = bench.recording.pipeline
     order = read_order(said[-1])
     assert order.known == (bench.window.session_view.state.target.landmark != "")
-    made = bench.controller._recording.pipeline.session.landmark_pokes
+    made = bench.recording.pipeline.session.landmark_pokes
     assert len({one.name for one in made}) == len(made) >= 3, "one after another, each once"
     for one in made:
         force, moment = move_wrench(one.link_from_sensor, one.force, one.moment)

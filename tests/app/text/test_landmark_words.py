@@ -26,6 +26,7 @@ from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, part, target
 from tests.app.scene3d_support import laid
 from tests.app.window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
+from tests.approved import approved
 
 UP = np.array([0.0, 0.0, 1.0])
 CORNER, OTHER, SIDE = (
@@ -245,7 +246,10 @@ def test_nothing_is_asked_for_without_landmarks_or_before_the_arm_pose_is_known(
     landmarks = Landmarks(on_arm, plan_of(on_arm))
     assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0) is skin
     assert landmarks.before_skin(skin, of_pokes(pose="low"), 100.0).landmark is not None
-    assert asking(snapshot=of_pokes(pose=""))._target is not None, "a part that no arm moves has one pose, without a name"
+    landmarks = Landmarks(part(), plan_of(part()))
+    assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0).landmark is not None, (
+        "a part that no arm moves has one pose, without a name"
+    )
 
 
 def test_the_same_picture_asks_for_the_same_object():
@@ -331,13 +335,13 @@ def test_a_landmark_without_a_normal_is_pushed_from_outside():
 def test_it_is_said_what_to_do_which_of_how_many_it_is_and_what_it_is_worth():
     asked = shown(Landmarks(part(), plan_of(part())), of_pokes())
     asked = replace(asked, gain=Gain(0.0071, 0.0025, 6))
-    assert target_words(asked, asked.target, NAMES) == "poke the landmark corner"
-    worth = f"expected error of the rig 7.1 {ARROW} 2.5 mm after 6 pokes"
+    assert target_words(asked, asked.target, NAMES) == approved("landmark.ask", name="corner")
+    worth = approved("landmark.worth", now_mm=7.1, then_mm=2.5, pokes=6)
     assert gain_words(asked.gain) == worth
     assert gain_words(replace(asked.gain, pokes=1)).endswith("after 1 poke")
     assert gain_words(None) == ""
-    assert landmark_words(LandmarkTarget(CORNER, 2, 6)) == "landmark 3 of 6 in this arm pose"
-    assert why_words(asked, asked.target, ()) == f"landmark 1 of 6 in this arm pose{BETWEEN}{worth}"
+    assert landmark_words(LandmarkTarget(CORNER, 2, 6)) == approved("landmark.which_of", number=3, count=6)
+    assert why_words(asked, asked.target, ()) == approved("landmark.which_of_and_worth", number=1, count=6, worth=worth)
 
 
 @pytest.mark.parametrize("poke", [press(1, LATER), touch(1)], ids=["unanswered", "answered"])
@@ -350,8 +354,8 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted(poke):
     assert (due.sound.name, due.word) == ("ACCEPTED", "")
     assert due_cue(ear, after)[0] is None
     said, _ = now_line(now_line(NowMemory(), before)[1], after)
-    assert (said.tone, said.headline) == (Tone.GOOD, "poke 1 at the landmark corner")
-    assert said.detail == "Next: poke the landmark corner"
+    assert (said.tone, said.headline) == (Tone.GOOD, approved("landmark.accepted", poke=1, name="corner"))
+    assert said.detail == approved("landmark.ask_next", name="corner")
 
 
 def test_elsewhere_a_poke_that_no_taxel_answered_is_rejected():

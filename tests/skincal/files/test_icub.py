@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from skincal.files.icub import NO_TAXEL, THERMAL_PAD, icub_text, parse_icub, read_icub, representatives, skin_part
 from skincal.model.errors import InputError, list_channels
 from skincal.taxels.result import Method
+from tests.approved import approved
 from tests.skincal.files.files_support import CHANNELS, Part, make_calibration, make_part
 
 ROW = "0.01 0.02 0.03 0 0 1\n"
@@ -54,7 +55,7 @@ def test_a_written_file_reads_back_what_was_estimated(part):
     assert not file.positions[without].any()
     assert not file.normals[without].any()
     assert (file.name, file.frame, file.spatial_sampling) == ("r_forearm", "r_forearm_dh_frame", "taxel")
-    assert file.findings == ("no position where taxel2Repr says taxel: channels 2, 5, 13.",)
+    assert file.findings == (approved("icub.no_position", channels="2, 5, 13"),)
 
 
 def test_taxel2repr_has_one_entry_a_channel_by_the_module_plan(part):
@@ -131,21 +132,21 @@ def test_the_old_format_is_bare_rows():
     assert file.positions.shape == (3, 3)
     assert file.name == ""
     assert "old format" in file.findings[0]
-    assert "3 channels share 1 different positions" in file.findings[1]
+    assert approved("icub.shared_positions", channels=3, positions=1) in file.findings[1]
 
 
 def test_normals_that_are_not_unit_are_made_so_and_said():
     file = parse_icub("taxel2Repr (0 0)\n[calibration]\n1 0 0 0 0 0.75\n0 1 0 0 0 0\n", "f")
     np.testing.assert_array_equal(file.normals, [[0, 0, 1], [0, 0, 0]])
     assert file.findings == (
-        "normals not of unit length: 1, from 0.750 to 0.750; made unit.",
-        "positions without a normal: 1.",
+        approved("icub.not_unit", count=1, least="0.750", most="0.750"),
+        approved("icub.no_normal", count=1),
     )
 
 
 def test_a_taxel2repr_of_the_wrong_length_is_said():
     file = parse_icub("taxel2Repr (0 0 0 -1)\n[calibration]\n" + ROW, "f")
-    assert "taxel2Repr has 4 entries for 1 rows" in file.findings[0]
+    assert approved("icub.entries_and_rows", entries=4, rows=1) in file.findings[0]
     missing = parse_icub("[calibration]\n" + ROW, "f")
     assert "taxel2Repr is missing" in missing.findings[0]
 
@@ -157,8 +158,8 @@ def test_a_taxel2repr_of_the_wrong_length_is_said():
         ("hello\nworld\n", "line 1 is 'hello'"),
         ("[calibration]\n1 2 3\n", "line 2 is '1 2 3'"),
         ("[calibration]\n1 2 3 nan 0 0\n", "line 2"),
-        ("name a\nname b\n[calibration]\n" + ROW, "line 2: name appears twice"),
-        ("taxel2Repr (1 x)\n[calibration]\n" + ROW, "taxel2Repr holds something else"),
+        ("name a\nname b\n[calibration]\n" + ROW, approved("icub.name_twice", line=2)),
+        ("taxel2Repr (1 x)\n[calibration]\n" + ROW, approved("icub.odd_entry")),
     ],
 )
 def test_what_is_no_position_file_is_said_with_its_line(text, said):
@@ -200,7 +201,7 @@ REAL = os.environ.get("SKINCAL_ICUB_FILES")
         ("left_forearm_mesh.txt", 384, 276, "unit length: 265,"),
         ("left_forearm_nomesh.txt", 384, 275, "without a normal: 275"),
         ("left_forearm_V2.txt", 384, 240, "240 channels share 148"),
-        ("left_hand_V2_1.txt", 192, 48, "no position where taxel2Repr says taxel"),
+        ("left_hand_V2_1.txt", 192, 48, approved("icub.no_position_clause")),
         ("torso.txt", 768, 528, "528 channels share 447"),
     ],
 )

@@ -29,6 +29,7 @@ from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene
 from tests.skincal.sim_support import make_rig
 
@@ -88,7 +89,7 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     action = found_in(session)
     session.act(action)
     now = session.snapshot()
-    assert now.can_undo == "correction of the rig"
+    assert now.can_undo == approved("rig.undo_correction")
     assert mean_error(session, rig) < 0.5 * error
     correction = now.corrections[RIG].correction
     contacts = [correction.corrected(one) for one in reported if isinstance(one, Contact)]
@@ -122,7 +123,7 @@ def test_a_poke_that_comes_later_is_corrected_too(bad):
     session.act(Exclude(6000))
     session.act(Uncorrect(RIG))
     assert np.array_equal(session.snapshot().pokes[-1].outcome.force, reported.force)
-    with pytest.raises(InputError, match="No correction of 'rig' is in use"):
+    with pytest.raises(InputError, match=approved_pattern("rig.not_in_use", of="rig")):
         session.act(Uncorrect(RIG))
 
 
@@ -241,7 +242,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     session, _ = bad
     session.act(found_in(session))
     sentences = write_calibration(session.calibration(), "json", tmp_path / "c.json", Method.MODULES)
-    assert any("held-out ones pass their landmarks at" in one for one in sentences)
+    assert any(approved("rig.held_out_clause") in one for one in sentences)
     file = read_json(tmp_path / "c.json")
     assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig reported it"
     solved = estimate_taxels(
@@ -327,9 +328,9 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert file.landmark_check.worth_using
     assert file.landmark_check.after < file.landmark_check.before
     assert main(["export", str(recorded), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
-    assert "the rig is corrected from 21 landmark pokes" in (tmp_path / "p.txt").read_text(encoding="utf-8")
+    assert approved("rig.corrected_clause", pokes=21) in (tmp_path / "p.txt").read_text(encoding="utf-8")
     assert main(["solve", str(recorded)]) == 0
-    assert "The rig can be corrected" in capsys.readouterr().out, "the recording is as it was"
+    assert approved("rig.correctable_begin") in capsys.readouterr().out, "the recording is as it was"
 
 
 def test_where_nothing_is_offered_a_command_says_so(tmp_path, capsys):
@@ -339,4 +340,4 @@ def test_where_nothing_is_offered_a_command_says_so(tmp_path, capsys):
         pipeline.feed(item)
     pipeline.close()
     assert main(["solve", str(tmp_path / "s"), "--correct"]) == 2
-    assert "needs pokes at landmarks" in capsys.readouterr().err
+    assert approved("rig.needs_landmarks") in capsys.readouterr().err

@@ -20,6 +20,7 @@ from skincal.model.scene import Landmark, load_scene
 from skincal.session.landmark_pokes import REACTION_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
+from tests.approved import approved
 from tests.skincal.poke_script import LINKS, Script, as_chunks, outcome_key, same_estimates, small_scene, write_scene
 
 FORCE, POINT = np.array([1.0, 2.0, -8.0]), np.array([0.02, 0.05, 0.10])
@@ -145,8 +146,8 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
     assert mine == theirs
     assert same_estimates(headless.snapshot(), pipeline.snapshot())
     said = capsys.readouterr().err
-    assert 'order {"do": "ask_landmark", "name": "nose"}: not done. There is no landmark' in said
-    assert "order poke 3: not done." in said
+    assert approved("landmark.order_refused", order='{"do": "ask_landmark", "name": "nose"}') in said
+    assert approved("landmark.poke_order_refused", channel=3) in said
 
 
 def test_the_bytes_are_what_counts(recorded):

@@ -18,6 +18,7 @@ from skincal.session.replay import load, replay
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene
 from tests.skincal.sim_support import make_rig
 
@@ -76,7 +77,7 @@ def test_landmarks_are_added_by_hand_and_named_once():
     for wrong in (AddLandmark("head", 0.0, 0.0, 0.0), AddLandmark("", 0.0, 0.0, 0.0), AddLandmark("far", 20.0, 0.0, 0.0)):
         with pytest.raises(InputError):
             session.act(wrong)
-    with pytest.raises(InputError, match="cannot be at a landmark"):
+    with pytest.raises(InputError, match=approved_pattern("landmark.wrong_contact")):
         session.act(AtLandmark(7, "head"))
     session.act(Undo())
     assert session.landmarks == ()
@@ -117,7 +118,10 @@ def test_scenes_name_landmarks_and_say_what_is_wrong_with_them(tmp_path):
     one, other = load_scene(path).landmarks
     assert one.normal.tolist() == [0.0, 0.0, 1.0]
     assert other.normal is None
-    for wrong, why in ((good + good, "no other one has"), (good.replace("0.03, 0.03", "30, 30"), "divide millimetres")):
+    for wrong, why in (
+        (good + good, approved("landmark.name_twice")),
+        (good.replace("0.03, 0.03", "30, 30"), "divide millimetres"),
+    ):
         path.write_text(text + wrong, encoding="utf-8")
         with pytest.raises(InputError, match=why):
             load_scene(path)
@@ -162,4 +166,5 @@ def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
     assert main(["solve", str(tmp_path / "s")]) == 0
     reported = capsys.readouterr().out
     assert "frame looks right" in reported
-    assert "it needs 6 pokes at landmarks, 4 different ones; 3 pokes at 1 are there" in reported
+    needs = approved("rig.pokes_needed", pokes=6, landmarks=4)
+    assert approved("rig.too_few", needs=needs, pokes=3, landmarks=1) in reported

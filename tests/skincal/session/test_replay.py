@@ -32,6 +32,7 @@ from skincal.model.scene import load_scene
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from skincal.streams.links import LinkSpec
+from tests.approved import approved
 from tests.skincal.poke_script import (
     ANSWERS,
     LINKS,
@@ -194,8 +195,8 @@ def test_a_dead_channel_stays_dead_after_a_break_until_it_shows_otherwise(scene,
 @pytest.mark.parametrize(
     ("why", "change"),
     [
-        ("stuck: exactly 120 for 60 s or more while the others vary", {}),
-        ("always on: answered 5 of 5 pokes that lie elsewhere", {"quiet": True}),
+        (approved("taxel.stuck", value=120), {}),
+        (approved("taxel.always_on", count=5), {"quiet": True}),
     ],
 )
 def test_a_verdict_of_before_needs_new_evidence_to_fall(why, change):
@@ -375,7 +376,7 @@ def test_a_changed_scene_is_not_answered_from_notes(scene, tmp_path, name):
     else:
         path.write_text(path.read_text().split("[[modules]]\nid = 1")[0])
     loaded = load(tmp_path / "s")
-    assert any("changed after the recording" in sentence for sentence in loaded.findings)
+    assert any(approved("mesh.changed_after_recording") in sentence for sentence in loaded.findings)
     assert_same(loaded, replay(tmp_path / "s"))
     assert name == "modules.toml" or loaded.session.contacts == ()
 

@@ -21,6 +21,7 @@ from skincal.session.review import Asked, ReviewedPart, Reviewer, Unreviewed, re
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
+from tests.approved import approved_pattern
 from tests.skincal.poke_script import small_scene
 from tests.skincal.session.test_corrections import rejected
 from tests.skincal.sim_support import make_rig, scene_and_surface
@@ -359,7 +360,7 @@ def test_what_was_not_told_from_its_beginning_is_not_guessed(session):
 
 @pytest.mark.parametrize("sha256", ["0" * 64, None])
 def test_a_mesh_that_changed_is_said(sha256):
-    with pytest.raises(InputError, match="the mesh changed since the session was opened"):
+    with pytest.raises(InputError, match=approved_pattern("mesh.changed_after_opening")):
         ReviewedPart(scene_and_surface()[0], sha256).load_surface()
 
 

@@ -14,6 +14,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec
 from skincal.session.session import Session
 from skincal.taxels.result import Method, State
+from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates, small_scene, some_pokes
 
 NUMBERS = st.integers(1, 9)
@@ -185,9 +186,9 @@ def test_undo_after_an_exclusion_of_the_last_poke_restores_it(outcomes):
 @pytest.mark.parametrize(
     ("action", "words"),
     [
-        (Exclude(99), "not an accepted poke"),
+        (Exclude(99), approved("session.not_accepted")),
         (Restore(1), "counts already"),
-        (SetPose("sideways"), "not in the scene"),
+        (SetPose("sideways"), approved("session.pose_unknown")),
         (MarkDead(24), "expected 0 to 23"),
     ],
     ids=str,

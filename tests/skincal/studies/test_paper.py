@@ -11,6 +11,7 @@ from skincal.simulate.courses import TABLE_I
 from skincal.studies import paper
 from skincal.studies.figures import write_figure
 from skincal.studies.paper import QUICK, ErrorSpread, run_course, run_good, run_trial
+from tests.approved import approved
 
 TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84))
 
@@ -60,7 +61,7 @@ def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
         assert times[name][2] is None, "only 84 pokes are timed"
         assert 0 < times[name][0] < times[name][1]
     assert times["free"][1] < times["modules"][1] < times["modules_21"][1]
-    assert any("84 pokes solved as it came" in line for line in paper.summary(found))
+    assert any(approved("study.as_it_came", pokes=84) in line for line in paper.summary(found))
 
 
 def test_a_course_is_the_same_again_but_for_its_times():

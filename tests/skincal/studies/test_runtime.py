@@ -20,6 +20,7 @@ from skincal.studies.measuring import Quartiles, at_rest, sampled, time_words, t
 from skincal.studies.runtime import main_rows, positions_of, runtime_bars, summary, touching
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
+from tests.approved import approved
 from tests.skincal.studies.studies_support import FOREARM, TINY, tiny
 
 
@@ -191,8 +192,8 @@ def test_without_quadprog_the_study_says_so_and_goes_on(monkeypatch):
     small = replace(TINY, small=replace(TINY.small, seeds=1, repeats=1, meshes=(), pokes=()), growth_until_s=0.0)
     said = []
     result = runtime.run(True, said.append, small)
-    assert "quadprog is not installed; left out" in result["left_out"]
-    assert "quadprog is not installed; left out" in said
+    assert approved("study.no_quadprog") in result["left_out"]
+    assert approved("study.no_quadprog") in said
     assert "quadprog" not in {row["method"] for row in result["table"]}
     assert "quadprog_over_surface" not in result["ratios"]
     # No time for growth either: that is said, and what the ratios need is there.
