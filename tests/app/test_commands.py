@@ -79,27 +79,27 @@ def test_a_pedal_is_learnt_by_keys_and_acts_as_the_space_bar(bench, recorded):
     assert QSettings("skincal", "test").value("pedal/space") == "F13"
     tap(bench, Key.Key_F13)  # the focused button is Close
     gone(bench, PedalsDialog)
-    wishes: list[int] = []
-    bench.window.commands.actions["space"].triggered.connect(lambda: wishes.append(1))
+    pressed: list[int] = []
+    bench.window.commands.actions["space"].triggered.connect(lambda: pressed.append(1))
     bench.window.activateWindow()
     bench.until(bench.window.isActiveWindow, 5000)
     tap(bench, Key.Key_F13)
-    assert len(wishes) == 1
+    assert len(pressed) == 1
     bench.key(Key.Key_F13)
-    assert len(wishes) == 2
+    assert len(pressed) == 2
 
     bench.key(Key.Key_F2)
     dialog_of(bench, QMessageBox)
     tap(bench, Key.Key_F13)
     gone(bench, QMessageBox)
-    assert len(wishes) == 2
+    assert len(pressed) == 2
 
 
 def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     assert bench.window.pedals.learn("another", "F15") == ""
-    wishes: list[int] = []
-    bench.window.commands.actions["another"].triggered.connect(lambda: wishes.append(1))
+    pressed: list[int] = []
+    bench.window.commands.actions["another"].triggered.connect(lambda: pressed.append(1))
     target = bench.window.session_view.state.target
     bench.key(Key.Key_F15)
     now = bench.window.session_view.state.target
@@ -107,10 +107,10 @@ def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
     again = QKeyEvent(QEvent.Type.KeyPress, Key.Key_F15, Qt.KeyboardModifier.NoModifier, "", True)
     for _ in range(5):
         QApplication.sendEvent(bench.window, again)
-    assert len(wishes) == 1
+    assert len(pressed) == 1
     bench.window.commands.actions["another"].setEnabled(False)
     bench.key(Key.Key_F15)
-    assert len(wishes) == 1
+    assert len(pressed) == 1
 
 
 def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
@@ -126,10 +126,10 @@ def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
     assert dialog.keys["space"].text() == "no pedal"
     assert not dialog.forget["space"].isEnabled()
     tap(bench, Key.Key_Escape)
-    wishes: list[int] = []
-    bench.window.commands.actions["space"].triggered.connect(lambda: wishes.append(1))
+    pressed: list[int] = []
+    bench.window.commands.actions["space"].triggered.connect(lambda: pressed.append(1))
     bench.key(Key.Key_F13)
-    assert wishes == []
+    assert pressed == []
     assert not QSettings("skincal", "test").contains("pedal/space")
     assert not bench.window.pedals._installed, "without a pedal no event is looked at"
 

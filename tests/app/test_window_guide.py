@@ -379,7 +379,7 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     assert paints.count == 0
 
 
-def test_turning_is_a_wish_of_the_view_menu_that_is_remembered(bench, qtbot, tmp_path, recorded):
+def test_turning_is_a_choice_of_the_view_menu_that_is_remembered(bench, qtbot, tmp_path, recorded):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     assert bench.window.commands.actions["turn"].isChecked()

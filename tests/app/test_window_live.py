@@ -374,7 +374,7 @@ def own_garbage(qapp):
 
 
 @pytest.mark.usefixtures("own_garbage")
-def test_garbage_is_ended_in_the_window_s_thread_whoever_makes_it(qtbot):
+def test_garbage_is_ended_in_the_window_s_thread_wherever_it_is_made(qtbot):
     ended = []
 
     class Cycle:

@@ -85,9 +85,9 @@ class Poked:
     def poke(self, *, answered: bool = False) -> int:
         """Poke the landmark that is asked for; return the number of the poke."""
         number, before = self.pipeline.session.last_poke + 1, self.frame
-        landmark = next(one for one in self.pipeline.session.landmarks if one.name == self.asked)
+        landmark = next(each for each in self.pipeline.session.landmarks if each.name == self.asked)
         pokes = poke_landmarks(self.rig, (landmark,), 1, self.rng, number)
-        told = replace(next(one for one in pokes if one.pose == POSE), poke=number)
+        told = replace(next(poke for poke in pokes if poke.pose == POSE), poke=number)
         start_s = time.monotonic() + 1.0
         rest = {"force": told.force, "moment": told.moment, "link_from_sensor": told.link_from_sensor, "pose": POSE}
         channels = np.array([self.near()[0]] if answered else [], dtype=np.int64)
@@ -150,10 +150,10 @@ def is_running(process: int) -> bool:
 def moved(before, after) -> float:
     """How far a taxel moved at most between two sets of estimates, metres."""
     apart = [
-        np.linalg.norm(one.position - other.position)
+        np.linalg.norm(first.position - second.position)
         for method, every in before.items()
-        for one, other in zip(every, after[method], strict=True)
-        if one.position is not None and other.position is not None
+        for first, second in zip(every, after[method], strict=True)
+        if first.position is not None and second.position is not None
     ]
     assert apart
     return float(max(apart))

@@ -138,7 +138,7 @@ def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate
     bench.until(lambda: keys.headline == approved("guide.enough", done=8, count=8, target_mm=3), 20_000)
     pokes = len(bench.snapshot.pokes)
     keys.qtbot.wait(4000)
-    assert len(bench.snapshot.pokes) <= pokes + 1, "whoever sees that it is enough stops"
+    assert len(bench.snapshot.pokes) <= pokes + 1, "who sees that it is enough stops"
     path = to_the_file(keys)
     the_file_is_right(keys, path, tmp_path / "recording")
 

@@ -157,8 +157,8 @@ def test_a_name_that_is_empty_or_taken_is_refused_with_the_reason(dialog, qtbot)
 
 
 def test_the_place_is_shown_in_millimetres_and_can_be_changed(dialog):
-    assert [one.text() for one in dialog.coordinates] == ["x  12.34 mm", "y  -45.60 mm", "z  0.00 mm"]
-    assert all(one.locale() == QLocale.c() for one in dialog.coordinates)
+    assert [field.text() for field in dialog.coordinates] == ["x  12.34 mm", "y  -45.60 mm", "z  0.00 mm"]
+    assert all(field.locale() == QLocale.c() for field in dialog.coordinates)
     dialog.coordinates[2].setValue(1.5)
     np.testing.assert_allclose(dialog.place(), [0.01234, -0.0456, 0.0015], atol=1e-12)
     dialog.coordinates[2].setValue(1e9)

@@ -34,8 +34,8 @@ AGREES = Check(14, 13)
 
 
 def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
-    done = used - sum(one.why is not Why.DEAD for one in left)
-    enough = all(one.why is not Why.EARLY for one in left)
+    done = used - sum(taxel.why is not Why.DEAD for taxel in left)
+    enough = all(taxel.why is not Why.EARLY for taxel in left)
     return Verdict(Method.SURFACE, enough, 0.003, done, used, left, checked, 252, 552.0)
 
 

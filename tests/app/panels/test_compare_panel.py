@@ -100,8 +100,8 @@ def test_every_set_that_there_is_can_be_chosen():
     places = np.zeros((24, 3))
     for told in (review({Method.FREE: places}, {}), review({}, {Method.FREE: places})):
         found = sources_of(both, told, laid=False)
-        assert [source_words(one) for one in found[2:]] == ["Free before correction", "Free after correction"]
-    assert [source_words(one) for one in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
+        assert [source_words(source) for source in found[2:]] == ["Free before correction", "Free after correction"]
+    assert [source_words(source) for source in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
 
 
 def test_the_layout_is_compared_with_the_shown_method_and_free_with_surface_without_one():
@@ -161,7 +161,7 @@ def test_of_too_many_modules_the_worst_are_listed():
     many = [*few, ModuleDifference(99, 12, 0.02, 0.0, 0.0)]
     listed = listed_modules(many)
     assert (len(listed), listed[0].module) == (MOST_MODULES, 99)
-    assert [one.mean for one in listed] == sorted((one.mean for one in listed), reverse=True)
+    assert [module.mean for module in listed] == sorted((module.mean for module in listed), reverse=True)
     assert listed_words(41) == approved("compare.worst_modules", listed=40, count=41)
 
 

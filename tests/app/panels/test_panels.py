@@ -211,9 +211,9 @@ def test_states_differ_in_shape_not_only_in_colour():
         draw_mark(painter, QPointF(20, 20), 12, mark, QColor("white"), QColor("white"))
         painter.end()
         drawn.append(np.frombuffer(image.constBits(), np.uint8).reshape(40, 40, 4)[..., 0] > 128)
-    for i, one in enumerate(drawn):
+    for i, picture in enumerate(drawn):
         for other in drawn[i + 1 :]:
-            assert (one != other).sum() > 60
+            assert (picture != other).sum() > 60
 
 
 @pytest.mark.usefixtures("qapp")
@@ -235,9 +235,9 @@ def test_small_marks_are_round_and_only_done_is_a_square(radius):
     for mark in (Mark.UNSEEN, Mark.BLIND):
         assert drawn[mark][reach, reach] < 0.4 * drawn[mark].max(), "hollow"
     looks = list(drawn.values())
-    for i, one in enumerate(looks):
+    for i, picture in enumerate(looks):
         for other in looks[i + 1 :]:
-            assert np.abs(one - other).sum() > 4 * 255 * 0.15
+            assert np.abs(picture - other).sum() > 4 * 255 * 0.15
 
 
 def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
@@ -427,9 +427,9 @@ def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot,
     dialog.format.setCurrentIndex(1)
     assert dialog.path.text() == str(tmp_path / "part.json")
     assert not dialog.method.isEnabled()
-    with qtbot.waitSignal(dialog.write_requested) as wish:
+    with qtbot.waitSignal(dialog.write_requested) as asked:
         QTest.mouseClick(dialog.write, Qt.MouseButton.LeftButton)
-    assert wish.args == ["json", tmp_path / "part.json", Method.FREE]
+    assert asked.args == ["json", tmp_path / "part.json", Method.FREE]
     dialog.show_findings(("3 taxels have no position",))
     assert "1 remark" in dialog.outcome.text()
     assert dialog.findings.item(0).text() == "3 taxels have no position"

@@ -61,8 +61,8 @@ def test_a_landmark_appears_on_the_part_and_looks_otherwise_once_it_is_poked(vie
     bare = pixels(view)
     assert show(view, session(2, (HEAD, CORNER)))
     there = pixels(view)
-    for one in (HEAD, CORNER):
-        assert changed(bare, there, seen(view, one.place)) > 25
+    for landmark in (HEAD, CORNER):
+        assert changed(bare, there, seen(view, landmark.place)) > 25
     assert show(view, session(3, (HEAD, CORNER), {1: "head"}, ("low",)))
     poked = pixels(view)
     assert changed(there, poked, seen(view, HEAD.place)) > 10
@@ -105,9 +105,9 @@ def test_names_stand_beside_few_landmarks_and_many_have_none(view):
     settle()
     layer = stage_of(view).landmarks
     assert [actor.GetInput() for actor in layer.names] == ["head", "corner"]
-    for actor, one in zip(layer.names, (HEAD, CORNER), strict=True):
+    for actor, landmark in zip(layer.names, (HEAD, CORNER), strict=True):
         assert actor.GetVisibility()
-        x, y = seen(view, one.place)
+        x, y = seen(view, landmark.place)
         left, low = actor.GetPosition()
         assert 8 < left - x < 40
         assert abs(view.height() - low - y) < 1.5
@@ -160,11 +160,11 @@ def test_a_landmark_that_is_asked_for_has_the_ring_in_any_scene(qtbot, surface):
 
 def test_landmarks_come_into_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
     view = make_view(qtbot, surface=False, plan=False)
-    far = tuple(replace(one, place=one.place + np.array([0.5, 0.4, 0.3])) for one in (HEAD, CORNER))
+    far = tuple(replace(landmark, place=landmark.place + np.array([0.5, 0.4, 0.3])) for landmark in (HEAD, CORNER))
     show(view, session(1, far))
     settle()
-    for one in far:
-        x, y = seen(view, one.place)
+    for landmark in far:
+        x, y = seen(view, landmark.place)
         assert 0 < x < view.width()
         assert 0 < y < view.height()
 

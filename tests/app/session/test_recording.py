@@ -18,7 +18,7 @@ from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, writ
 
 
 class Folder:
-    """Where a recording lies, as `app.storage.Storage` says it."""
+    """Where a recording lies, as `app.session.recording.Storage` says it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -105,7 +105,7 @@ def test_the_line_does_not_flicker_at_its_limits():
         line = Line()
         for tilt, force in zip(tilts, newtons, strict=True):
             line.show(held(tilt, newtons=force))
-        turns = sum(one != other for one, other in zip(line.said, line.said[1:], strict=False))
+        turns = sum(first != second for first, second in zip(line.said, line.said[1:], strict=False))
         assert turns <= 2
 
 

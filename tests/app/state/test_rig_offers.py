@@ -81,7 +81,7 @@ def review(
 def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmarks=None, excluded=()):
     """A session with these corrections in use."""
     made = session(1, known, pokes, excluded)
-    corrections = {one.of: one for one in used}
+    corrections = {correction.of: correction for correction in used}
     there = at_landmarks or {}
     return replace(made, corrections=corrections, landmarks=(CORNER, OTHER), at_landmarks=there, pose="low")
 
@@ -128,7 +128,7 @@ def test_the_frame_goes_first_with_its_misses():
 
 
 def test_a_frame_found_under_another_builds_on_it():
-    """What is offered replaces what is in use; under a corrected frame the doctor tells only what is left."""
+    """What is offered replaces what is in use; under a corrected frame the check reports only what is left."""
     used = in_use(FRAME)
     (offer,) = offers(review(diagnosis=WRONG), at(used))
     found = np.kron(np.diag([1.0, 1e-3]), TURN)
@@ -144,7 +144,7 @@ def test_what_is_in_use_is_offered_again_only_from_more_pokes():
         assert offer_text(offer) == approved("rig.offer_anew")
         assert offer.action.pokes == pokes
     (offer,) = offers(review(diagnosis=WRONG), at(in_use(pokes=6)))
-    assert offer.action.of == FRAME, "a wrong frame is told whatever else is in use"
+    assert offer.action.of == FRAME, "a wrong frame is said whatever else is in use"
 
 
 def test_the_key_does_what_is_offered_first():
@@ -157,26 +157,26 @@ def test_the_key_does_what_is_offered_first():
 
 
 def test_an_offer_is_told_once_and_made_once():
-    rigging, none = RigReview(), at()
+    rig_review, none = RigReview(), at()
     used = at(in_use())
-    now, then = (replace(review(), used=one.corrections) for one in (none, used))
-    assert (rigging.offers(none), rigging.news(none)) == ((), None)
-    rigging.review = now
-    made = rigging.offers(none)
-    assert rigging.offers(replace(none, generation=9)) is made
-    news = offer_news(rigging.news(none))
+    now, then = (replace(review(), used=moment.corrections) for moment in (none, used))
+    assert (rig_review.offers(none), rig_review.news(none)) == ((), None)
+    rig_review.review = now
+    made = rig_review.offers(none)
+    assert rig_review.offers(replace(none, generation=9)) is made
+    news = offer_news(rig_review.news(none))
     assert news.startswith(offer_words(made[0]))
     assert approved("rig.offer_keys") in news
-    assert rigging.shown(none) is now
-    assert rigging.shown(used) is None, "it says nothing of a session that uses another correction"
-    assert (rigging.offers(used), rigging.news(used)) == ((), None)
-    rigging.review = replace(now, generation=2)
-    assert rigging.offers(none) is not made
-    assert rigging.news(none) is None, "it was told, and was taken back"
-    rigging.review = then
-    assert rigging.offers(used) == ()
-    rigging.review = replace(then, pokes=review(pokes=9).pokes)
-    assert "C uses that" in offer_news(rigging.news(used)), "another one is offered"
+    assert rig_review.shown(none) is now
+    assert rig_review.shown(used) is None, "it says nothing of a session that uses another correction"
+    assert (rig_review.offers(used), rig_review.news(used)) == ((), None)
+    rig_review.review = replace(now, generation=2)
+    assert rig_review.offers(none) is not made
+    assert rig_review.news(none) is None, "it was said, and was taken back"
+    rig_review.review = then
+    assert rig_review.offers(used) == ()
+    rig_review.review = replace(then, pokes=review(pokes=9).pokes)
+    assert "C uses that" in offer_news(rig_review.news(used)), "another one is offered"
 
 
 # What is said

@@ -109,7 +109,7 @@ def test_a_poke_on_another_taxel_counts_where_it_landed(peak, said):
     done = guided(guidance(target(7)), [touch(1, (peak,))], 2, PressPhase.TARING, 101.0)
     now, memory = now_line(memory, done)
     assert (now.tone, now.headline) == (Tone.GOOD, said)
-    assert now.detail.startswith("Next: poke 10-07"), "whoever is quick does not wait for the line to say it"
+    assert now.detail.startswith("Next: poke 10-07"), "a quick hand does not wait for the line to say it"
     assert ("10-03 was asked for" in now.detail) == (peak == 5)
     # The same poke with its last tare changes nothing of it, though something else is asked for by now.
     now, memory = now_line(memory, guided(guidance(target(7)), [touch(1, (peak,))], 3, PressPhase.TARING, 101.5))

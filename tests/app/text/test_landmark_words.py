@@ -97,7 +97,7 @@ class Landmarks(LandmarkGuide):
 
     def poked(self, snapshot) -> list[FoundAtLandmark]:
         """Return which new pokes were at the landmark that was asked for."""
-        new = [one.outcome for one in snapshot.pokes if one.outcome.poke > self._seen]
+        new = [poke.outcome for poke in snapshot.pokes if poke.outcome.poke > self._seen]
         self.begin(snapshot)
         return self._finder.find(new, snapshot.landmarks)
 
@@ -178,7 +178,7 @@ def test_a_poke_is_not_at_a_landmark_far_from_which_taxels_answered(near, channe
     assert (landmarks.poked(of_pokes(poke, points=[point])) == [FoundAtLandmark(1, "screw")]) is taken
 
 
-@pytest.mark.parametrize("reason", [one for one in Reason if one is not Reason.NO_TAXEL])
+@pytest.mark.parametrize("reason", [each for each in Reason if each is not Reason.NO_TAXEL])
 def test_a_poke_that_was_rejected_for_another_reason_is_not_at_it(reason):
     assert asking().poked(of_pokes(replace(press(1, LATER), reason=reason))) == []
 
@@ -313,7 +313,7 @@ def test_what_they_are_worth_is_told_and_falls_as_they_are_poked():
     assert second.after < second.now < first.now
 
 
-def test_nothing_is_foretold_where_the_arm_or_the_taxels_are_not_known():
+def test_nothing_is_predicted_where_the_arm_or_the_taxels_are_not_known():
     landmarks = Landmarks(part(), plan_of(part()))
     unknown = shown(landmarks, replace(of_pokes(), link_from_sensor=None))
     assert unknown.landmark is not None

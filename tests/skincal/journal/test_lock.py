@@ -231,7 +231,9 @@ def test_a_session_that_cannot_be_written_is_read(tmp_path):
     try:
         for way in (load, replay):
             contacts = way(folder).session.contacts
-            assert [outcome_key(one) for one in contacts] == [outcome_key(one) for one in pipeline.session.contacts]
+            assert [outcome_key(contact) for contact in contacts] == [
+                outcome_key(contact) for contact in pipeline.session.contacts
+            ]
     finally:
         for path in (folder, folder / "scene"):
             path.chmod(0o755)

@@ -75,9 +75,9 @@ def found_in(session):
 def mean_error(session, rig, method=Method.MODULES):
     truth = dict(zip(rig.channels.tolist(), rig.places, strict=True))
     off = [
-        np.linalg.norm(one.position - truth[one.channel])
-        for one in session.snapshot().estimates[method]
-        if one.position is not None and one.channel in truth
+        np.linalg.norm(estimate.position - truth[estimate.channel])
+        for estimate in session.snapshot().estimates[method]
+        if estimate.position is not None and estimate.channel in truth
     ]
     return float(np.mean(off))
 
@@ -92,7 +92,7 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     assert now.can_undo == approved("rig.undo_correction")
     assert mean_error(session, rig) < 0.5 * error
     correction = now.corrections[RIG].correction
-    contacts = [correction.corrected(one) for one in reported if isinstance(one, Contact)]
+    contacts = [correction.corrected(poke) for poke in reported if isinstance(poke, Contact)]
     solved = estimate_taxels(
         contacts,
         session.channels,
@@ -103,8 +103,8 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
         model=session.module_model,
     )
     for method, found in solved.items():
-        for one, other in zip(now.estimates[method], found.values(), strict=True):
-            assert np.array_equal(one.position, other.position), method
+        for first, second in zip(now.estimates[method], found.values(), strict=True):
+            assert np.array_equal(first.position, second.position), method
     assert found_in(session) == action, "what is asked for does not hang on what is in use"
     session.act(Undo())
     assert same_estimates(session.snapshot(), before)
@@ -152,10 +152,10 @@ def test_a_frame_that_is_named_wrong_is_put_right():
     for poke in poke_landmarks(rig, rig.scene.landmarks, 6, rng)[:6]:
         session.add(rejected(replace(poke, force=TURN @ poke.force, moment=1e3 * TURN @ poke.moment)))
         session.act(AtLandmark(poke.poke, poke.name))
-    normals = {one.name: one.normal for one in session.landmarks}
+    normals = {landmark.name: landmark.normal for landmark in session.landmarks}
 
     def diagnosis():
-        return diagnose(session.landmark_pokes, [normals[one.name] for one in session.landmark_pokes])
+        return diagnose(session.landmark_pokes, [normals[poke.name] for poke in session.landmark_pokes])
 
     found = diagnosis()
     assert not found.right
@@ -190,7 +190,7 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
     pipeline.close()
     other = again(tmp_path / "s")
     assert same_estimates(other.snapshot(), pipeline.snapshot())
-    here, there = (one.session.snapshot().corrections[RIG] for one in (pipeline, other))
+    here, there = (moment.session.snapshot().corrections[RIG] for moment in (pipeline, other))
     assert here.correction.matrix.tobytes() == there.correction.matrix.tobytes()
     assert (there.before, there.after, there.pokes) == (0.007, 0.001, 21)
 
@@ -229,7 +229,7 @@ def test_what_is_felt_now_is_corrected_as_its_poke_will_be(bad):
     nobody = np.empty(0)
     felt = Progress(PressPhase.PRESSING, force, axis_point(force, moment), nobody.astype(np.int64), nobody, 0.0)
     true = session.corrected_progress(felt, reported.link_from_sensor, reported.pose)
-    poke = next(one.outcome for one in session.snapshot().pokes if one.outcome.poke == 7)
+    poke = next(record.outcome for record in session.snapshot().pokes if record.outcome.poke == 7)
     force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
     np.testing.assert_allclose(true.force, force, atol=1e-12)
     np.testing.assert_allclose(true.axis_point, axis_point(force, moment), atol=1e-9)
@@ -242,15 +242,15 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     session, _ = bad
     session.act(found_in(session))
     sentences = write_calibration(session.calibration(), "json", tmp_path / "c.json", Method.MODULES)
-    assert any(approved("rig.held_out_clause") in one for one in sentences)
+    assert any(approved("rig.held_out_clause") in sentence for sentence in sentences)
     file = read_json(tmp_path / "c.json")
     assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig reported it"
     solved = estimate_taxels(
         file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.module_model
     )
     for method, found in solved.items():
-        for one, other in zip(file.estimates[method], found.values(), strict=True):
-            assert np.array_equal(one.position, other.position), method
+        for first, second in zip(file.estimates[method], found.values(), strict=True):
+            assert np.array_equal(first.position, second.position), method
     used = session.snapshot().corrections[RIG]
     assert (file.corrections[0].before, file.corrections[0].after) == (used.before, used.after)
     for kind in ("icub", "ply"):
@@ -271,7 +271,7 @@ def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp
     reported = session.outcome(file.landmark_pokes[0].poke)
     assert np.array_equal(file.landmark_pokes[0].force, reported.force), "as the rig reported it"
 
-    contacts = [one for one in file.contacts if one.poke not in file.excluded]
+    contacts = [contact for contact in file.contacts if contact.poke not in file.excluded]
     again = correct_rig(RigRequest(session.scene, session.surface, contacts, file.landmark_pokes, file.dead))
     session.act(Uncorrect(RIG))
     expected = correct_rig(session.rig_request())
@@ -302,8 +302,8 @@ def recorded(poked, tmp_path_factory):
     rig, contacts, landmarks = poked
     folder = tmp_path_factory.mktemp("bad") / "s"
     pipeline = Pipeline(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
-    outcomes = [*contacts, *(rejected(one) for one in landmarks)]
-    taken = Taken([(one, None) for one in outcomes], None)
+    outcomes = [*contacts, *(rejected(landmark) for landmark in landmarks)]
+    taken = Taken([(record, None) for record in outcomes], None)
     pipeline.take(taken)
     pipeline.journal.write(Chunk("wrench", 1, b""), [taken])
     for poke in landmarks:

@@ -142,7 +142,7 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
     headless = Pipeline(SessionLog(folder).scene, LINKS, None)
     _loop(headless, items, {}, None, None)
     assert headless.snapshot().at_landmarks == {1: "head", 3: "tail"}
-    mine, theirs = ([outcome_key(one.outcome) for one in each.snapshot().pokes] for each in (headless, pipeline))
+    mine, theirs = ([outcome_key(poke.outcome) for poke in each.snapshot().pokes] for each in (headless, pipeline))
     assert mine == theirs
     assert same_estimates(headless.snapshot(), pipeline.snapshot())
     said = capsys.readouterr().err

@@ -52,7 +52,7 @@ def test_a_poke_that_no_taxel_answered_may_be_at_a_landmark():
     for poke in (first.poke, second.poke):
         session.act(AtLandmark(poke, "head"))
     reported = session.landmark_pokes
-    assert [one.poke for one in reported] == [1, 2]
+    assert [each.poke for each in reported] == [1, 2]
     np.testing.assert_allclose(reported[0].force, FORCE, atol=2e-6)
     np.testing.assert_allclose(reported[0].moment, np.cross(POINT, FORCE), atol=2e-6)
     assert (reported[0].place == POINT).all()
@@ -62,10 +62,10 @@ def test_a_poke_that_no_taxel_answered_may_be_at_a_landmark():
     session.act(AtLandmark(1, ""))
     assert session.landmark_pokes == ()
     session.act(Undo())
-    assert [one.poke for one in session.landmark_pokes] == [1]
+    assert [each.poke for each in session.landmark_pokes] == [1]
     session.act(AtLandmark(2, "head"))
     session.act(Exclude(2))
-    assert [one.poke for one in session.landmark_pokes] == [1]
+    assert [each.poke for each in session.landmark_pokes] == [1]
 
 
 def test_landmarks_are_added_by_hand_and_named_once():
@@ -73,7 +73,7 @@ def test_landmarks_are_added_by_hand_and_named_once():
     with pytest.raises(InputError, match="no landmarks"):
         session.act(AtLandmark(1, "head"))
     session.act(AddLandmark("head", 0.02, 0.05, 0.10))
-    assert [one.name for one in session.snapshot().landmarks] == ["head"]
+    assert [landmark.name for landmark in session.snapshot().landmarks] == ["head"]
     for wrong in (AddLandmark("head", 0.0, 0.0, 0.0), AddLandmark("", 0.0, 0.0, 0.0), AddLandmark("far", 20.0, 0.0, 0.0)):
         with pytest.raises(InputError):
             session.act(wrong)
@@ -142,8 +142,8 @@ def test_a_session_asks_for_what_corrects_its_rig(rng):
         )  # fmt: skip
         session.act(AtLandmark(poke.poke, poke.name))
     request = session.rig_request()
-    assert [one.poke for one in request.landmarks] == list(range(1001, 1007))
-    assert {one.pose for one in request.landmarks} == {"1", "2"}
+    assert [poke.poke for poke in request.landmarks] == list(range(1001, 1007))
+    assert {poke.pose for poke in request.landmarks} == {"1", "2"}
     assert len(request.contacts) == len(session.contacts)
 
 

@@ -163,27 +163,27 @@ def places(session, contacts):
     )
     unknown = np.full(3, np.nan)
     return {
-        method: np.array([unknown if one.position is None else one.position for one in found.values()])
+        method: np.array([unknown if estimate.position is None else estimate.position for estimate in found.values()])
         for method, found in solved.items()
     }
 
 
 def assert_is_of(session, answer):
     """Fail unless a review says what the session itself finds."""
-    normals = {one.name: one.normal for one in session.landmarks}
-    frame = diagnose(session.landmark_pokes, [normals[one.name] for one in session.landmark_pokes])
+    normals = {landmark.name: landmark.normal for landmark in session.landmarks}
+    frame = diagnose(session.landmark_pokes, [normals[poke.name] for poke in session.landmark_pokes])
     rig = correct_rig(session.rig_request())
     assert (answer.frame is None) == (frame is None)
     if frame is not None:
         assert frame_sentence(answer.frame) == frame_sentence(frame)
-    assert [one.poke for one in answer.pokes] == [one.poke for one in session.landmark_pokes]
+    assert [poke.poke for poke in answer.pokes] == [poke.poke for poke in session.landmark_pokes]
     assert (answer.rig.used, answer.rig.distances, answer.rig.trust) == (rig.used, rig.distances, rig.trust)
     np.testing.assert_array_equal(answer.rig.unknowns, rig.unknowns)
     np.testing.assert_array_equal(answer.channels, session.channels)
-    contacts = [one for one in session.framed().values() if isinstance(one, Contact)]
+    contacts = [contact for contact in session.framed().values() if isinstance(contact, Contact)]
     corrected = RIG in session.corrections
     wanted = places(session, contacts) if corrected else {}
-    offered = places(session, [rig.correction.corrected(one) for one in contacts]) if rig.used and not corrected else {}
+    offered = places(session, [rig.correction.corrected(contact) for contact in contacts]) if rig.used and not corrected else {}
     for found, expected in ((answer.before, wanted), (answer.after, offered)):
         assert found.keys() == expected.keys()
         for method, known in expected.items():
@@ -241,7 +241,7 @@ def test_the_places_before_are_told_while_a_correction_is_in_use_and_those_after
     session.act(Undo())
     for method, found in review.before.items():
         now = session.snapshot().estimates[method]
-        known = np.array([np.full(3, np.nan) if one.position is None else one.position for one in now])
+        known = np.array([np.full(3, np.nan) if estimate.position is None else estimate.position for estimate in now])
         np.testing.assert_array_equal(found, known, err_msg="the session's own, without the correction")
 
 
@@ -261,7 +261,7 @@ def test_from_too_few_landmark_pokes_nothing_is_offered(poked):
     assert_is_of(session, review)
 
 
-def test_whoever_is_asked_nothing_says_nothing():
+def test_a_reviewer_that_is_asked_nothing_says_nothing():
     with pytest.raises(ValueError, match="nothing was asked"):
         Reviewer(small_scene(), None).review(lambda: None)
 

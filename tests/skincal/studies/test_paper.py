@@ -30,7 +30,7 @@ def test_it_gives_what_is_asked_of_it():
     assert set(found["per_pose_mm"]) == {"free", "surface", "modules"}
     assert all(list(poses) == list(TABLE_I) for poses in found["per_pose_mm"].values())
     assert all(len(course) == 7 for course in found["averaged_mm"].values())
-    assert [one["landmark_pokes"] for one in found["landmarks"]] == [21, 70]
+    assert [row["landmark_pokes"] for row in found["landmarks"]] == [21, 70]
     assert len(said) == 2 + 3
     assert sum("bar" in line for line in paper.summary(found)) == len(found["bars"])
 
@@ -45,7 +45,7 @@ def test_landmarks_help_and_modules_do():
     found, _ = result()
     assert found["mean_mm"]["modules_21"] < 0.5 * found["mean_mm"]["modules"]
     assert found["good_rig_mm"]["modules"] < 0.5 * found["good_rig_mm"]["surface"]
-    assert all(one["held_out_after_mm"] < one["held_out_before_mm"] for one in found["landmarks"])
+    assert all(row["held_out_after_mm"] < row["held_out_before_mm"] for row in found["landmarks"])
 
 
 def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():

@@ -77,7 +77,7 @@ def test_the_papers_way_solves_each_triangle(solver, off, rng):
 def test_the_papers_stacked_rows_give_the_shipped_free_answer(way):
     rows = alternatives.stacked(poked(), bench().channels)
     ours = positions_of(shipped(Method.FREE))
-    doubted = {channel for channel, one in shipped(Method.FREE).items() if one.doubted}
+    doubted = {channel for channel, estimate in shipped(Method.FREE).items() if estimate.doubted}
     pairs = {
         channel: p for channel, p in zip(rows.channels, way(rows), strict=True) if channel in ours and channel not in doubted
     }

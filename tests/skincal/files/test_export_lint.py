@@ -1,3 +1,5 @@
+"""Remarks on a calibration before it is written: what is odd is named with its channels, and what is right is not."""
+
 from dataclasses import replace
 
 import numpy as np

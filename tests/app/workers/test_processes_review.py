@@ -112,7 +112,7 @@ def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot,
     qtbot.waitUntil(lambda: bool(heard.reviews), timeout=OPEN_MS)
     qtbot.wait(200)
     (answer,) = heard.reviews
-    assert [one.poke for one in answer.pokes] == [1, 2, 3], "of the newest alone"
+    assert [poke.poke for poke in answer.pokes] == [1, 2, 3], "of the newest alone"
     assert answer.used is session.snapshot().corrections
     reviewer = Reviewer(session.scene, session.surface)
     reviewer.take(Asked().change(session, session.snapshot()))
@@ -138,7 +138,7 @@ def test_a_process_that_dies_is_replaced_and_told_all(qtbot, session, client, pr
     os.kill(processes.pid, signal.SIGKILL)
     tell(session, client, 2, 3)
     qtbot.waitUntil(lambda: len(heard.reviews) > 1, timeout=OPEN_MS)
-    assert [one.poke for one in heard.reviews[-1].pokes] == [1, 2, 3]
+    assert [poke.poke for poke in heard.reviews[-1].pokes] == [1, 2, 3]
     assert heard.failures == []
 
 
@@ -215,7 +215,7 @@ def asked(monkeypatch):
 
 def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     tell(session, client, 1)
-    assert [one.generation for one in asked] == [1]
+    assert [change.generation for change in asked] == [1]
     client.follow(session.snapshot())
     session.set_current_pose("2", np.eye(4))
     client.follow(session.snapshot())
@@ -229,7 +229,7 @@ def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     client.follow(session.snapshot())
     session.add(replace(session.outcome(1), end_s=9.0))
     client.follow(session.snapshot())
-    assert [one.generation for one in asked] == [1, 2, 3, 4, 5]
+    assert [change.generation for change in asked] == [1, 2, 3, 4, 5]
     assert list(asked[-1].pokes) == [1], "a landmark poke that is told again"
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
     client.follow(session.snapshot())

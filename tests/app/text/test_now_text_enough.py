@@ -25,7 +25,7 @@ ENOUGH = (
 
 def at(pokes=ENOUGH, sd=1e-3, generation=1, excluded=(), blind=(), dead=(), done=(), method=Method.FREE, **changes):
     """A moment in which the modules method knows every taxel to `sd`, m, but those that are blind or dead."""
-    told = {one.channel: one for one in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
+    told = {each.channel: each for each in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
     told |= {channel: Estimate(channel, Method.MODULES, State.BLIND, 2) for channel in blind}
     told |= {channel: Estimate(channel, Method.MODULES, State.DEAD, 0) for channel in dead}
     snapshot = session(generation, pokes=pokes, excluded=excluded)
