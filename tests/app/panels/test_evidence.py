@@ -152,8 +152,13 @@ def test_the_map_marks_an_ambiguous_taxel_by_a_shape_of_its_own(qtbot, size):
 
 
 @pytest.fixture
-def layer():
-    made = EstimatesLayer(vtkRenderer(), StaticScene(SCENE, None, None, PLAN.channels.tolist()))
+def renderer():
+    return vtkRenderer()
+
+
+@pytest.fixture
+def layer(renderer):
+    made = EstimatesLayer(renderer, StaticScene(SCENE, None, None, PLAN.channels.tolist()))
     made.set_colours(scene_state.DARK)
     return made
 
@@ -166,7 +171,7 @@ def ends(layer: EstimatesLayer) -> np.ndarray:
     return points_of(layer.alternative).reshape(-1, 2, 3)
 
 
-def test_a_line_joins_the_selected_taxel_to_its_rival(layer):
+def test_a_line_joins_the_selected_taxel_to_its_rival(layer, renderer):
     layer.show(moment(estimate(3, (0, 0, 0)), 1))
     assert layer.alternative is None
     layer.show(moment(ambiguous(), 2, selected=None))
@@ -178,13 +183,13 @@ def test_a_line_joins_the_selected_taxel_to_its_rival(layer):
     assert np.allclose(
         np.linalg.norm(ends(layer)[1:] - [0.034, 0, 0], axis=2), np.linalg.norm(ends(layer)[1, 0] - [0.034, 0, 0])
     )
-    count = layer._renderer.GetViewProps().GetNumberOfItems()
+    count = renderer.GetViewProps().GetNumberOfItems()
     layer.show(moment(ambiguous(), 3, selected=4))
     assert not made.actor.GetVisibility()
     layer.show(moment(ambiguous(), 4))
     assert layer.alternative is made
     assert made.actor.GetVisibility()
-    assert layer._renderer.GetViewProps().GetNumberOfItems() == count
+    assert renderer.GetViewProps().GetNumberOfItems() == count
 
 
 def test_the_line_of_a_taxel_that_is_blind_is_drawn_where_it_is_selected(layer):
