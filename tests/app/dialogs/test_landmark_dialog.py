@@ -111,10 +111,10 @@ class Acts(list):
 
 def test_coordinates_are_asked_for_at_once_where_there_is_no_surface(qtbot):
     view, acts, said = make_view(qtbot, surface=False), Acts(), []
-    marking = LandmarkPicking(view, lambda: {"landmark 1"}, acts, "palm", view)
-    marking.said.connect(said.append)
-    marking.ask(view.window())
-    assert not marking.waiting
+    picking = LandmarkPicking(view, lambda: {"landmark 1"}, acts, "palm", view)
+    picking.said.connect(said.append)
+    picking.ask(view.window())
+    assert not picking.waiting
     assert said == []
     (dialog,) = dialogs()
     assert dialog.name.text() == "landmark 2"

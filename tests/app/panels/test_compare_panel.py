@@ -387,11 +387,11 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     assert not queue.waiting
 
     def broken(*_):
-        raise RuntimeError("of the boards")
+        raise RuntimeError("of the modules")
 
     monkeypatch.setattr("skincal.session.error_history.mend_modules", broken)
     judge(watch, at(known(), generation=4))
-    with pytest.raises(RuntimeError, match="of the boards"):
+    with pytest.raises(RuntimeError, match="of the modules"):
         queue.finish()
     monkeypatch.setattr("skincal.session.error_history.mend_modules", health.mend_modules)
     judge(watch, at(known(), generation=4))

@@ -66,7 +66,7 @@ def test_a_poke_that_begins_after_the_landmark_is_asked_for_is_at_it_whether_a_t
     kinds = [type(record.outcome) for record in pipeline.snapshot().pokes]
     assert kinds == [Rejection, Contact, Rejection]
     assert pipeline.snapshot().at_landmarks == {2: "head", 3: "head"}
-    assert pipeline.snapshot().can_undo == "poke 3 at head"
+    assert pipeline.snapshot().can_undo == approved("landmark.undo_poke", poke=3, name="head")
 
 
 def test_a_poke_that_was_on_its_way_is_not_at_it_and_none_is_once_nothing_is_asked_for(scene):
@@ -124,7 +124,7 @@ def test_a_session_played_or_loaded_has_the_same_landmark_pokes_and_the_same_to_
     assert other.findings == ()
     assert pipeline.snapshot().at_landmarks == {1: "head", 3: "tail"}
     assert other.snapshot().at_landmarks == pipeline.snapshot().at_landmarks
-    assert other.snapshot().can_undo == pipeline.snapshot().can_undo == "poke 3 at tail"
+    assert other.snapshot().can_undo == pipeline.snapshot().can_undo == approved("landmark.undo_poke", poke=3, name="tail")
     assert same_estimates(other.snapshot(), pipeline.snapshot())
 
 

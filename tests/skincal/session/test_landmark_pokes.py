@@ -57,7 +57,7 @@ def test_a_poke_that_no_taxel_answered_may_be_at_a_landmark():
     np.testing.assert_allclose(reported[0].moment, np.cross(POINT, FORCE), atol=2e-6)
     assert (reported[0].place == POINT).all()
     assert session.snapshot().at_landmarks == {1: "head", 2: "head"}
-    assert session.snapshot().can_undo == "poke 2 at head"
+    assert session.snapshot().can_undo == approved("landmark.undo_poke", poke=2, name="head")
     session.act(Undo())
     session.act(AtLandmark(1, ""))
     assert session.landmark_pokes == ()
