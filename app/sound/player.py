@@ -109,9 +109,14 @@ class NoSoundError(Exception):
 class Output(Protocol):
     """What plays a stream that was begun, in a thread of its own; it may be started again after a stop."""
 
-    def start(self, stream: Stream, /) -> None: ...
-    def stop(self) -> None: ...
-    def close(self) -> None: ...
+    def start(self, stream: Stream, /) -> None:
+        """Begin to play."""
+
+    def stop(self) -> None:
+        """Fall silent."""
+
+    def close(self) -> None:
+        """Let the device go."""
 
 
 def open_output(*, real: bool = True) -> Output:

@@ -320,7 +320,7 @@ def _lines(
 # ---- run time ----
 
 
-class Look(NamedTuple):
+class MarkLook(NamedTuple):
     """How a method is drawn and named."""
 
     mark: str
@@ -331,22 +331,22 @@ class Look(NamedTuple):
     """In a table."""
 
 
-LOOKS: dict[str, Look] = {
-    "surface": Look("*", BLUE, "surface, as shipped", "surface, as shipped"),
-    "free": Look("*", VERMILION, "free, as shipped", "free, as shipped"),
-    "brute": Look("s", SKY, "every triangle, closed form", "surface: every triangle, closed form"),
-    "facing": Look("p", SKY, "those that are pushed", "surface: every triangle that is pushed, closed form"),
-    "compiled": Look("X", SKY, "pushed ones, compiled", "surface: every triangle that is pushed, compiled"),
-    "bounded": Look("D", SKY, "every triangle's bound first", "surface: every triangle's bound, then closed form"),
-    "quadprog": Look("o", ORANGE, "the paper's way: quadprog", "surface: each triangle by quadprog"),
-    "slsqp": Look("o", BLACK, "the paper's way: SLSQP", "surface: each triangle by SLSQP"),
-    "modules": Look("*", GREEN, "modules, as shipped", "modules, as shipped"),
-    "modules-general": Look("d", GREEN, "modules, scipy's Levenberg-Marquardt", "modules: scipy's Levenberg-Marquardt"),
-    "modules-per-pose": Look("^", GREEN, "modules, poses averaged", "modules: each pose alone, averaged"),
-    "surface-per-pose": Look("^", BLUE, "surface, poses averaged", "surface: each pose alone, averaged"),
-    "free-per-pose": Look("^", VERMILION, "free, poses averaged", "free: each pose alone, averaged"),
-    "lstsq": Look("v", ORANGE, "numpy lstsq", "free: numpy's lstsq for each taxel"),
-    "normal": Look("P", PINK, "normal equations", "free: normal equations"),
+LOOKS: dict[str, MarkLook] = {
+    "surface": MarkLook("*", BLUE, "surface, as shipped", "surface, as shipped"),
+    "free": MarkLook("*", VERMILION, "free, as shipped", "free, as shipped"),
+    "brute": MarkLook("s", SKY, "every triangle, closed form", "surface: every triangle, closed form"),
+    "facing": MarkLook("p", SKY, "those that are pushed", "surface: every triangle that is pushed, closed form"),
+    "compiled": MarkLook("X", SKY, "pushed ones, compiled", "surface: every triangle that is pushed, compiled"),
+    "bounded": MarkLook("D", SKY, "every triangle's bound first", "surface: every triangle's bound, then closed form"),
+    "quadprog": MarkLook("o", ORANGE, "the paper's way: quadprog", "surface: each triangle by quadprog"),
+    "slsqp": MarkLook("o", BLACK, "the paper's way: SLSQP", "surface: each triangle by SLSQP"),
+    "modules": MarkLook("*", GREEN, "modules, as shipped", "modules, as shipped"),
+    "modules-general": MarkLook("d", GREEN, "modules, scipy's Levenberg-Marquardt", "modules: scipy's Levenberg-Marquardt"),
+    "modules-per-pose": MarkLook("^", GREEN, "modules, poses averaged", "modules: each pose alone, averaged"),
+    "surface-per-pose": MarkLook("^", BLUE, "surface, poses averaged", "surface: each pose alone, averaged"),
+    "free-per-pose": MarkLook("^", VERMILION, "free, poses averaged", "free: each pose alone, averaged"),
+    "lstsq": MarkLook("v", ORANGE, "numpy lstsq", "free: numpy's lstsq for each taxel"),
+    "normal": MarkLook("P", PINK, "normal equations", "free: normal equations"),
 }
 """By the method's name in JSON."""
 PARTS = {"icub-forearm": "forearm", "whole-body": "whole body"}

@@ -16,6 +16,7 @@ from app.__main__ import main
 from app.preflight import LIBRARIES, X_LIBRARIES, objection
 from app.session.opening import OpenRequest
 from app.state.running import Running
+from tests.approved import approved
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 60
@@ -64,15 +65,15 @@ def test_help_lists_the_options_of_the_window(arguments, capsys):
 def test_devices_without_a_display_end_in_a_sentence_and_code_2():
     done = python("import sys; from app.__main__ import main; sys.exit(main(['--wrench', 'a', '--skin', 'b']))")
     assert done.returncode == 2
-    assert "there is no display" in done.stderr
+    assert approved("start.no_display") in done.stderr
     assert "skincal record" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("['--wrench', 'a']", "No skin device is named"),
-        ("['--wrench', 'spy:///dev/null?file=x', '--skin', 'b']", "begins with spy:, expected a serial port"),
+        ("['--wrench', 'a']", approved("start.no_skin_named")),
+        ("['--wrench', 'spy:///dev/null?file=x', '--skin', 'b']", approved("links.refused_scheme_clause", scheme="spy")),
         ("['--scene', 'nowhere/scene.toml']", "nowhere"),
         ("['--session', 'nowhere']", "nowhere"),
         ("['--colour']", "--colour"),
@@ -92,13 +93,13 @@ def test_wrong_options_end_in_a_sentence_and_code_2(arguments, said):
 def test_what_a_recorded_session_would_ignore_is_refused(other, tmp_path, capsys):
     assert main(["--session", str(tmp_path), *other]) == 2
     said = capsys.readouterr().err
-    assert f"--session {tmp_path} was given together with {other[0]}; expected --session without" in said
+    assert approved("start.session_with_other", folder=tmp_path, other=other[0]) in said
 
 
 def test_a_missing_library_is_named_with_the_line_that_installs_it():
     lacking = {"libEGL.so.1", "libxcb-cursor.so.0"}
     said = objection({"DISPLAY": ":7"}, "linux", lambda name: name not in lacking, lambda: True)
-    assert said.endswith("apt-get install -y --no-install-recommends libegl1 libxcb-cursor0")
+    assert said.endswith(approved("start.install", packages="libegl1 libxcb-cursor0"))
 
 
 def test_only_a_window_on_x_needs_the_libraries_of_x():
@@ -116,7 +117,7 @@ def test_a_display_that_does_not_answer_is_not_a_display():
 
 def test_wayland_is_a_display_where_its_socket_is(tmp_path):
     env = {"WAYLAND_DISPLAY": "wayland-0", "XDG_RUNTIME_DIR": str(tmp_path)}
-    assert "no window can be opened" in objection(env, "linux", lambda _: True, lambda: False)
+    assert approved("start.no_window") in objection(env, "linux", lambda _: True, lambda: False)
     (tmp_path / "wayland-0").touch()
     assert objection(env, "linux", lambda _: True, lambda: False) == ""
 

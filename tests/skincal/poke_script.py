@@ -203,7 +203,7 @@ def same_estimates(first: Snapshot, second: Snapshot) -> bool:
         return False
     for method in first.estimates:
         ours, theirs = first.estimates[method], second.estimates[method]
-        if [estimate_key(one) for one in ours] != [estimate_key(one) for one in theirs]:
+        if [estimate_key(estimate) for estimate in ours] != [estimate_key(estimate) for estimate in theirs]:
             return False
     return True
 

@@ -24,6 +24,7 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
 from skincal.simulate.virtual_session import simulate_session
 from skincal.taxels.result import Method, State
+from tests.approved import approved
 
 PATCH = resource("scenes/flat-patch/scene.toml")
 FOREARM = resource("scenes/icub-forearm/scene.toml")
@@ -173,7 +174,7 @@ def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_pat
         finally:
             server.terminate()
     assert done == 0
-    assert 'order {"do": "ask_landmark", "name": "nose"}: not done. There is no landmark' in capsys.readouterr().err
+    assert approved("landmark.order_refused", order='{"do": "ask_landmark", "name": "nose"}') in capsys.readouterr().err
     at = load(tmp_path / "s").snapshot().at_landmarks
     assert at == replay(tmp_path / "s").snapshot().at_landmarks
     # The first may have begun before it was asked for.

@@ -23,6 +23,7 @@ from skincal.guide.candidates import directions
 from skincal.guide.progress import AxisDiversity
 from skincal.taxels.result import Method
 from tests.app.window_support import show_in
+from tests.approved import approved
 
 UP = np.array([0.0, 0.0, 1.0])
 USABLE = float(np.radians(28.0))
@@ -151,7 +152,7 @@ def test_words_say_what_the_method_needs_and_which_the_guide_follows(panel):
     assert "free method" in panel.follows.text()
     assert "tilt" in panel.follows.text()
     panel.show_state(framed(diversity([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
-    assert panel.spread.text() == "Their middle lies 1.3 mm beside it, wanted 1.0 mm or less"
+    assert panel.spread.text() == approved("guide.middle_astray", miss_mm=1.3, most_mm=1.0)
     assert "surface method" in panel.follows.text()
     assert "evenness" in panel.follows.text()
     panel.show_state(framed(diversity(), method=Method.SURFACE))

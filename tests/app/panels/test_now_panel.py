@@ -22,6 +22,7 @@ from skincal.taxels.result import Method
 from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
 from tests.app.whole_window import Paints
 from tests.app.window_support import NAMES, PLAN, changed, frame, is_elided, pixels, reading, session, show_in, slip, touch
+from tests.approved import approved
 
 LEEWAY, DEGREE = float(np.radians(10.0)), "\N{DEGREE SIGN}"
 WORST = {
@@ -60,7 +61,11 @@ def every_headline() -> list[str]:
         hint_words(Hint(ask, amount, lean), ASKED, names)
         for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
     ]
-    said += ["waiting for wrench and skin and joints", "no device connected", "enough: 4200 of 4200 taxels meet 3 mm"]
+    said += [
+        approved("now.waiting_for_all"),
+        "no device connected",
+        approved("guide.enough", done=4200, count=4200, target_mm=3),
+    ]
     for phase in PressPhase:
         for force in (2.0, 8.0, 16.0):
             at = replace(frame(view=reading(phase, force)), guidance=says)

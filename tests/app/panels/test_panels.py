@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QObject, QPoint, QRectF, Qt
+from PySide6.QtCore import QEvent, QObject, QPoint, QRectF, Qt, QTimer
 from PySide6.QtGui import QColor, QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QWidget
@@ -45,6 +45,7 @@ from tests.app.window_support import (
     slip,
     touch,
 )
+from tests.approved import approved
 
 BOTH = (Method.SURFACE, Method.FREE)
 
@@ -120,7 +121,7 @@ def test_now_says_what_happens_and_the_ring_fills(qtbot):
     panel.show_state(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
     assert changed(gauge, pixels(panel.gauge)) > 200
     panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
-    assert panel.headline.text() == "rejected: slid 2.1 mm, at most 1.5 mm"
+    assert panel.headline.text() == approved("now.rejected_slid", seen_mm=2.1, most_mm=1.5)
     bad = QColor(DARK.bad).getRgb()[:3]
     assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100
 
@@ -222,9 +223,9 @@ def test_states_differ_in_shape_not_only_in_colour():
         draw_mark(painter, QPointF(20, 20), 12, mark, QColor("white"), QColor("white"))
         painter.end()
         drawn.append(np.frombuffer(image.constBits(), np.uint8).reshape(40, 40, 4)[..., 0] > 128)
-    for i, one in enumerate(drawn):
+    for i, picture in enumerate(drawn):
         for other in drawn[i + 1 :]:
-            assert (one != other).sum() > 60
+            assert (picture != other).sum() > 60
 
 
 @pytest.mark.usefixtures("qapp")
@@ -246,16 +247,16 @@ def test_small_marks_are_round_and_only_done_is_a_square(radius):
     for mark in (Mark.UNSEEN, Mark.BLIND):
         assert drawn[mark][reach, reach] < 0.4 * drawn[mark].max(), "hollow"
     looks = list(drawn.values())
-    for i, one in enumerate(looks):
+    for i, picture in enumerate(looks):
         for other in looks[i + 1 :]:
-            assert np.abs(one - other).sum() > 4 * 255 * 0.15
+            assert np.abs(picture - other).sum() > 4 * 255 * 0.15
 
 
 def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
     with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
         QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
     assert clicked.args == [5]
-    assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nnot poked yet")
+    assert taxels.tell(5).startswith(approved("now.taxel_not_poked", short="10-05", pad=5, module=10, channel=5))
     taxels.show_state(frame(selected=3))
     with qtbot.waitSignal(taxels.taxel_clicked) as moved:
         QTest.keyClick(taxels, Qt.Key.Key_Left)
@@ -281,7 +282,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     row = [panel.model.index(1, column).data() for column in range(6)]
     assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0\N{DEGREE SIGN}", "2.0"]
     assert panel.model.index(0, 1).data() == "\N{BALLOT X} slid 2.1 mm"
-    assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == "slid 2.1 mm, at most 1.5 mm"
+    assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
     assert panel.tally.text() == "2 pokes, 1 rejected (slid: 1)"
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
         panel.select(1)
@@ -358,7 +359,7 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     card = show(link(), 100.1)
     assert card.rate.text() == "1000 Hz"
     assert "/dev/ttyUSB0" in card.about.text()
-    assert "3  checksum does not fit" in card.losses.text()
+    assert approved("now.checksum_count", count=3) in card.losses.text()
     assert "2 skin frames" in panel.unpaired.text()
     good = pixels(card.sign)
     card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 vanished; plug it in again."), 100.2)
@@ -411,9 +412,9 @@ def test_errors_stay_until_they_are_read_and_news_goes_by_itself(qtbot):
     bar.tell(Message("The disk is full.", error=True))
     bar.tell(Message("Written."))
     assert "Written." in bar.text.text()
-    bar._timer.timeout.emit()
+    bar.findChild(QTimer).timeout.emit()
     assert "The disk is full." in bar.text.text()
-    bar._timer.timeout.emit()
+    bar.findChild(QTimer).timeout.emit()
     assert bar.isVisible()
     QTest.mouseClick(bar.close_button, Qt.MouseButton.LeftButton)
     assert not bar.isVisible()
@@ -437,9 +438,9 @@ def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot,
     dialog.format.setCurrentIndex(1)
     assert dialog.path.text() == str(tmp_path / "part.json")
     assert not dialog.method.isEnabled()
-    with qtbot.waitSignal(dialog.write_requested) as wish:
+    with qtbot.waitSignal(dialog.write_requested) as asked:
         QTest.mouseClick(dialog.write, Qt.MouseButton.LeftButton)
-    assert wish.args == ["json", tmp_path / "part.json", Method.FREE]
+    assert asked.args == ["json", tmp_path / "part.json", Method.FREE]
     dialog.show_findings(("3 taxels have no position",))
     assert "1 remark" in dialog.outcome.text()
     assert dialog.findings.item(0).text() == "3 taxels have no position"
@@ -472,7 +473,7 @@ def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
     dialog.fields["skin"].setText("spy:///dev/ttyACM0?file=x")
     with qtbot.assertNotEmitted(dialog.request_chosen):
         dialog.buttons.accepted.emit()
-    assert "begins with spy:, expected a serial port" in dialog.objection.text()
+    assert approved("links.refused_scheme_clause", scheme="spy") in dialog.objection.text()
     dialog.fields["skin"].setText("/dev/ttyACM0")
     with qtbot.waitSignal(dialog.request_chosen) as chosen:
         dialog.buttons.accepted.emit()

@@ -140,14 +140,14 @@ def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked
     session_view = bench.window.session_view
     bench.until(lambda: session_view.state.target is not None and session_view.state.target.landmark != "")
     bench.until(lambda: len(bench.snapshot.at_landmarks) >= 3)
-    lived = bench.controller._recording.pipeline
+    lived = bench.recording.pipeline
     order = read_order(said[-1])
     assert order.known == (bench.window.session_view.state.target.landmark != "")
-    made = bench.controller._recording.pipeline.session.landmark_pokes
-    assert len({one.name for one in made}) == len(made) >= 3, "one after another, each once"
-    for one in made:
-        force, moment = move_wrench(one.link_from_sensor, one.force, one.moment)
-        away = np.cross(one.place - axis_point(force, moment), force) / np.linalg.norm(force)
+    made = bench.recording.pipeline.session.landmark_pokes
+    assert len({poke.name for poke in made}) == len(made) >= 3, "one after another, each once"
+    for poke in made:
+        force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+        away = np.cross(poke.place - axis_point(force, moment), force) / np.linalg.norm(force)
         assert np.linalg.norm(away) < 0.006, "sensor noise and 0.7 mm of the hand: the axis passes its landmark"
     assert bench.controller.act(correct_action(RIG, Correction(1.02 * np.eye(6)), 7e-3, 2e-3, len(made)))
     bench.until(lambda: RIG in bench.snapshot.corrections)
@@ -172,6 +172,6 @@ def without_a_window(folder, lived) -> None:
     assert here.at_landmarks == there.at_landmarks
     assert len(here.at_landmarks) >= 3
     assert here.corrections.keys() == there.corrections.keys() == {RIG}
-    assert [outcome_key(one.outcome) for one in here.pokes] == [outcome_key(one.outcome) for one in there.pokes]
+    assert [outcome_key(poke.outcome) for poke in here.pokes] == [outcome_key(poke.outcome) for poke in there.pokes]
     assert same_estimates(here, there)
     assert here.can_undo == there.can_undo

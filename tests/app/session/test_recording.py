@@ -14,11 +14,12 @@ from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from tests.approved import approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
 
 class Folder:
-    """Where a recording lies, as `app.storage.Storage` says it."""
+    """Where a recording lies, as `app.session.recording.Storage` says it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -68,7 +69,7 @@ def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, t
 
 def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp_path):
     recording.pipeline.journal_failure = "the disk is full"
-    with pytest.raises(InputError, match="open the session again"):
+    with pytest.raises(InputError, match=approved_pattern("session.open_again")):
         recording.go_on()
     assert segments(tmp_path / "s") == ["segment-0001.mcap"]
 

@@ -19,6 +19,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import replay, resume
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, outcome_key, same_estimates, some_pokes, write_scene
 
 
@@ -100,7 +101,7 @@ def test_a_changed_scene_is_said(scene, tmp_path):
     record(scene, tmp_path / "s", pokes=1).close()
     with (tmp_path / "s" / "scene" / "scene.toml").open("a") as file:
         file.write("[contacts]\nforce_min = 5.0\n")
-    assert "changed after the recording" in replay(tmp_path / "s").findings[0]
+    assert approved("mesh.changed_after_recording") in replay(tmp_path / "s").findings[0]
 
 
 def test_an_action_that_no_longer_fits_a_changed_scene_is_said_and_left_out(scene, tmp_path):
@@ -172,7 +173,7 @@ def test_resume_in_the_middle_of_a_poke_loses_that_poke_alone(scene, tmp_path):
 
 def test_a_new_session_does_not_write_into_an_old_one(scene, tmp_path):
     create_session(tmp_path / "s", scene, LINKS).close()
-    with pytest.raises(InputError, match="holds a session already"):
+    with pytest.raises(InputError, match=approved_pattern("session.holds_one")):
         create_session(tmp_path / "s", scene, LINKS)
 
 

@@ -1,3 +1,5 @@
+"""The second-best place on a surface: the same as by looking at every triangle."""
+
 from collections import defaultdict
 
 import numpy as np

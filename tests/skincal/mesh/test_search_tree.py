@@ -1,3 +1,5 @@
+"""The tree over the triangles leaves nothing out that the search needs."""
+
 import pickle
 import time
 

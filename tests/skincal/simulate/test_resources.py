@@ -1,3 +1,5 @@
+"""The scenes and meshes that ship: made by the benches, and as the scenes say."""
+
 import numpy as np
 import pytest
 import trimesh

@@ -11,6 +11,7 @@ from skincal.simulate.courses import TABLE_I
 from skincal.studies import paper
 from skincal.studies.figures import write_figure
 from skincal.studies.paper import QUICK, run_course, run_good, run_trial, spread
+from tests.approved import approved
 
 TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84))
 
@@ -29,7 +30,7 @@ def test_it_gives_what_is_asked_of_it():
     assert set(found["per_pose_mm"]) == {"free", "surface", "modules"}
     assert all(list(poses) == list(TABLE_I) for poses in found["per_pose_mm"].values())
     assert all(len(course) == 7 for course in found["averaged_mm"].values())
-    assert [one["landmark_pokes"] for one in found["landmarks"]] == [21, 70]
+    assert [row["landmark_pokes"] for row in found["landmarks"]] == [21, 70]
     assert len(said) == 2 + 3
     assert sum("bar" in line for line in paper.summary(found)) == len(found["bars"])
 
@@ -44,7 +45,7 @@ def test_landmarks_help_and_modules_do():
     found, _ = result()
     assert found["mean_mm"]["modules_21"] < 0.5 * found["mean_mm"]["modules"]
     assert found["good_rig_mm"]["modules"] < 0.5 * found["good_rig_mm"]["surface"]
-    assert all(one["held_out_after_mm"] < one["held_out_before_mm"] for one in found["landmarks"])
+    assert all(row["held_out_after_mm"] < row["held_out_before_mm"] for row in found["landmarks"])
 
 
 def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
@@ -60,7 +61,7 @@ def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
         assert times[name][2] is None, "only 84 pokes are timed"
         assert 0 < times[name][0] < times[name][1]
     assert times["free"][1] < times["modules"][1] < times["modules_21"][1]
-    assert any("84 pokes solved as it came" in line for line in paper.summary(found))
+    assert any(approved("study.as_it_came", pokes=84) in line for line in paper.summary(found))
 
 
 def test_a_course_is_the_same_again_but_for_its_times():

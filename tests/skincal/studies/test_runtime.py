@@ -20,6 +20,7 @@ from skincal.studies.measuring import at_rest, quartiles, time_words, timed
 from skincal.studies.runtime import main_rows, positions_of, runtime_bars, summary, touching
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
+from tests.approved import approved
 from tests.skincal.studies.studies_support import FOREARM, TINY, tiny
 
 
@@ -76,7 +77,7 @@ def test_the_papers_way_solves_each_triangle(solver, off, rng):
 def test_the_papers_stacked_rows_give_the_shipped_free_answer(way):
     rows = alternatives.stacked(poked(), bench().channels)
     ours = positions_of(shipped(Method.FREE))
-    doubted = {channel for channel, one in shipped(Method.FREE).items() if one.doubted}
+    doubted = {channel for channel, estimate in shipped(Method.FREE).items() if estimate.doubted}
     pairs = {
         channel: p for channel, p in zip(rows.channels, way(rows), strict=True) if channel in ours and channel not in doubted
     }
@@ -191,8 +192,8 @@ def test_without_quadprog_the_study_says_so_and_goes_on(monkeypatch):
     small = replace(TINY, small=replace(TINY.small, seeds=1, repeats=1, meshes=(), pokes=()), growth_until_s=0.0)
     said = []
     result = runtime.run(True, said.append, small)
-    assert "quadprog is not installed; left out" in result["left_out"]
-    assert "quadprog is not installed; left out" in said
+    assert approved("study.no_quadprog") in result["left_out"]
+    assert approved("study.no_quadprog") in said
     assert "quadprog" not in {row["method"] for row in result["table"]}
     assert "quadprog_over_surface" not in result["ratios"]
     # No time for growth either: that is said, and what the ratios need is there.

@@ -88,7 +88,9 @@ def test_the_exact_answer_is_that_of_a_qr_of_the_papers_rows(name):
 def test_the_blind_answer_is_least_across_the_direction_that_the_papers_rows_say_least_of(name):
     readings = CASES[name].readings
     a, b = rows_of_the_paper(readings)
-    ours, blind = (mpmath.matrix([mpmath.mpf(one) for one in v]) for v in exact.solve_blind(exact.normal_equations(readings)))
+    ours, blind = (
+        mpmath.matrix([mpmath.mpf(number) for number in v]) for v in exact.solve_blind(exact.normal_equations(readings))
+    )
     n, h = a.T * a, a.T * b
     value = (blind.T * n * blind)[0]
     assert mpmath.norm(blind) == pytest.approx(1.0)
@@ -115,7 +117,7 @@ def least_on_triangle(a, b, corners):
         along = a * edge
         share = (along.T * (b - a * one))[0] / (along.T * along)[0]
         found.append(one + edge * min(max(share, 0), 1))
-    return min(((mpmath.norm(a * p - b), p) for p in found), key=lambda one: one[0])
+    return min(((mpmath.norm(a * p - b), p) for p in found), key=lambda pair: pair[0])
 
 
 @pytest.mark.parametrize(
@@ -135,7 +137,7 @@ def test_the_exact_answer_on_a_surface_is_that_of_qr_over_all_triangles(name):
     push = np.array([float(x) for x in exact.mean_push(case.readings)])
     surface = make_surface(case.mesh.vertices, case.mesh.triangles)
     facing = case.mesh.corners[surface.normals @ unit(push) < 0]
-    _, theirs = min((least_on_triangle(a, b, corners) for corners in facing), key=lambda one: one[0])
+    _, theirs = min((least_on_triangle(a, b, corners) for corners in facing), key=lambda pair: pair[0])
     ours = exact.best(exact.normal_equations(case.readings), exact.exactly(facing))
     assert difference(ours, theirs) < 1e-30
 
@@ -175,7 +177,7 @@ def test_the_derivative_moves_the_answer_as_the_draws_in_80_digits_do():
     case = Case("some", readings, many=True)
     fast = exact.find_truth(case, 300, rng)
     draws = (replace(readings, forces=moved(readings.forces, rng), moments=moved(readings.moments, rng)) for _ in range(300))
-    slow = max(exact.distance(fast.points[0], exact.solve(exact.normal_equations(one))) for one in draws)
+    slow = max(exact.distance(fast.points[0], exact.solve(exact.normal_equations(reading))) for reading in draws)
     assert fast.changes[0] == pytest.approx(slow, rel=0.25)
 
 
@@ -220,7 +222,7 @@ def test_unsorted_qr_is_caught_on_stiff_weights():
 def test_normal_equations_are_caught_on_near_parallel_axes():
     name = "axes within 1e-6 rad"
     records = stability.compare(CASES[name], truth_of(name))
-    shares = {one["method"]: one["error_over_bound"] for one in records}
+    shares = {record["method"]: record["error_over_bound"] for record in records}
     assert set(shares) == set(ALTERNATIVES)
     assert shares["normal equations"] > 100 > 1 > shares["QR, rows as they come"]
 
@@ -228,7 +230,7 @@ def test_normal_equations_are_caught_on_near_parallel_axes():
 def test_a_third_row_lets_a_heavy_torque_leak_even_sorted_and_pivoted():
     name = "one heavy axis with a torque, the rest weigh 1e-06"
     truth = truth_of(name)
-    shares = {one["method"]: one["error_over_bound"] for one in stability.compare(CASES[name], truth)}
+    shares = {record["method"]: record["error_over_bound"] for record in stability.compare(CASES[name], truth)}
     assert shares["sorted and pivoted QR, three rows a contact"] > 100
     assert judge(CASES[name], truth)[0]["holds"]
 
@@ -283,13 +285,13 @@ def result():
 
 def test_what_the_study_says_of_its_cases_is_json_and_agrees_with_itself(result):
     cases = result["cases"]
-    assert len({one["name"] for one in cases}) == len(cases)
-    assert {one["solver"] for one in cases} == {"free", "surface", "modules"}
-    assert [one["name"] for one in cases if not one["holds"]] == []
+    assert len({case["name"] for case in cases}) == len(cases)
+    assert {case["solver"] for case in cases} == {"free", "surface", "modules"}
+    assert [case["name"] for case in cases if not case["holds"]] == []
     assert result["held"] == len(cases)
-    for one in cases:
-        assert one["holds"] == (one["error"] <= one["bound"] and one["same_bits"])
-        assert one["error_over_bound"] == pytest.approx(one["error"] / one["bound"])
+    for case in cases:
+        assert case["holds"] == (case["error"] <= case["bound"] and case["same_bits"])
+        assert case["error_over_bound"] == pytest.approx(case["error"] / case["bound"])
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
@@ -304,7 +306,7 @@ def test_the_summary_names_what_misses_and_the_figure_every_case(result):
     stability.draw(result, figure)
     figure.draw_without_rendering()
     drawn = {label.get_text() for panel in figure.axes for label in panel.get_yticklabels()}
-    assert drawn == {one["name"] for one in broken}
+    assert drawn == {case["name"] for case in broken}
 
 
 def stiff_pokes(first, count, weights, rng, mesh):
@@ -361,7 +363,9 @@ def test_pokes_taken_away_and_brought_back_leave_every_estimate_where_it_was():
 def positions(session):
     """Every position of every method, at least one taxel by each that knows taxels alone."""
     estimates = session.snapshot().estimates
-    placed = {method: [one.position for one in estimates[method] if one.position is not None] for method in estimates}
+    placed = {
+        method: [estimate.position for estimate in estimates[method] if estimate.position is not None] for method in estimates
+    }
     assert all(placed[method] for method in PER_TAXEL)
     placed = {method: found for method, found in placed.items() if found}
     return np.concatenate(list(placed.values()))

@@ -34,6 +34,7 @@ from skincal.simulate.operator import (
 from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
+from tests.approved import approved_pattern
 from tests.skincal.sim_support import make_rig
 
 FOLLOWS = replace(Habits.careful(), ignores=0.0)
@@ -246,19 +247,19 @@ def test_a_target_survives_its_line():
     ],
 )  # fmt: skip
 def test_a_line_that_is_no_target_is_named(line):
-    with pytest.raises(InputError, match=r"is not an order; expected poke .*target CHANNEL\|-\|\+ X_MM"):
+    with pytest.raises(InputError, match=approved_pattern("operator.no_order_expected")):
         read_order(line)
 
 
 def test_each_operator_says_what_it_does_not_take(rig, rng):
     guided, told = Guided(rig, FOLLOWS, rng), Told(rig, FOLLOWS, rng)
-    with pytest.raises(InputError, match="channel 0 is not a taxel"):
+    with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=0)):
         guided.accept(TargetOrder(0, np.zeros(3), np.array([0.0, 0.0, -1.0])))
     for order in (PokeOrder(204), PoseOrder("2")):
-        with pytest.raises(InputError, match="are for --operator told"):
+        with pytest.raises(InputError, match=approved_pattern("operator.for_told")):
             guided.accept(order)
     for order in (target_at(rig, 204), NoTarget.WAIT):
-        with pytest.raises(InputError, match="are for --operator guided"):
+        with pytest.raises(InputError, match=approved_pattern("operator.for_guided")):
             told.accept(order)
     assert told.next(0.0) is None
 

@@ -43,7 +43,7 @@ def test_pokes_at_the_very_middles_give_the_pose_they_were_made_of(name):
 
 
 def matrix(rows):
-    return mpmath.matrix([[mpmath.mpf(one) for one in row] for row in rows])
+    return mpmath.matrix([[mpmath.mpf(number) for number in row] for row in rows])
 
 
 def skew(v):
@@ -55,8 +55,8 @@ def misfit(case, poke, place, weights_at):
     mp, noise = mpmath.mpf, case.noise
     pose = matrix(case.readings.poses[case.readings.pose_of[poke]])
     turn, shift = pose[:3, :3], pose[:3, 3]
-    f = turn * matrix([[one] for one in case.readings.forces[poke]])
-    m = turn * matrix([[one] for one in case.readings.moments[poke]]) + skew(shift) * f
+    f = turn * matrix([[number] for number in case.readings.forces[poke]])
+    m = turn * matrix([[number] for number in case.readings.moments[poke]]) + skew(shift) * f
     size = mpmath.norm(f)
     u = f / size
     q = mpmath.qr(mpmath.matrix([[u[0], 1, 2], [u[1], -3, 1], [u[2], 1, 5]]))[0]
@@ -71,8 +71,8 @@ def misfit(case, poke, place, weights_at):
 
 
 def middle(case, poke, origin, x, y):
-    answers = [mpmath.mpf(float(one)) for one in case.readings.responses[poke]]
-    flat = [[mpmath.mpf(float(one)) for one in pad] for pad in case.module.flat]
+    answers = [mpmath.mpf(float(number)) for number in case.readings.responses[poke]]
+    flat = [[mpmath.mpf(float(number)) for number in pad] for pad in case.module.flat]
     total = sum(answers)
     return origin + sum((x * p[0] + y * p[1]) * (k / total) for k, p in zip(answers, flat, strict=True))
 
@@ -83,7 +83,7 @@ def test_at_the_exact_pose_no_small_motion_lessens_the_misfit(name):
     pokes = exact.pokes_of(case.readings, case.noise)
     ground, _ = exact.find(pokes, InPlane.begin(case.module.at, case.module.flat))
     with mpmath.workdps(100):
-        origin, x, normal = (matrix([[one] for one in v]) for v in (ground.origin, ground.x, ground.normal))
+        origin, x, normal = (matrix([[number] for number in v]) for v in (ground.origin, ground.x, ground.normal))
         pokes = range(len(case.readings.forces))
         still = [(middle(case, poke, origin, x, skew(normal) * x), normal) for poke in pokes]
 
@@ -223,7 +223,7 @@ def test_an_answer_off_by_more_than_the_bar_is_caught(share, holds):
 def test_a_pad_that_is_called_known_and_is_not_is_caught():
     name = "module on a sheet, one poke"
     known = np.zeros(PADS, dtype=bool)
-    (sure,) = judge(CASES[name], truth_of(name), lambda *one: replace(shipped_module(*one), blind=known))
+    (sure,) = judge(CASES[name], truth_of(name), lambda *parts: replace(shipped_module(*parts), blind=known))
     assert not sure["holds"]
     assert sure["error"] == exact.NO_NUMBER
 
@@ -247,7 +247,7 @@ def test_a_search_that_ends_at_a_nanometre_is_caught(monkeypatch):
 
 
 def test_a_differenced_jacobian_is_caught():
-    shares = {one["method"]: one["error_over_bound"] for one in compare(CASES[NAME], truth_of(NAME))}
+    shares = {record["method"]: record["error_over_bound"] for record in compare(CASES[NAME], truth_of(NAME))}
     assert set(shares) == set(stability.MODULE_ALTERNATIVES)
     assert shares["least_squares, differenced"] > 100
 
