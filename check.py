@@ -10,14 +10,8 @@ import sys
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # noqa: PTH100, PTH120 - missing where PYTHONSAFEPATH is set
 from tools.checkout import require_python
 
-
-def main() -> int:
-    """Prepare the environment, run every check, and say which failed."""
+if __name__ == "__main__":
     require_python()
     from tools import launch  # an older Python could not read it
 
-    return launch.check(sys.argv[1:])
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(launch.run(launch.check))

@@ -1,7 +1,19 @@
-"""Open skincal from a checkout, on a machine that has nothing but Python: `python3 start.py`.
+"""Open skincal from a checkout, on a machine that has nothing but Python: `python3 start.py [OPTIONS | COMMAND ...]`.
 
-Installs what is missing, then opens the window on a simulated forearm that is being poked; where there is no display it runs
-the same session without a window. Any skincal command works the same way: `python3 start.py solve SESSION`.
+Opens the skincal window on a simulated forearm that is being poked. What is missing is installed first: some hundred
+megabytes, into .venv of this folder, and on Debian and Ubuntu missing system libraries. Where there is no display, it
+runs the same session without a window, to a calibration file and a picture of it.
+
+It takes the same words as `skincal`:
+
+  start.py --scene NAME | FILE.toml       open the window on another part
+  start.py --session DIR                  go on with a recorded session
+  start.py --headless                     run the simulated session without a window
+  start.py COMMAND ...                    a command: solve, export, record, simulate, import or study
+  start.py --help                         this text; once it is installed, every option and command
+  start.py COMMAND --help                 installs what is missing, and lists the options of a command
+
+README.md says how a part is calibrated, docs/manual.md the rest.
 """
 
 import os
@@ -10,14 +22,8 @@ import sys
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # noqa: PTH100, PTH120 - missing where PYTHONSAFEPATH is set
 from tools.checkout import require_python
 
-
-def main() -> int:
-    """Prepare the environment and become skincal."""
+if __name__ == "__main__":
     require_python()
     from tools import launch  # an older Python could not read it
 
-    return launch.start(sys.argv[1:])
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(launch.run(launch.start))

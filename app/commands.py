@@ -27,65 +27,65 @@ class Command:
     """By which the window finds it."""
     menu: str
     text: str
-    keys: tuple[str, ...] = ()
-    hint: str = ""
-    checkable: bool = False
+    keys: tuple[str, ...]
+    hint: str
+    checkable: bool
 
 
 SOUNDS = "Sounds"
 CORRECT = "Correct the rig"
 
-COMMANDS: tuple[Command, ...] = (
-    Command("new", "Session", "New session\N{HORIZONTAL ELLIPSIS}", ("Ctrl+N",), "Choose a scene, the devices and a folder"),
-    Command("open", "Session", "Open session\N{HORIZONTAL ELLIPSIS}", ("Ctrl+O",), "Go on with a recorded session"),
-    Command("keep", "Session", "Keep this session", ("Ctrl+S",), "Copy a temporary recording to where it stays"),
-    Command(
-        "export", "Session", "Export calibration\N{HORIZONTAL ELLIPSIS}", ("Ctrl+E",), "Write the file that the robot loads"
+_MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
+    "Session": (
+        ("new", "New session...", "Ctrl+N", "Choose a scene, the devices and a folder"),
+        ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
+        ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
+        ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
+        ("reference", "Compare with...", "Ctrl+R", "Show the error against a truth.json or an iCub position file"),
+        ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
+        ("picture", "Save 3D picture...", "Ctrl+P", "Write the 3D view as it stands"),
+        ("quit", "Quit", "Ctrl+Q", "Everything recorded is on the disk already"),
     ),
-    Command(
-        "reference",
-        "Session",
-        "Compare with\N{HORIZONTAL ELLIPSIS}",
-        ("Ctrl+R",),
-        "Show the error against a truth.json or an iCub position file",
+    "Poke": (
+        ("space", "Pause", "Space", "Do the obvious thing: pause, go on, or show the verdict once it is enough"),
+        ("pause", "Pause", "P", "Pause or go on, whatever the guide says"),
+        ("another", "Another target", "N", "Ask for another poke; a side that is skipped twice is left out"),
+        ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin; N skips one landmark"),
+        ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
+        ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
+        ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
+        ("last", "Select last poke", "L", "Show the newest poke in the list"),
+        ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
+        (
+            "landmark",
+            "Add landmark...",
+            "K",
+            "Name a known point of the part: a screw's head, a corner; click it in the 3D view",
+        ),
+        ("pedals", "Pedals...", "F3", "Learn the keys of foot pedals for Space, Backspace and N"),
     ),
-    Command("verdict", "Session", "Verdict\N{HORIZONTAL ELLIPSIS}", ("F",), "What is done, what is not and why; then export"),
-    Command("picture", "Session", "Save 3D picture\N{HORIZONTAL ELLIPSIS}", ("Ctrl+P",), "Write the 3D view as it stands"),
-    Command("quit", "Session", "Quit", ("Ctrl+Q",), "Everything recorded is on the disk already"),
-    Command("space", "Poke", "Pause", ("Space",), "Do the obvious thing: pause, go on, or show the verdict once it is enough"),
-    Command("pause", "Poke", "Pause", ("P",), "Pause or go on, whatever the guide says"),
-    Command("another", "Poke", "Another target", ("N",), "Ask for another poke; a side that is skipped twice is left out"),
-    Command("no landmarks", "Poke", "No landmarks in this pose", ("Shift+N",), "Go on with the skin; N skips one landmark"),
-    Command("correct", "Poke", CORRECT, ("C",), "Use the correction that landmark pokes offer; it can be undone"),
-    Command("undo", "Poke", "Undo", ("Backspace", "Ctrl+Z"), "Take back the last poke or action"),
-    Command("exclude", "Poke", "Exclude selected pokes", ("E",), "Selected pokes count no more, or count again"),
-    Command("last", "Poke", "Select last poke", ("L",), "Show the newest poke in the list"),
-    Command(
-        "dead", "Poke", "Do not use selected taxel", ("D",), "Leave a taxel out that is stuck or always on, or use it again"
+    "View": (
+        ("method", "Next method", "V", "Show the next method's estimates; the guide follows it"),
+        ("difference", "Lines to the other method", "X", "Join each estimate to the surface method's"),
+        ("guide", "Guide", "G", "Say and show what to poke next"),
+        ("sounds", SOUNDS, "M", "Hear contact, enough, verdict, taxel done, device lost"),
+        ("speech", "Say why a poke is rejected", "Shift+M", "With the voice of the system"),
+        ("turn", "Turn to the target", "T", "Turn the 3D view between pokes where it hides the target"),
+        ("camera", "Whole part", "Home", "Bring the whole part into the 3D view"),
+        ("none", "Select nothing", "Esc", "Dismiss the message, or the selection"),
+        ("full", "Full screen", "F11", ""),
     ),
-    Command(
-        "landmark",
-        "Poke",
-        "Add landmark\N{HORIZONTAL ELLIPSIS}",
-        ("K",),
-        "Name a known point of the part: a screw's head, a corner; click it in the 3D view",
+    "Help": (
+        ("what", "What is this?", "F1", "Then click what you want explained"),
+        ("keys", "Keys", "F2", "Every key in one list"),
     ),
-    Command(
-        "pedals", "Poke", "Pedals\N{HORIZONTAL ELLIPSIS}", ("F3",), "Learn the keys of foot pedals for Space, Backspace and N"
-    ),
-    Command("method", "View", "Next method", ("V",), "Show the next method's estimates; the guide follows it"),
-    Command("difference", "View", "Lines to the other method", ("X",), "Join the estimates of both methods", checkable=True),
-    Command("guide", "View", "Guide", ("G",), "Say and show what to poke next", checkable=True),
-    Command("sounds", "View", SOUNDS, ("M",), "Hear contact, enough, verdict, taxel done, device lost", checkable=True),
-    Command("speech", "View", "Say why a poke is rejected", ("Shift+M",), "With the voice of the system", checkable=True),
-    Command(
-        "turn", "View", "Turn to the target", ("T",), "Turn the 3D view between pokes where it hides the target", checkable=True
-    ),
-    Command("camera", "View", "Whole part", ("Home",), "Bring the whole part into the 3D view"),
-    Command("none", "View", "Select nothing", ("Esc",), "Dismiss the message, or the selection"),
-    Command("full", "View", "Full screen", ("F11",), "", checkable=True),
-    Command("what", "Help", "What is this?", ("F1",), "Then click what you want explained"),
-    Command("keys", "Help", "Keys", ("F2",), "Every key in one list"),
+}
+"""For each menu: name, text, keys and hint of each entry."""
+_CHECKABLE = ("difference", "guide", "sounds", "speech", "turn", "full")
+COMMANDS = tuple(
+    Command(name, menu, text.replace("...", "\N{HORIZONTAL ELLIPSIS}"), tuple(keys.split()), hint, name in _CHECKABLE)
+    for menu, entries in _MENUS.items()
+    for name, text, keys, hint in entries
 )
 
 
@@ -97,13 +97,7 @@ _THEMES = {
 
 
 class Commands(QObject):
-    """The actions, made once and enabled by policy.
-
-    Parameters
-    ----------
-    bar : gets the menus
-    slots : what each command does, by its name
-    """
+    """The actions, made once and enabled by policy."""
 
     def __init__(self, bar: QMenuBar, slots: dict[str, Callable[[], object]], parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -145,8 +139,9 @@ class Commands(QObject):
 
     def follow_sound(self, *, found: bool, can_speak: bool) -> None:
         """Enable sounds and speech where there is a device for them, and say where there is none."""
-        _set(self.actions["sounds"], found, SOUNDS if found else f"{SOUNDS} (no sound device)")
-        _set(self.actions["speech"], found and can_speak, self.actions["speech"].text())
+        self.actions["sounds"].setEnabled(found)
+        self.actions["sounds"].setText(SOUNDS if found else f"{SOUNDS} (no sound device)")
+        self.actions["speech"].setEnabled(found and can_speak)
 
     def taken(self) -> dict[str, str]:
         """Return what each key of the menus means, by its portable name."""
@@ -159,29 +154,19 @@ class Commands(QObject):
         }
 
     def follow(self, may: Allowed, correct: str, *, can_keep: bool) -> None:
-        """Enable what may be done, and name it.
-
-        Parameters
-        ----------
-        correct : name of the correction that is offered; empty where none is
-        """
-        actions = self.actions
-        _set(actions["undo"], bool(may.undo), f"Undo {may.undo}".strip())
-        exclude = bool(may.exclude or may.unname)
-        restore = bool(may.restore) and not exclude
-        _set(
-            actions["exclude"],
-            bool(exclude or may.restore),
-            "Restore selected pokes" if restore else "Exclude selected pokes",
-        )
-        _set(
-            actions["dead"],
-            may.mark_dead or may.revive,
-            "Use selected taxel again" if may.revive else "Do not use selected taxel",
-        )
-        _set(actions["correct"], bool(correct), correct or CORRECT)
-        _set(actions["space"], bool(may.space), may.space or "Pause")
-        _set(actions["pause"], bool(may.pause), may.pause or "Pause")
+        """Enable what may be done, and name it."""
+        excludes = bool(may.exclude or may.unname)
+        exclude = "Restore selected pokes" if may.restore and not excludes else "Exclude selected pokes"
+        for name, enabled, text in (
+            ("undo", bool(may.undo), f"Undo {may.undo}".strip()),
+            ("exclude", excludes or bool(may.restore), exclude),
+            ("dead", may.mark_dead or may.revive, "Use selected taxel again" if may.revive else "Do not use selected taxel"),
+            ("correct", bool(correct), correct or CORRECT),
+            ("space", bool(may.space), may.space or "Pause"),
+            ("pause", bool(may.pause), may.pause or "Pause"),
+        ):
+            self.actions[name].setEnabled(enabled)
+            self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
             ("method", may.switch_method),
@@ -191,14 +176,7 @@ class Commands(QObject):
             ("no landmarks", may.skip_landmarks),
             ("verdict", may.verdict),
         ):
-            _set(actions[name], enabled, actions[name].text())
-
-
-def _set(action: QAction, enabled: bool, text: str) -> None:
-    if action.isEnabled() != enabled:
-        action.setEnabled(enabled)
-    if action.text() != text:
-        action.setText(text)
+            self.actions[name].setEnabled(enabled)
 
 
 def key_words() -> str:

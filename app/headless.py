@@ -20,11 +20,6 @@ FOLDER = "skincal-headless"
 def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
     """Poke the simulated rig of a scene, write the calibration file and draw it; return the exit code.
 
-    Parameters
-    ----------
-    folder : for the session and the results; a new one in the working directory if None
-    why : the sentence that says why there is no window
-
     Raises
     ------
     InputError

@@ -70,57 +70,45 @@ def wayland_answers(environment: Mapping[str, str]) -> bool:
 
 
 def objection(
-    environment: Mapping[str, str] | None = None,
+    environment: Mapping[str, str] = os.environ,
     platform: str = sys.platform,
     can_load: Callable[[str], bool] = loads,
     x_is_there: Callable[[], bool] = x_answers,
 ) -> str:
-    """Return why no window can be opened here and what to do, or an empty text.
-
-    Parameters
-    ----------
-    environment : the process's own by default
-    platform : as `sys.platform` names it; only Linux can lack something that pip does not bring
-    """
+    """Return why no window can be opened here and what to do, or an empty text."""
+    # Elsewhere pip brings all that is needed.
     if not platform.startswith("linux"):
         return ""
-    env = os.environ if environment is None else environment
-    reason = no_display(env, platform, x_is_there)
+    reason = no_display(environment, platform, x_is_there)
     if reason:
         return f"{reason} {HEADLESS}"
-    x = bool(env.get("DISPLAY")) and not _asked_without(env)
+    x = bool(environment.get("DISPLAY")) and not _asked_without(environment)
     wanted = {**LIBRARIES, **X_LIBRARIES} if x else LIBRARIES
-    return _missing_words([package for name, package in wanted.items() if not can_load(name)])
-
-
-def no_display(
-    environment: Mapping[str, str] | None = None,
-    platform: str = sys.platform,
-    x_is_there: Callable[[], bool] = x_answers,
-) -> str:
-    """Return the sentence that says that there is no display, or an empty text; parameters as in `objection`."""
-    env = os.environ if environment is None else environment
-    if not platform.startswith("linux") or _asked_without(env) or _has_display(env, x_is_there):
-        return ""
-    if env.get("DISPLAY"):
-        return f"skincal: the display {env['DISPLAY']} does not answer, so no window can be opened."
-    return "skincal: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so no window can be opened."
-
-
-def _asked_without(env: Mapping[str, str]) -> bool:
-    return env.get("QT_QPA_PLATFORM", "").split(":")[0] in WITHOUT_DISPLAY
-
-
-def _has_display(env: Mapping[str, str], x_is_there: Callable[[], bool]) -> bool:
-    if env.get("WAYLAND_DISPLAY") and wayland_answers(env):
-        return True
-    return bool(env.get("DISPLAY")) and x_is_there()
-
-
-def _missing_words(packages: list[str]) -> str:
+    packages = [package for name, package in wanted.items() if not can_load(name)]
     if not packages:
         return ""
     return (
         "skincal: the window needs system libraries that are missing. On Debian or Ubuntu this installs them:\n"
         f"    sudo apt-get install -y --no-install-recommends {' '.join(packages)}"
     )
+
+
+def no_display(
+    environment: Mapping[str, str] = os.environ,
+    platform: str = sys.platform,
+    x_is_there: Callable[[], bool] = x_answers,
+) -> str:
+    """Return the sentence that says that there is no display, or an empty text."""
+    if not platform.startswith("linux") or _asked_without(environment):
+        return ""
+    if environment.get("WAYLAND_DISPLAY") and wayland_answers(environment):
+        return ""
+    if not environment.get("DISPLAY"):
+        return "skincal: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so no window can be opened."
+    if x_is_there():
+        return ""
+    return f"skincal: the display {environment['DISPLAY']} does not answer, so no window can be opened."
+
+
+def _asked_without(environment: Mapping[str, str]) -> bool:
+    return environment.get("QT_QPA_PLATFORM", "").split(":")[0] in WITHOUT_DISPLAY

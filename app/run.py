@@ -22,8 +22,8 @@ from app.session.controller import Controller
 from app.session.opening import Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
 from app.sound.player import Player
 from app.text.message import Message
-from app.theme import Choice, Theme
-from app.window import Window
+from app.theme import Choice
+from app.window import Theme, Window
 from skincal.model.errors import InputError
 
 LOG = logging.getLogger("skincal")
@@ -102,16 +102,18 @@ class Faults(QObject):
             self._caught(args.exc_type, args.exc_value, args.exc_traceback)
 
 
-def start_log() -> Path:
-    """Log to a file in the user's data and to stderr; return the file."""
-    folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.AppLocalDataLocation))
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "skincal.log"
-    file = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=1, encoding="utf-8")
-    logging.basicConfig(
-        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", handlers=[file, logging.StreamHandler()]
-    )
-    return path
+def start_log() -> str:
+    """Log to a file in the user's data and to stderr; return why there is no file, empty where there is."""
+    path = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.AppLocalDataLocation)) / "skincal.log"
+    handlers: list[logging.Handler] = [logging.StreamHandler()]
+    failure = ""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handlers.append(logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=1, encoding="utf-8"))
+    except OSError as error:
+        failure = f"{path}: the log cannot be written ({error.strerror}). Everything else works."
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", handlers=handlers)
+    return failure
 
 
 def collect_in_window(application: QApplication) -> QTimer:
@@ -159,7 +161,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
         signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "close", Qt.ConnectionType.QueuedConnection))
     window.show()
     # Everything else waits until the window is on the screen.
-    QTimer.singleShot(0, lambda: _begin(controller, request))
+    QTimer.singleShot(0, lambda: begin(window, request))
     try:
         application.exec()
     finally:
@@ -168,8 +170,11 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     return 1 if faults.count else 0
 
 
-def _begin(controller: Controller, request: OpenRequest) -> None:
-    start_log()
-    controller.open(request)
+def begin(window: Window, request: OpenRequest) -> None:
+    """Start the log and open what was asked for, once the window is on the screen; a log is no reason to open nothing."""
+    failure = start_log()
+    window.controller.open(request)
+    if failure:
+        window.tell(Message(failure, error=True))
     # While the scene is read beside it the window has nothing else to do; later it would stand still for this.
     best_canvas()

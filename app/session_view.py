@@ -1,4 +1,4 @@
-"""The view of one open session: panels, selection, method, and what the operator wants of the session.
+"""The view of one open session: its panels in their places, selection, method, and what the operator wants of the session.
 
 A tick does two things in turn. What follows the session follows it: the guide, which landmark is asked for, the checks that an
 open panel wants. Then one frozen value is made of all that and handed to the views, which change nothing.
@@ -12,31 +12,41 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from PySide6.QtCore import QByteArray, QObject, QSettings, QTimer, Signal
+from PySide6.QtCore import QByteArray, QObject, QSettings, Qt, QTimer, Signal
 from PySide6.QtGui import QAction
-from PySide6.QtWidgets import QFileDialog, QSplitter, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.commands import Commands
-from app.dialogs.export_dialog import ExportDialog, ask_layout
+from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
 from app.dialogs.verdict_dialog import VerdictDialog
-from app.panels.devices import LinkChips
+from app.panels.compare_panel import ComparePanel
+from app.panels.devices import DevicesPanel, LinkChips
+from app.panels.inspect_panel import InspectPanel
+from app.panels.now_panel import NowPanel
+from app.panels.plot_panels import ErrorsPanel, ReadingsPanel
+from app.panels.pokes_panel import PokesPanel
+from app.panels.rig_panel import RigPanel
+from app.panels.taxel_map import TaxelMap
+from app.panels.widgets import FittedLabel, theme_colours
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
+from app.text.compare_text import saved_words
 from app.text.message import Message
-from app.text.now_text import modules_enough_words
+from app.text.now_text import Now, Tone, modules_enough_words
+from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text.rig_text import corrected_words, offer_news, offer_text
 from app.text.verdict_text import rig_state
-from app.theme import Colours
-from app.workspace import Workspace
+from app.theme import GAP
+from app.units import ChannelNames
 from skincal.files.calibration import landmark_check
-from skincal.guide.guidance import Guidance
+from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.model.errors import InputError
@@ -45,6 +55,7 @@ from skincal.session.guiding import ModulesEnough, SessionGuide
 from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
+from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
@@ -53,25 +64,171 @@ if TYPE_CHECKING:
 
 LATE_S = 0.3
 """s. What happened longer ago makes no sound any more: by now the hand does something else."""
+SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
+"""Methods in the order in which they are offered; the first that there is is shown first."""
+RIGHT_PX = 430
+"""Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
+
+TabPanel: TypeAlias = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel | ErrorsPanel | RigPanel
+
+
+class Workspace(QWidget):
+    """3D view on the left, map and tabs on the right, and below all of it the line that says what happens.
+
+    Only what is on the screen is drawn; a tab that comes up gets the newest state.
+    """
+
+    taxel_selected = Signal(int)
+    method_chosen = Signal(object)
+
+    def __init__(self, part: Part, make_view: Callable[[], View3D]) -> None:
+        super().__init__()
+        scene, names = part.scene, ChannelNames(part.scene.skin.layout)
+        self.part = part
+        self.names = names
+        there = methods_of(scene, part.surface)
+        self.methods = tuple(method for method in SHOWN if method in there)
+        self.view = make_view()
+        self.now = NowPanel()
+        self.progress = FittedLabel()
+        self.errors = FittedLabel("muted")
+        self.method_box = QComboBox()
+        self.map = TaxelMap(scene, part.channels, names)
+        self.readings = ReadingsPanel()
+        self.pokes = PokesPanel(names)
+        self.inspect = InspectPanel(self.methods, names)
+        self.compare = ComparePanel(part, self.methods, names)
+        self.devices = DevicesPanel()
+        self.error_course = ErrorsPanel(self.methods, scene.skin.layout)
+        self.rig = RigPanel(scene.arm)
+        self.panels: dict[str, TabPanel] = {
+            "Readings": self.readings,
+            "Pokes": self.pokes,
+            "Taxel": self.inspect,
+            "Compare": self.compare,
+            "Devices": self.devices,
+            "Errors": self.error_course,
+            "Rig": self.rig,
+        }
+        """Of each tab, by its title."""
+        # Splitters, cards and tabs in what they stand in, from the first: Qt applies the style sheet anew to all that a moved
+        # widget holds.
+        self.across = QSplitter(Qt.Orientation.Horizontal, self)
+        self.across.addWidget(self.view)
+        self.right = QSplitter(Qt.Orientation.Vertical, self.across)
+        self._fill_map_card(_card(self.right))
+        column = _card(self.right)
+        self.tabs = QTabWidget(column.parentWidget())
+        column.addWidget(self.tabs)
+        self._state: ViewState | None = None
+        self._connect()
+
+    def _connect(self) -> None:
+        self.view.taxel_picked.connect(self.taxel_selected)
+        self.map.taxel_clicked.connect(self.taxel_selected)
+        for panel in (self.pokes, self.inspect, self.compare):
+            panel.taxel_wanted.connect(self.taxel_selected)
+        self.compare.comparison_changed.connect(self.view.set_comparison)
+        self.method_box.activated.connect(lambda index: self.method_chosen.emit(self.method_box.itemData(index)))
+
+    def arrange(self) -> None:
+        """Lay the panels out, once; apart from making them, since each takes half of what a window may stand still."""
+        for title, panel in self.panels.items():
+            self.tabs.addTab(panel, title)
+        self.tabs.setDocumentMode(True)
+        self.tabs.setUsesScrollButtons(False)
+        self.tabs.tabBar().setExpanding(True)
+        self.tabs.tabBar().setDrawBase(False)
+        self.view.setMinimumWidth(420)
+        # A plot needs the height more than the map, whose marks are seen whole down to this at 720 pixels.
+        self.right.setSizes([21_000, 29_000])
+        self.right.setMinimumWidth(360)
+        self.across.setStretchFactor(0, 1)
+        self.across.setSizes([10_000, RIGHT_PX])
+        for splitter in (self.right, self.across):
+            splitter.setHandleWidth(GAP)
+            splitter.setChildrenCollapsible(False)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        column.setSpacing(GAP)
+        column.addWidget(self.across, 1)
+        column.addWidget(self.now)
+        self.tabs.currentChanged.connect(self._show_tab)
+
+    def _fill_map_card(self, column: QVBoxLayout) -> None:
+        for method in self.methods:
+            self.method_box.addItem(METHOD_NAMES[method].capitalize() + " method", method)
+        self.method_box.setVisible(len(self.methods) > 1)
+        self.method_box.setToolTip("Whose estimates are shown, and whose needs the guide follows (V)")
+        self.method_box.setAccessibleName("method")
+        self.method_box.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        head = QGridLayout()
+        head.setContentsMargins(GAP + 4, GAP // 2, GAP // 2, 0)
+        head.setVerticalSpacing(0)
+        head.setColumnStretch(0, 1)
+        head.addWidget(self.progress, 0, 0, 1, 2)
+        head.addWidget(self.errors, 1, 0)
+        head.addWidget(self.method_box, 1, 1)
+        column.setSpacing(0)
+        column.addLayout(head)
+        column.addWidget(self.map, 1)
+
+    def begin(self) -> None:
+        """Start to build the 3D view; call once the window is on the screen."""
+        part = self.part
+        self.view.begin(part.scene, part.surface, part.laid, [int(channel) for channel in part.channels])
+
+    def wait(self, headline: str, detail: str) -> None:
+        """Say what is waited for while there is no session yet."""
+        self.now.say(Now(Tone.WAIT, headline, detail))
+
+    def show_state(self, state: ViewState) -> None:
+        """Show a tick on everything that is on the screen."""
+        before, self._state = self._state, state
+        self.now.show_state(state)
+        self.map.show_state(state)
+        if before is None or (before.revision, before.method) != (state.revision, state.method):
+            self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
+            self.errors.setText(error_words(state.estimates))
+            self.method_box.setCurrentIndex(self.method_box.findData(state.method))
+        room = 0.0 if state.guidance is None else leeway(state.guidance)
+        self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room)
+        self._show_tab()
+
+    def _show_tab(self, _index: int = -1) -> None:
+        if self._state is not None and self.tabs.count():
+            self.panels[self.tabs.tabText(self.tabs.currentIndex())].show_state(self._state)
+
+    def show_tab(self, title: str) -> None:
+        """Open the tab of that title, if there is one."""
+        if title in self.panels:
+            self.tabs.setCurrentWidget(self.panels[title])
+
+    def recolour(self) -> None:
+        """Follow the theme, where Qt's palette alone does not reach."""
+        self.readings.recolour()
+        self.error_course.recolour()
+        self.compare.show_again()
+        self.view.set_dark(theme_colours().dark)
+
+
+def _card(splitter: QSplitter) -> QVBoxLayout:
+    """Add a card to a splitter, and return its column."""
+    card = QFrame(splitter)
+    card.setObjectName("card")
+    column = QVBoxLayout(card)
+    column.setContentsMargins(1, 1, 1, 1)
+    return column
 
 
 class SessionView(QObject):
-    """What exists as long as a session is open.
-
-    Parameters
-    ----------
-    part : what is calibrated
-    controller : does what the operator wants
-    commands : are enabled by what may be done
-    documents : where files go unless the operator says otherwise
-    make_view : the 3D view
-    """
+    """What exists as long as a session is open."""
 
     said = Signal(object)
     """`Message`."""
     unsaid = Signal(object)
     """`Message`: it holds no more."""
-    heard = Signal(object)
+    sound_due = Signal(object)
     """`DueCue`: a sound that is due."""
 
     def __init__(
@@ -90,7 +247,7 @@ class SessionView(QObject):
         self._tick: Tick | None = None
         self._revision = 0
         self._clock_offset = time.time() - time.monotonic()
-        self._ear = CueMemory()
+        self._cues = CueMemory()
         self._rig = RigReview()
         self._guidance: Guidance | None = None
         self._coach = PressCoach(part.surface)
@@ -110,7 +267,7 @@ class SessionView(QObject):
         self._modules_enough = ModulesEnough(self.guide.plan)
         self._enough_said: Message | None = None
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
-        self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.titles(), self.workspace.tabs.setCurrentIndex)
+        self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.tabs.setCurrentIndex)
         self._connect()
         self._show_addresses()
 
@@ -125,11 +282,9 @@ class SessionView(QObject):
         workspace.tabs.currentChanged.connect(self._tab_opened)
         workspace.error_course.source_chosen.connect(self.follow_again)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
-        for panel in (workspace.map, workspace.inspect):
-            panel.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
-            panel.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
+        workspace.inspect.mark_dead_requested.connect(lambda channel: self._controller.act(MarkDead(channel)))
+        workspace.inspect.revive_requested.connect(lambda channel: self._controller.act(Revive(channel)))
         self.picking.said.connect(self.said)
-        workspace.pokes.actions_offered = [self._commands.actions[name] for name in ("exclude", "undo")]
         workspace.rig.correct_requested.connect(self._controller.act)
         workspace.rig.uncorrect_requested.connect(lambda of: self._controller.act(Uncorrect(of)))
         if workspace.rig.arm is not None:
@@ -140,12 +295,12 @@ class SessionView(QObject):
         QTimer.singleShot(0, self.workspace, self.workspace.begin)
 
     def _show_addresses(self) -> None:
-        self.workspace.devices.set_addresses({link.name: link.address for link in self._controller.links})
+        self.workspace.devices.addresses = {link.name: link.address for link in self._controller.links}
 
     def session_opened(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
         self._show_addresses()
-        self._ear = CueMemory.of(snapshot)
+        self._cues = CueMemory.of(snapshot)
         self.workspace.now.begin(snapshot)
 
     # What is shown
@@ -185,7 +340,7 @@ class SessionView(QObject):
         if tick is None:
             return
         self.state = state = self.view_state(tick)
-        self._hear(state)
+        self._cue(state)
         self._announce_modules(state)
         self.workspace.show_state(state)
         self.chips.show_state(state)
@@ -272,11 +427,11 @@ class SessionView(QObject):
             if self._controller.act(action):
                 self.said.emit(Message(corrected_words(action)))
 
-    def _hear(self, state: ViewState) -> None:
+    def _cue(self, state: ViewState) -> None:
         """Ask for the sound that is due, before anything is drawn: an ear notices a shorter delay than an eye."""
-        due, self._ear = due_cue(self._ear, state)
+        due, self._cues = due_cue(self._cues, state)
         if due is not None and state.behind_s <= LATE_S:
-            self.heard.emit(due)
+            self.sound_due.emit(due)
 
     def follow_again(self) -> None:
         """Follow and show the newest tick again, after the method or what is wanted of the guide changed."""
@@ -302,10 +457,9 @@ class SessionView(QObject):
         self.guide.landmarks.skip(all_of_pose=True)
         self.follow_again()
 
-    def set_colours(self, colours: Colours) -> None:
+    def recolour(self) -> None:
         """Follow the theme."""
-        self.chips.set_colours(colours)
-        self.workspace.set_colours(colours)
+        self.workspace.recolour()
         self.show()
 
     def show_method(self, method: Method) -> None:
@@ -319,7 +473,7 @@ class SessionView(QObject):
         self.show_method(methods[(methods.index(self.method) + 1) % len(methods)])
 
     def show_difference(self) -> None:
-        """Join the estimates of both methods by lines, or do not."""
+        """Join the estimates of the methods by lines, or do not."""
         self.workspace.view.set_difference(self._commands.actions["difference"].isChecked())
 
     def select_taxel(self, channel: int | None) -> None:
@@ -403,9 +557,7 @@ class SessionView(QObject):
     def ask_reference(self, parent: QWidget) -> None:
         """Ask for a file with known places of the taxels, and show the error against it."""
         kinds = "Known places (*.json *.txt *.ini);;All files (*)"
-        # A folder that is not there yet would stand in the dialog as a file's name.
-        folder = self._documents if self._documents.is_dir() else Path.home()
-        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(folder), kinds)
+        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(self._folder()), kinds)
         if path:
             self.compare_with(Path(path))
 
@@ -418,12 +570,31 @@ class SessionView(QObject):
         self._controller.compute(
             lambda: load_reference(path, part.scene.link, channels),
             self._take_reference,
-            lambda sentence: self.said.emit(Message(sentence, error=True)),
+            self._say_failure,
         )
 
     def ask_layout(self, mend: LayoutMend) -> None:
-        """Ask for a file and save the corrected layout there."""
-        ask_layout(self.workspace, self._documents, self.workspace.part.scene, mend, self._controller.compute, self.said.emit)
+        """Ask for a file, write the corrected layout there, and say where it is or why it is not."""
+        scene = self.workspace.part.scene
+        given, name = scene.skin.layout, str(self._folder() / f"{scene.name}-corrected.modules.toml")
+        chosen, _ = QFileDialog.getSaveFileName(self.workspace, "Save the corrected layout", name, "Layout (*.toml)")
+        if given is None or not chosen:
+            return
+        path = Path(chosen)
+
+        def write() -> None:
+            from skincal.files.layout_file import write_layout
+
+            write_layout(given, mend, path)
+
+        self._controller.compute(write, lambda _: self.said.emit(Message(saved_words(path, mend))), self._say_failure)
+
+    def _folder(self) -> Path:
+        # A folder that is not there yet would stand in a dialog as a file's name.
+        return self._documents if self._documents.is_dir() else Path.home()
+
+    def _say_failure(self, sentence: str) -> None:
+        self.said.emit(Message(sentence, error=True))
 
     def offer(self, reference: Reference) -> None:
         """Compare estimates with it, where the panel of errors is open."""
@@ -445,7 +616,7 @@ class SessionView(QObject):
         try:
             self.workspace.view.screenshot(Path(path))
         except InputError as error:
-            self.said.emit(Message(str(error), error=True))
+            self._say_failure(str(error))
 
     # Coming and going
 

@@ -141,19 +141,14 @@ def count(value: int, singular: str, plural: str | None = None) -> str:
 
 
 class ChannelNames:
-    """What a channel is called: `17-05` is taxel 5 of module 17, as in the maker's files; `ch 12` without a layout.
-
-    Parameters
-    ----------
-    layout : None where the scene has none
-    """
+    """What a channel is called: `17-05` is taxel 5 of module 17, as in the maker's files; `ch 12` without a layout."""
 
     def __init__(self, layout: Layout | None) -> None:
         self._layout = layout
 
     def short(self, channel: int) -> str:
         """Return the name on labels."""
-        module = self._module(channel)
+        module = self.module_index(channel)
         if self._layout is None or module < 0:
             return f"ch {channel}"
         owner = self._layout.modules[module]
@@ -161,7 +156,7 @@ class ChannelNames:
 
     def long(self, channel: int) -> str:
         """Return the name in full, for tooltips."""
-        module = self._module(channel)
+        module = self.module_index(channel)
         if self._layout is None or module < 0:
             return f"channel {channel}"
         owner = self._layout.modules[module]
@@ -169,9 +164,6 @@ class ChannelNames:
 
     def module_index(self, channel: int) -> int:
         """Return the index of the channel's module, -1 where there is none."""
-        return self._module(channel)
-
-    def _module(self, channel: int) -> int:
         if self._layout is None or not 0 <= channel < self._layout.width:
             return -1
         return int(self._layout.module_of[channel])

@@ -1,4 +1,4 @@
-"""The main window: on the screen within a moment, then filled with a session view when a session is there.
+"""The main window in its theme: on the screen within a moment, then filled with a session view when a session is there.
 
 It imports nothing heavy. Here are the menus, the messages, and opening and closing; what concerns a session is in the session
 view.
@@ -10,48 +10,125 @@ import logging
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
-from PySide6.QtCore import QByteArray, QSettings, QSize, Qt, QTimer, Signal
-from PySide6.QtGui import QCloseEvent
-from PySide6.QtWidgets import QFileDialog, QLabel, QMainWindow, QMessageBox, QStackedWidget, QVBoxLayout, QWhatsThis, QWidget
+from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal
+from PySide6.QtGui import QCloseEvent, QColor, QPalette
+from PySide6.QtWidgets import (
+    QApplication,
+    QFileDialog,
+    QLabel,
+    QMainWindow,
+    QMessageBox,
+    QStackedWidget,
+    QVBoxLayout,
+    QWhatsThis,
+    QWidget,
+)
 
 from app.commands import Commands, key_words
 from app.dialogs.pedals import Pedals
 from app.panels.message_bar import MessageBar
-from app.panels.widgets import ElidedLabel
+from app.panels.widgets import ElidedLabel, mix
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.message import Message
-from app.theme import GAP, Choice, Colours, Theme
+from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
-    from app.session.controller import Tick
     from app.session_view import SessionView
-    from app.sound.cues import DueCue
-    from skincal.files.reference import Reference
     from skincal.session.part import Part
-    from skincal.session.review import Review
     from skincal.session.snapshot import Snapshot
 
 LOG = logging.getLogger(__name__)
+Said = ParamSpec("Said")
 FIRST_SIZE = QSize(1440, 860)
 """Pixels, where the screen has them."""
 
 
-class Window(QMainWindow):
-    """Everything the operator sees.
+def qpalette(colours: Colours) -> QPalette:
+    """Return the Qt palette of a theme; the desktop's own is never used, so the window looks alike everywhere."""
+    role = QPalette.ColorRole
+    palette = QPalette()
+    for names, value in (
+        ((role.Window, role.AlternateBase, role.ToolTipBase), colours.window),
+        ((role.Base,), colours.panel),
+        ((role.Button, role.Light, role.Midlight), colours.raised),
+        ((role.Mid, role.Dark, role.Shadow), colours.line),
+        ((role.WindowText, role.Text, role.ButtonText, role.ToolTipText, role.BrightText), colours.text),
+        ((role.PlaceholderText,), colours.muted),
+        ((role.Highlight, role.Link, role.LinkVisited, role.Accent), colours.accent),
+        ((role.HighlightedText,), colours.on_accent),
+    ):
+        for name in names:
+            palette.setColor(name, QColor(value))
+    for name in (role.WindowText, role.Text, role.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, name, mix(colours.muted, colours.window, 0.45))
+    return palette
 
-    Parameters
-    ----------
-    controller : its signals are shown, its slots do what the operator wants
-    theme : colours
-    settings : size, splitters, theme
-    documents : where sessions and files go unless the operator says otherwise
-    player : plays the sounds
+
+def style_sheet(colours: Colours) -> str:
+    """Return the few rules that a palette cannot say: flat tabs, quiet headers, thin splitters."""
+    return f"""
+    QToolTip {{ color: {colours.text}; background: {colours.raised}; border: 1px solid {colours.line}; padding: 4px; }}
+    QMenuBar {{ background: {colours.window}; border-bottom: 1px solid {colours.line}; }}
+    QMenuBar::item {{ padding: 5px 10px; background: transparent; }}
+    QMenuBar::item:selected {{ background: {colours.raised}; }}
+    QStatusBar {{ border-top: 1px solid {colours.line}; }}
+    QStatusBar::item {{ border: none; }}
+    QSplitter::handle {{ background: {colours.window}; }}
+    QTabWidget::pane {{ border: none; border-top: 1px solid {colours.line}; background: {colours.panel}; }}
+    QTabBar::tab {{ padding: 6px 10px; border: none; color: {colours.muted}; background: transparent; }}
+    QTabBar::tab:selected {{ color: {colours.text}; border-bottom: 2px solid {colours.accent}; }}
+    QTabBar::tab:hover {{ color: {colours.text}; }}
+    QHeaderView::section {{ color: {colours.muted}; background: {colours.panel}; border: none; padding: 4px 6px;
+        border-bottom: 1px solid {colours.line}; }}
+    QTableView {{ border: none; background: {colours.panel}; gridline-color: {colours.raised};
+        selection-background-color: {colours.accent}; selection-color: {colours.on_accent}; }}
+    QToolButton[choice="true"] {{ padding: 2px 8px; border: 1px solid {colours.line}; border-radius: 3px; }}
+    QToolButton[choice="true"]:checked {{ color: {colours.on_accent}; background: {colours.accent}; }}
+    QFrame#card {{ background: {colours.panel}; border: 1px solid {colours.line}; border-radius: 6px; }}
+    QLabel[quiet="true"] {{ color: {colours.muted}; }}
     """
+
+
+class Theme(QObject):
+    """Which colours hold now: the operator's choice, or the desktop's where the choice is left to it.
+
+    The application's palette keeps them; see `theme_colours`.
+    """
+
+    changed = Signal()
+    """After they were applied to the application."""
+
+    def __init__(self, choice: Choice = Choice.SYSTEM, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        QApplication.styleHints().colorSchemeChanged.connect(self._system_changed)
+        self.choose(choice)
+
+    def choose(self, choice: Choice) -> None:
+        """Take the operator's choice, and give the whole application the colours that hold; light where nobody says which."""
+        self.choice = choice
+        is_dark = choice is Choice.DARK
+        if choice is Choice.SYSTEM:
+            is_dark = QApplication.styleHints().colorScheme() is Qt.ColorScheme.Dark
+        colours = DARK if is_dark else LIGHT
+        QApplication.setStyle("Fusion")
+        QApplication.setPalette(qpalette(colours))
+        app = QApplication.instance()
+        if isinstance(app, QApplication):
+            app.setStyleSheet(style_sheet(colours))
+        self.changed.emit()
+
+    def _system_changed(self) -> None:
+        if self.choice is Choice.SYSTEM:
+            self.choose(self.choice)
+
+
+class Window(QMainWindow):
+    """Everything the operator sees."""
 
     _sound_found = Signal(bool)
     """From the player's thread: whether there is a sound device."""
@@ -73,7 +150,6 @@ class Window(QMainWindow):
         self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
         self._arrange()
         self._connect()
-        self._set_colours(theme.colours)
 
     def _slots(self) -> dict[str, Callable[[], object]]:
         return {
@@ -109,12 +185,12 @@ class Window(QMainWindow):
             "landmark": self._of_session(lambda view: view.ask_landmark(self)),
         }
 
-    def _of_session(self, do: Callable[[SessionView], Any]) -> Callable[[], None]:
-        """Return what does something with the session view, if there is one."""
+    def _of_session(self, do: Callable[Concatenate[SessionView, Said], object]) -> Callable[Said, None]:
+        """Return what does something with the session view, if there is one, and with what a signal says."""
 
-        def slot() -> None:
+        def slot(*said: Said.args, **named: Said.kwargs) -> None:
             if self.session_view is not None:
-                do(self.session_view)
+                do(self.session_view, *said, **named)
 
         return slot
 
@@ -149,13 +225,13 @@ class Window(QMainWindow):
         controller.prepare = _prepare
         controller.part_loaded.connect(self._take_part)
         controller.session_opened.connect(self._take_session)
-        controller.ticked.connect(self._take_tick)
+        controller.ticked.connect(self._of_session(lambda view, tick: view.take_tick(tick)))
         controller.running_changed.connect(self._running_changed)
         controller.said.connect(self.tell)
-        controller.truth_found.connect(self._take_truth)
-        controller.reviewed.connect(self._take_review)
+        controller.truth_found.connect(self._of_session(lambda view, truth: view.offer(truth)))
+        controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
         controller.stored.connect(self._say_where)
-        self._theme.changed.connect(self._set_colours)
+        self._theme.changed.connect(self._recolour)
         self._sound_found.connect(self._follow_sound)
         self._player.found = self._sound_found.emit
 
@@ -168,7 +244,7 @@ class Window(QMainWindow):
         session_view = SessionView(part, self.controller, self.commands, self._documents, parent=self)
         self.session_view = session_view
         session_view.said.connect(self.tell)
-        session_view.heard.connect(self._play)
+        session_view.sound_due.connect(lambda due: self._player.play(due.sound, due.word))
         session_view.unsaid.connect(self.messages.withdraw)
         session_view.picking.unsaid.connect(self.messages.withdraw)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
@@ -183,7 +259,7 @@ class Window(QMainWindow):
     def _show_session(self, session_view: SessionView) -> None:
         if session_view is self.session_view:
             session_view.restore(self._settings)
-            session_view.set_colours(self._theme.colours)
+            session_view.recolour()
             self.statusBar().addPermanentWidget(session_view.chips)
             self.stack.addWidget(session_view.workspace)
             self.stack.setCurrentWidget(session_view.workspace)
@@ -193,18 +269,6 @@ class Window(QMainWindow):
         if self.session_view is not None:
             self.session_view.session_opened(snapshot)
             self._player.get_ready()
-
-    def _take_truth(self, truth: Reference) -> None:
-        if self.session_view is not None:
-            self.session_view.offer(truth)
-
-    def _take_review(self, review: Review | None) -> None:
-        if self.session_view is not None:
-            self.session_view.take_review(review)
-
-    def _take_tick(self, tick: Tick) -> None:
-        if self.session_view is not None:
-            self.session_view.take_tick(tick)
 
     def _running_changed(self, running: Running) -> None:
         self._show_opening()
@@ -217,9 +281,6 @@ class Window(QMainWindow):
         opening = self.controller.running is Running.OPENING
         nothing = "Nothing is open.\nCtrl+N begins a new session, Ctrl+O opens a recorded one."
         self.opening.setText("Opening \N{HORIZONTAL ELLIPSIS}" if opening else nothing)
-
-    def _play(self, heard: DueCue) -> None:
-        self._player.play(heard.sound, heard.word)
 
     def _follow_sound(self, found: bool) -> None:
         self.commands.follow_sound(found=found, can_speak=self._player.can_speak)
@@ -235,10 +296,10 @@ class Window(QMainWindow):
             LOG.warning("%s", message.text)
         self.messages.tell(message)
 
-    def _set_colours(self, colours: Colours) -> None:
-        self.messages.set_colours(colours)
+    def _recolour(self) -> None:
+        self.messages.show_newest()
         if self.session_view is not None:
-            self.session_view.set_colours(colours)
+            self.session_view.recolour()
 
     def _choose_theme(self, choice: Choice) -> None:
         self._settings.setValue("theme", choice.value)

@@ -195,7 +195,7 @@ def frame_sentence(found: FrameDiagnosis) -> str:
         whose = " That is errors of the rig, not of its frame." if found.corrected_miss > OF_RIG else ""
         return f"The sensor's frame {'is' if found.sure else 'looks'} right: pokes pass their landmarks at {passes}{whose}"
     wrong = f"The sensor's frame looks wrong: {_mistake_words(found.correction)}."
-    return f"{wrong} As told, pokes pass their landmarks at {reported}; so corrected, at {passes}"
+    return f"{wrong} As reported, pokes pass their landmarks at {reported}; so corrected, at {passes}"
 
 
 def _mistake_words(found: FrameCorrection) -> str:
@@ -206,7 +206,7 @@ def _mistake_words(found: FrameCorrection) -> str:
         sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         angle = np.degrees(np.arctan2(sine, np.trace(turn) - 1.0))
         return (
-            f"the sensor sits elsewhere on the arm than told, by about {angle:.0f} degrees and {shift:.0f} mm, or its "
+            f"the sensor sits elsewhere on the arm than reported, by about {angle:.0f} degrees and {shift:.0f} mm, or its "
             "matrix is far off"
         )
     return "; ".join(filter(None, (_axes_words(found.axes), _unit_words(found))))
@@ -232,4 +232,4 @@ def _axes_words(axes: np.ndarray) -> str:
             return "it reports the reaction: all signs are turned"
         return f"the sign of {', '.join(turned)} is turned" if turned else ""
     named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
-    return f"its axes are told in another order: x, y, z are {', '.join(named)}"
+    return f"its axes are reported in another order: x, y, z are {', '.join(named)}"

@@ -1,6 +1,6 @@
 """What all tests share: repeatable random data.
 
-Every run tries the same examples, so a red test is red again for whoever repeats it. To search for new ones:
+Every run tries the same examples, so a red test is red again for anyone who repeats it. To search for new ones:
 `.venv/bin/python -m pytest --hypothesis-profile=search`.
 """
 

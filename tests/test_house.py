@@ -150,6 +150,18 @@ def test_each_folder_of_tests_is_a_room_of_the_program() -> None:
     assert {name for name in names if names.count(name) > 1} == set()
 
 
+def test_a_test_file_has_the_name_of_a_module_or_says_what_it_proves() -> None:
+    """`test_links.py` or `test_links_lost.py` for `links.py` of its room; what goes across modules says so first."""
+    nameless: list[str] = []
+    for path in (CHECKOUT / "tests").rglob("test_*.py"):
+        room = CHECKOUT / path.parent.relative_to(CHECKOUT / "tests")
+        stem = path.stem.removeprefix("test_")
+        of_module = any(f"{stem}_".startswith(f"{module.stem}_") for module in room.rglob("*.py"))
+        if not of_module and ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) is None:
+            nameless.append(str(path))
+    assert nameless == []
+
+
 def neighbours(path: Path, known: Collection[str]) -> set[str]:
     """Modules of `known` that a file imports, also inside functions and for type checkers alone."""
     found: set[str] = set()

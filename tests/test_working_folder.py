@@ -13,7 +13,7 @@ import pytest
 
 from app.session.opening import server_command
 from skincal.model.scene import resource
-from tools import checkout, packages
+from tools import checkout, install
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 SAMPLE = resource("sessions/sample")
@@ -22,7 +22,7 @@ NAMES = ("typer.py", "numpy.py", "pickle.py", "pip.py", "app/__init__.py", "skin
 LIMIT_S = 60
 CONSOLE = f"import sys\nsys.path.append({str(CHECKOUT)!r})\nfrom app.__main__ import main\nsys.exit(main())\n"
 """What pip writes for `skincal`."""
-installed = pytest.mark.skipif(not packages.is_ready(checkout.RUN_LOCK), reason="needs what start.py installs")
+installed = pytest.mark.skipif(not install.is_ready(checkout.RUN_LOCK), reason="needs what start.py installs")
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_who_asks_for_a_safe_path_gets_one(poisoned, monkeypatch):
 
 @pytest.mark.parametrize("way", ["start.py", "skincal", "console script", "-P -m app", "-P -m skincal.cli"])
 def test_a_command_runs_nothing_of_the_working_folder(poisoned, way):
-    if way in ("start.py", "skincal") and not packages.is_ready(checkout.RUN_LOCK):
+    if way in ("start.py", "skincal") and not install.is_ready(checkout.RUN_LOCK):
         pytest.skip("needs what start.py installs")
     script = poisoned.parent / "bin" / "skincal"
     script.parent.mkdir()
@@ -137,6 +137,6 @@ def test_the_window_and_what_it_starts_run_nothing_of_the_working_folder(poisone
 @pytest.mark.usefixtures("poisoned")
 def test_installing_runs_nothing_of_the_working_folder(tmp_path):
     """Pip and the compiler of modules are run in the folder where the person stands."""
-    assert packages._python("-m", "pip", "--version").returncode == 0
-    assert packages._python("-c", "import pickle, numpy").returncode == 0
+    assert install._python("-m", "pip", "--version").returncode == 0
+    assert install._python("-c", "import pickle, numpy").returncode == 0
     assert not (tmp_path / "ran").exists()

@@ -21,16 +21,10 @@ TEST_LOCK = CHECKOUT / "requirements-dev.lock"
 
 USER_CAN_HELP = 2
 """Exit code: something about this machine has to change first, and the sentence says what."""
-OURS = 1
-"""Exit code: a step failed for a reason that nobody thought of."""
 
 
 class StopError(Exception):
     """The command cannot go on; its text says what was found and what to do."""
-
-    def __init__(self, sentence: str, code: int = USER_CAN_HELP) -> None:
-        super().__init__(sentence)
-        self.code = code
 
 
 def require_python() -> None:

@@ -25,6 +25,7 @@ COMMON = (
 
 def main() -> int:
     """Resolve what running needs, then what the tests need beside it."""
+    # The second is bound to the first, so that one .venv serves both commands.
     for own in (("requirements.lock",), ("requirements-dev.lock", "--group=dev", "--constraints=requirements.lock")):
         output, *options = own
         command = ["uv", "pip", "compile", "pyproject.toml", f"--output-file={output}", *COMMON, *options, *sys.argv[1:]]

@@ -4,8 +4,6 @@ One careful poke for each taxel on the simulated forearm with sensor noise, in t
 iCub's rate) so that it stays small.
 """
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path
@@ -14,11 +12,9 @@ CHECKOUT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(CHECKOUT))
 
 FOLDER = CHECKOUT / "resources" / "sessions" / "sample"
-POKES = 84
-SEED = 11
 
 
-def main() -> int:
+def main() -> None:
     """Write `resources/sessions/sample`."""
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene, resource
@@ -34,15 +30,14 @@ def main() -> int:
         scene,
         load_surface(scene.surface)[0],
         FOLDER,
-        POKES,
-        SEED,
-        RigErrors.noise(),
+        pokes=84,
+        seed=11,
+        errors=RigErrors.noise(),
         poses=("1", "6"),
         habits=Habits.careful(),
         settings=DeviceSettings(wrench_hz=100.0, joints_hz=10.0),
     )
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -25,8 +25,9 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from PySide6.QtCore import QEvent, QObject, QSettings, QStandardPaths, QTimer
 from PySide6.QtWidgets import QApplication, QStackedLayout, QWidget
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from app.sound.player import Output
     from app.window import Window
 
+Call: TypeAlias = Callable[..., Any]
+SIZE = (1280, 720)
 BEAT_MS = 5
 SETTLED_S = 5.0
 """s. Stalls from here on are those of work; before, those of start-up."""
@@ -73,8 +76,8 @@ class Measure(QObject):
         self._beat.start()
         window.installEventFilter(self)
 
-    def watch(self, tab: str) -> bool:
-        """Watch the session and the 3D view, with this tab open; return whether both are there."""
+    def watch(self) -> bool:
+        """Watch the session and the 3D view; return whether both are there."""
         session_view = self.window.session_view
         if session_view is None or not session_view.workspace.view.list_layers():
             return False
@@ -85,16 +88,17 @@ class Measure(QObject):
         assert canvas is not None
         self._canvas = canvas
         canvas.installEventFilter(self)
-        _around_feed(Pipeline, self._released)
+        around(Pipeline, "feed", self._feed)
         self.sounds.watch(Pipeline)
         session_view.workspace.view.update()
-        session_view.workspace.show_tab(tab)
+        session_view.workspace.show_tab("Readings")
         return True
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Paint, and take the time at which it is done."""
         if event.type() is not QEvent.Type.Paint:
             return False
+        # Handled here, and then taken from Qt: so the time after it is the end of the painting.
         watched.event(event)
         if watched is self._canvas:
             self._painted()
@@ -105,7 +109,7 @@ class Measure(QObject):
 
     def take(self, tick: Tick) -> None:
         """Take a moment of the session: whether the tool presses."""
-        from skincal.guide.coaching import PRESSING
+        from skincal.guide.guidance import PRESSING
 
         now = time.monotonic()
         pressing = tick.live.progress.phase in PRESSING
@@ -114,6 +118,13 @@ class Measure(QObject):
         elif not pressing and self._pressing_since is not None:
             self.presses.append((self._pressing_since, now))
             self._pressing_since = None
+
+    def _feed(self, call: Call, pipeline: Any, item: Any) -> None:
+        """Note the arrival of each reading that ends a poke."""
+        last = pipeline.session.last_poke
+        call(pipeline, item)
+        if pipeline.session.last_poke != last:
+            self._released.append((pipeline.session.last_poke, item.host_ns * 1e-9))
 
     def _painted(self) -> None:
         now = time.monotonic()
@@ -140,8 +151,7 @@ class Measure(QObject):
         long_enough = [(a, b) for a, b in self.presses if b - a >= SHORT_S]
         shown = sum(sum(a <= t <= b for t in self.pictures) for a, b in long_enough)
         pressed = sum(b - a for a, b in long_enough)
-        early = [stall for stall in self.stalls if stall[0] < SETTLED_S]
-        later = [stall for stall in self.stalls if stall[0] >= SETTLED_S]
+        early, later = ([s for s in self.stalls if (s[0] >= SETTLED_S) is settled] for settled in (False, True))
         return {
             "first_paint_s": self.first_paint,
             "first_picture_s": self.first_picture,
@@ -195,44 +205,40 @@ class Sounds:
         from app.sound.player import Line, Player
         from skincal.contacts.press import Press
 
-        self._watch_readings(Press, pipeline)
-        self._watch_sounds(Player, Line)
+        around(Press, "add", self._add)
+        around(pipeline, "feed", self._feed)
+        around(Player, "play", self._play)
+        around(Line, "take", self._take)
 
-    def _watch_readings(self, press: type[Any], pipeline: type[Any]) -> None:
-        add, feed = press.add, pipeline.feed
+    def _add(self, call: Call, press: Any, *arguments: Any) -> None:
+        before = press.held
+        call(press, *arguments)
+        self._full = self._full or (press.held and not before)
 
-        def watched_add(its: Any, *arguments: Any) -> None:
-            before = its.held
-            add(its, *arguments)
-            self._full = self._full or (its.held and not before)
+    def _feed(self, call: Call, pipeline: Any, item: Any) -> None:
+        self._full = False
+        call(pipeline, item)
+        if self._full:
+            self._since = item.host_ns * 1e-9
 
-        def watched_feed(its: Any, item: Any) -> None:
-            self._full = False
-            feed(its, item)
-            if self._full:
-                self._since = item.host_ns * 1e-9
+    def _play(self, call: Call, player: Any, sound: Cue, word: str = "") -> None:
+        if sound.name == "HELD":
+            self._asked, self._since = self._since, None
+        call(player, sound, word)
 
-        press.add, pipeline.feed = watched_add, watched_feed
+    def _take(self, call: Call, line: Any, frames: int) -> bytes:
+        begins = not line.taken
+        part = call(line, frames)
+        if begins and part and self._asked is not None:
+            self.latencies.append(time.monotonic() - self._asked)
+            self._asked = None
+        return part
 
-    def _watch_sounds(self, player: type[Any], line: type[Any]) -> None:
-        from app.sound.cues import Cue
 
-        play, take = player.play, line.take
-
-        def watched_play(its: Any, sound: Cue, word: str = "") -> None:
-            if sound is Cue.HELD:
-                self._asked, self._since = self._since, None
-            play(its, sound, word)
-
-        def watched_take(its: Any, frames: int) -> bytes:
-            begins = not its.taken
-            part = take(its, frames)
-            if begins and part and self._asked is not None:
-                self.latencies.append(time.monotonic() - self._asked)
-                self._asked = None
-            return part
-
-        player.play, line.take = watched_play, watched_take
+def around(kind: type[Any], name: str, see: Callable[..., Any]) -> None:
+    """Let every call of a method go through `see`, which gets the method and what it is called with."""
+    call = getattr(kind, name)
+    setattr(kind, name, lambda its, *arguments: see(call, its, *arguments))
 
 
 def percentile(values: list[float], share: float) -> float | None:
@@ -241,20 +247,7 @@ def percentile(values: list[float], share: float) -> float | None:
     return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else None
 
 
-def _around_feed(pipeline: type[Any], released: list[tuple[int, float]]) -> None:
-    """Note the arrival of each reading that ends a poke."""
-    before = pipeline.feed
-
-    def feed(self: Any, item: Any) -> None:
-        last = self.session.last_poke
-        before(self, item)
-        if self.session.last_poke != last:
-            released.append((self.session.last_poke, item.host_ns * 1e-9))
-
-    pipeline.feed = feed
-
-
-def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str) -> dict[str, Any]:
+def measure(seconds: float, scene: Path | None) -> dict[str, Any]:
     """Run the window for so long and return its figures."""
     from app.run import run_window
     from app.session.opening import OpenRequest, find_scene, server_command
@@ -262,35 +255,27 @@ def measure(seconds: float, scene: Path | None, size: tuple[int, int], tab: str)
     from app.window import Window
 
     application = QApplication(sys.argv[:1])
-    found: list[Measure] = []
-    sounds = Sounds()
-    watching = QTimer()
-    watching.setInterval(10)
+    sounds, watching = Sounds(), QTimer(interval=10)
+    results: dict[str, Any] = {}
 
     def attach() -> None:
         window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window))
-        window.resize(*size)
-        found.append(Measure(window, sounds))
-        window.controller.ticked.connect(found[0].take)
-        watching.timeout.connect(watch)
+        window.resize(*SIZE)
+        measured = Measure(window, sounds)
+        window.controller.ticked.connect(measured.take)
+        watching.timeout.connect(lambda: measured.watch() and watching.stop())
         watching.start()
-        QTimer.singleShot(round(seconds * 1e3), end)
+        QTimer.singleShot(round(seconds * 1e3), lambda: end(measured))
 
-    def watch() -> None:
-        if found[0].watch(tab):
-            watching.stop()
-
-    results: list[dict[str, Any]] = []
-
-    def end() -> None:
-        results.append(found[0].result())
-        found[0].window.close()
+    def end(measured: Measure) -> None:
+        results.update(measured.result())
+        measured.window.close()
         application.quit()
 
     QTimer.singleShot(0, attach)
     path = None if scene is None else find_scene(scene)
     run_window(OpenRequest(scene=path, server=server_command(path)), Player(sounds.open))
-    return results[0]
+    return results
 
 
 def table(result: dict[str, Any]) -> str:
@@ -309,20 +294,17 @@ def main() -> int:
     parser = argparse.ArgumentParser("window_bench", description="Measure the window's live figures.")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--scene", type=Path, help="scene file, or the name of one that ships")
-    parser.add_argument("--size", default="1280x720", help="of the window, pixels")
-    parser.add_argument("--tab", default="Readings", help="which tab is open: Readings, Pokes, Taxel, Devices, Errors, Arm")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     reason = no_display() or objection()
     if reason:
         print(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tools.window_bench', file=sys.stderr)
         return 2
-    width, _, height = options.size.partition("x")
     with tempfile.TemporaryDirectory() as folder:
         # The operator's own settings and log stay as they are.
         QStandardPaths.setTestModeEnabled(True)
         QSettings.setPath(QSettings.Format.NativeFormat, QSettings.Scope.UserScope, folder)
-        result = measure(options.seconds, options.scene, (int(width), int(height)), options.tab)
+        result = measure(options.seconds, options.scene)
     print(json.dumps(result, indent=1) if options.json else table(result))
     return 0
 

@@ -1,10 +1,8 @@
-"""Write files: the calibration, with format, method and place, then what the lint says about it; the corrected layout."""
+"""The dialog that writes the calibration: format, method and place, then what the lint says about it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
@@ -22,13 +20,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import plain_buttons, put, quiet
-from app.text.compare_text import saved_words
-from app.text.message import Message
+from app.panels.widgets import plain_buttons, quiet
 from app.text.outcomes import METHOD_NAMES
 from app.units import count
-from skincal.model.scene import Scene
-from skincal.modules.health import LayoutMend
 from skincal.taxels.result import Method
 
 FORMATS: tuple[tuple[str, str, str, str], ...] = (
@@ -110,7 +104,7 @@ class ExportDialog(QDialog):
         """Say that the file is written and what was found on the way."""
         self.write.setEnabled(True)
         found = count(len(sentences), "remark") if sentences else "nothing to remark"
-        put(self.outcome, f"\N{CHECK MARK} Written to {self.path.text()}: {found}.")
+        self.outcome.setText(f"\N{CHECK MARK} Written to {self.path.text()}: {found}.")
         self.findings.clear()
         self.findings.addItems(list(sentences))
         self.findings.setVisible(bool(sentences))
@@ -118,7 +112,7 @@ class ExportDialog(QDialog):
     def show_failure(self, sentence: str) -> None:
         """Say why there is no file."""
         self.write.setEnabled(True)
-        put(self.outcome, f"\N{BALLOT X} {sentence}")
+        self.outcome.setText(f"\N{BALLOT X} {sentence}")
         self.path.setFocus()
 
     def reject(self) -> None:
@@ -128,7 +122,7 @@ class ExportDialog(QDialog):
 
     def _forget(self) -> None:
         """Take away what was said of another file."""
-        put(self.outcome, "")
+        self.outcome.setText("")
         self.findings.hide()
 
     def _row(self) -> tuple[str, str, str, str]:
@@ -136,17 +130,16 @@ class ExportDialog(QDialog):
 
     def _format_chosen(self) -> None:
         name, _, ending, about = self._row()
-        put(self.about, about)
+        self.about.setText(about)
         self.method.setEnabled(name in ("icub", "ply"))
         if self._named_by_hand:
             self.path.setText(str(Path(self.path.text()).with_suffix(ending)))
-        else:
-            self._name()
+        self._name()
 
     def _name(self) -> None:
         if not self._named_by_hand:
-            name, _, ending, _ = self._row()
-            method = f"-{self.method.currentText()}" if name in ("icub", "ply") else ""
+            _, _, ending, _ = self._row()
+            method = f"-{self.method.currentText()}" if self.method.isEnabled() else ""
             self.path.setText(str(self._stem.with_name(f"{self._stem.name}{method}{ending}")))
 
     def _edited(self) -> None:
@@ -162,43 +155,5 @@ class ExportDialog(QDialog):
     def _write(self) -> None:
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
         self.write.setEnabled(False)
-        put(self.outcome, "Writing \N{HORIZONTAL ELLIPSIS}")
+        self.outcome.setText("Writing \N{HORIZONTAL ELLIPSIS}")
         self.write_requested.emit(self._row()[0], Path(self.path.text()), self.method.currentData())
-
-
-class Compute(Protocol):
-    """Does work beside the window, and hands over its result or the sentence why there is none."""
-
-    def __call__(self, work: Callable[[], Any], done: Callable[[Any], None], failed: Callable[[str], None]) -> None:
-        """Start the work."""
-        ...
-
-
-def ask_layout(
-    parent: QWidget, documents: Path, scene: Scene, mend: LayoutMend, compute: Compute, say: Callable[[Message], None]
-) -> None:
-    """Ask for a file, write the corrected layout there, and say where it is or why it is not.
-
-    Parameters
-    ----------
-    documents : where files go unless the operator says otherwise
-    scene : whose layout it is
-    mend : of that layout
-    """
-    given = scene.skin.layout
-    if given is None:
-        return
-    # A folder that is not there yet would stand in the dialog as a file's name.
-    folder = documents if documents.is_dir() else Path.home()
-    name = str(folder / f"{scene.name}-corrected.modules.toml")
-    chosen, _ = QFileDialog.getSaveFileName(parent, "Save the corrected layout", name, "Layout (*.toml)")
-    if not chosen:
-        return
-    path = Path(chosen)
-
-    def write() -> None:
-        from skincal.files.layout_file import write_layout
-
-        write_layout(given, mend, path)
-
-    compute(write, lambda _: say(Message(saved_words(path, mend))), lambda sentence: say(Message(sentence, error=True)))

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, quiet
 from app.scene3d.view import View3D
 from app.text.message import Message
 from app.theme import GAP
@@ -96,7 +96,7 @@ class LandmarkDialog(QDialog):
         name = self.name.text().strip()
         refused = objection_to(name, self._taken)
         if refused:
-            put(self.objection, f"\N{BALLOT X} {refused}")
+            self.objection.setText(f"\N{BALLOT X} {refused}")
             self.name.setFocus()
             return
         self.given.emit(name, self.place())
@@ -129,15 +129,7 @@ def _millimetres(axis: str) -> QDoubleSpinBox:
 
 
 class LandmarkPicking(QObject):
-    """Leads from the command to the landmark.
-
-    Parameters
-    ----------
-    view : in which the point is clicked
-    names : gives those of the landmarks that there are
-    act : does it
-    link : name of the frame
-    """
+    """Leads from the command to the landmark."""
 
     said = Signal(object)
     """`Message`: what to do now."""
@@ -145,12 +137,7 @@ class LandmarkPicking(QObject):
     """`Message` that holds no more."""
 
     def __init__(
-        self,
-        view: View3D,
-        names: Callable[[], Collection[str]],
-        act: Callable[[Action], object],
-        link: str,
-        parent: QObject | None = None,
+        self, view: View3D, names: Callable[[], Collection[str]], act: Callable[[Action], object], link: str, parent: QObject
     ) -> None:
         super().__init__(parent)
         self._view, self._names, self._act, self._link = view, names, act, link
@@ -163,12 +150,7 @@ class LandmarkPicking(QObject):
         return self._view.picking
 
     def ask(self, window: QWidget) -> None:
-        """Wait for a click on the part, or no more; where there is nothing to click on, ask for coordinates at once.
-
-        Parameters
-        ----------
-        window : over which the dialog appears
-        """
+        """Wait for a click on the part, or no more; where there is nothing to click on, ask for coordinates at once."""
         if self.waiting:
             self.stop()
             return

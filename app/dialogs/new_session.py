@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, quiet
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
@@ -104,7 +104,7 @@ class NewSessionDialog(QDialog):
         try:
             request = self.request()
         except InputError as error:
-            put(self.objection, f"\N{BALLOT X} {error}")
+            self.objection.setText(f"\N{BALLOT X} {error}")
             return
         self.request_chosen.emit(request)
         self.accept()

@@ -14,7 +14,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QKeyCombination, QObject, Q
 from PySide6.QtGui import QAction, QHideEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from app.panels.widgets import plain_buttons, put, quiet
+from app.panels.widgets import plain_buttons, quiet
 
 Key = Qt.Key
 
@@ -71,13 +71,7 @@ def key_name(event: QKeyEvent) -> str:
 
 
 def objection(name: str, taken: Mapping[str, str]) -> str:
-    """Return why a key cannot be a pedal's; empty where it can.
-
-    Parameters
-    ----------
-    name : as by `key_name`
-    taken : what keys mean already, by such names
-    """
+    """Return why a key cannot be a pedal's; empty where it can."""
     if not name:
         return "The desktop knows no name for this key; set the pedal to another one, F13 for example."
     if name in MODIFIERS.values():
@@ -89,13 +83,7 @@ def objection(name: str, taken: Mapping[str, str]) -> str:
 
 
 class Pedals(QObject):
-    """The keys that were learnt; they are kept in the settings.
-
-    Parameters
-    ----------
-    actions : what each pedal triggers, by the pedal's name
-    taken : gives what keys mean already
-    """
+    """The keys that were learnt; they are kept in the settings."""
 
     def __init__(
         self,
@@ -253,7 +241,7 @@ class PedalsDialog(QDialog):
     def _ask(self, pedal: Pedal) -> None:
         self._asked = pedal
         self._pedals.listen(self._take)
-        put(self.outcome, f"{pedal.title}: {ASK}")
+        self.outcome.setText(f"{pedal.title}: {ASK}")
         self._show_keys()
 
     def _take(self, key: str) -> None:
@@ -263,16 +251,16 @@ class PedalsDialog(QDialog):
             return
         refused = "" if key == "Esc" else self._pedals.learn(pedal.name, key)
         if refused:
-            put(self.outcome, f"\N{BALLOT X} {refused}")
+            self.outcome.setText(f"\N{BALLOT X} {refused}")
             return
         self._end()
-        put(self.outcome, "" if key == "Esc" else f"\N{CHECK MARK} {key} is the pedal for {pedal.title}.")
+        self.outcome.setText("" if key == "Esc" else f"\N{CHECK MARK} {key} is the pedal for {pedal.title}.")
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
 
     def _forget(self, pedal: Pedal) -> None:
         self._end()
         self._pedals.forget(pedal.name)
-        put(self.outcome, f"{pedal.title} has no pedal any more.")
+        self.outcome.setText(f"{pedal.title} has no pedal any more.")
         self.learn[pedal.name].setFocus()
         self._show_keys()
 
@@ -284,7 +272,7 @@ class PedalsDialog(QDialog):
     def _show_keys(self) -> None:
         for pedal in PEDALS:
             key = self._pedals.keys.get(pedal.name, "")
-            put(self.keys[pedal.name], "\N{HORIZONTAL ELLIPSIS}" if pedal is self._asked else key or "no pedal")
+            self.keys[pedal.name].setText("\N{HORIZONTAL ELLIPSIS}" if pedal is self._asked else key or "no pedal")
             self.forget[pedal.name].setEnabled(bool(key))
 
     def hideEvent(self, event: QHideEvent) -> None:

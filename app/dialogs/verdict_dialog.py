@@ -2,94 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
-from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, Qt, Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
-from PySide6.QtWidgets import QDialog, QDialogButtonBox, QFormLayout, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QDialog,
+    QDialogButtonBox,
+    QFormLayout,
+    QHeaderView,
+    QLabel,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
-from app.panels.widgets import plain_buttons, quiet
+from app.panels.widgets import embolden, plain_buttons, quiet
 from app.text.verdict_text import figures, left_words, sentence
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
-from skincal.guide.verdict import Left, Verdict
+from skincal.guide.verdict import Verdict
 
-_Index = QModelIndex | QPersistentModelIndex
 HEADINGS = ("Taxel", "Why it is not done")
-
-
-class LeftTable(QAbstractTableModel):
-    """A row for each taxel that is not done."""
-
-    def __init__(self, left: Sequence[Left], names: ChannelNames) -> None:
-        super().__init__()
-        self.left, self._names = left, names
-
-    def rowCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
-        """Return the number of taxels."""
-        return 0 if parent.isValid() else len(self.left)
-
-    def columnCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
-        """Return the number of columns."""
-        return 0 if parent.isValid() else len(HEADINGS)
-
-    def headerData(self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
-        """Return the heading of a column."""
-        if role == Qt.ItemDataRole.DisplayRole and orientation is Qt.Orientation.Horizontal:
-            return HEADINGS[section]
-        return None
-
-    def data(self, index: _Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
-        """Return a taxel's name, or why it is not done."""
-        if role not in (Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.ToolTipRole):
-            return None
-        left = self.left[index.row()]
-        return self._names.short(left.channel) if index.column() == 0 else left_words(left)
-
-
-class LeftView(QTableView):
-    """The table; Enter or a double click asks for the taxel of its row."""
-
-    taxel_wanted = Signal(int)
-
-    def __init__(self, left: Sequence[Left], names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._left = left
-        self.setModel(LeftTable(left, names))
-        self.setAccessibleName("what is not done")
-        self.setSelectionBehavior(QTableView.SelectionBehavior.SelectRows)
-        self.setSelectionMode(QTableView.SelectionMode.SingleSelection)
-        # Tab goes on to the buttons.
-        self.setTabKeyNavigation(False)
-        self.verticalHeader().hide()
-        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        self.horizontalHeader().setStretchLastSection(True)
-        self.horizontalHeader().setHighlightSections(False)
-        self.horizontalHeader().setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        self.setShowGrid(False)
-        self.doubleClicked.connect(self._ask)
-
-    def _ask(self, index: QModelIndex) -> None:
-        if index.isValid():
-            self.taxel_wanted.emit(self._left[index.row()].channel)
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep Enter from the dialog's default button."""
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            self._ask(self.currentIndex())
-            event.accept()
-            return
-        super().keyPressEvent(event)
 
 
 class VerdictDialog(QDialog):
     """Says how it ends; the space bar goes on: to the file if it is enough and nothing speaks against it, else to the session.
 
-    Parameters
-    ----------
-    rig : what is known of the rig's own errors; empty for nothing
-    settled : whether nothing is offered that would change the estimates
+    `rig` says what is known of the rig's own errors; it is settled where nothing is offered that would change the estimates.
     """
 
     export_wanted = Signal()
@@ -112,7 +51,11 @@ class VerdictDialog(QDialog):
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
-        self.left = LeftView(verdict.left, names)
+        self.left = QTableWidget(len(verdict.left), len(HEADINGS))
+        self._channels = [left.channel for left in verdict.left]
+        for row, left in enumerate(verdict.left):
+            for column, text in enumerate((names.short(left.channel), left_words(left))):
+                self.left.setItem(row, column, QTableWidgetItem(text))
         self.buttons = QDialogButtonBox()
         self.go_on = self.buttons.addButton("Go on", QDialogButtonBox.ButtonRole.RejectRole)
         self.export = self.buttons.addButton("Export\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
@@ -123,13 +66,25 @@ class VerdictDialog(QDialog):
         first.setFocus()
         self.buttons.accepted.connect(self._export)
         self.buttons.rejected.connect(self.reject)
-        self.left.taxel_wanted.connect(self.taxel_wanted)
+        self.left.itemActivated.connect(lambda item: self.taxel_wanted.emit(self._channels[item.row()]))
 
     def _arrange(self) -> None:
-        font = self.sentence.font()
-        font.setPointSizeF(HEADLINE_PT)
-        font.setBold(True)
-        self.sentence.setFont(font)
+        table = self.left
+        table.setAccessibleName("what is not done")
+        table.setHorizontalHeaderLabels(HEADINGS)
+        table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        table.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
+        table.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
+        # Tab goes on to the buttons.
+        table.setTabKeyNavigation(False)
+        table.setShowGrid(False)
+        table.verticalHeader().hide()
+        header = table.horizontalHeader()
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        header.setStretchLastSection(True)
+        header.setHighlightSections(False)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        embolden(self.sentence, HEADLINE_PT)
         self.sentence.setAccessibleName("verdict")
         form = QFormLayout()
         for name, value in self.figures:
@@ -143,7 +98,7 @@ class VerdictDialog(QDialog):
         column.addWidget(self.left, 1)
         column.addWidget(self.buttons)
         for widget in (self.heading, self.left):
-            widget.setVisible(self.left.model().rowCount() > 0)
+            widget.setVisible(bool(self._channels))
         self.sentence.setWordWrap(True)
         plain_buttons(self.buttons)
         self.setMinimumWidth(680)
@@ -154,6 +109,11 @@ class VerdictDialog(QDialog):
         layout = self.layout()
         if layout is not None:
             self.resize(self.width(), max(self.height(), layout.totalHeightForWidth(self.width())))
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Keep Enter in the list from the default button: it asks for the taxel of its row."""
+        if not (self.left.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter)):
+            super().keyPressEvent(event)
 
     def _export(self) -> None:
         self.accept()

@@ -15,16 +15,13 @@ from PySide6.QtWidgets import (
     QComboBox,
     QGridLayout,
     QLabel,
-    QListWidget,
-    QListWidgetItem,
     QPushButton,
     QScrollArea,
     QTreeWidget,
     QVBoxLayout,
-    QWidget,
 )
 
-from app.panels.widgets import embolden, fit_rows, on_panel, put, put_rows, put_taxels, quiet, table
+from app.panels.widgets import TaxelList, embolden, fit_rows, on_panel, put_rows, quiet, short_box, table, theme_colours
 from app.scene3d.scene_state import DARK, LIGHT, Cloud, Comparison, Tint
 from app.state.place_sets import Pair, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.state.view_state import ViewState
@@ -44,7 +41,7 @@ from app.text.compare_text import (
     spacing_words,
     worst_words,
 )
-from app.theme import GAP, Colours
+from app.theme import GAP
 from app.units import ChannelNames
 from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
@@ -54,7 +51,6 @@ from skincal.taxels.differences import compare_modules, differences, summarise, 
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.modules.health import LayoutMend
     from skincal.session.part import Part
 
 WORST = 10
@@ -66,13 +62,7 @@ TINTS = {Method.FREE: Tint.FREE, Method.SURFACE: Tint.SURFACE, Method.MODULES: T
 
 
 class ComparePanel(QScrollArea):
-    """What is compared above, how far it lies apart below, module by module and taxel by taxel.
-
-    Parameters
-    ----------
-    part : what is calibrated
-    methods : that the scene has, in the order in which they are offered
-    """
+    """What is compared above, how far it lies apart below, module by module and taxel by taxel."""
 
     taxel_wanted = Signal(int)
     comparison_changed = Signal(object)
@@ -80,8 +70,8 @@ class ComparePanel(QScrollArea):
     layout_wanted = Signal(object)
     """`LayoutMend`: the corrected layout is to be saved."""
 
-    def __init__(self, part: Part, methods: tuple[Method, ...], names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, part: Part, methods: tuple[Method, ...], names: ChannelNames) -> None:
+        super().__init__()
         self._methods = methods
         self._names = names
         self._layout = part.scene.skin.layout
@@ -95,36 +85,30 @@ class ComparePanel(QScrollArea):
         self._chosen: Pair | None = None
         """What the operator chose; None while they chose nothing."""
         self._shown: tuple[object, ...] = ()
-        self._tints = LIGHT.tints
-        self.boxes = (QComboBox(), QComboBox())
+        self.boxes = (short_box("from"), short_box("to"))
         self.all = QCheckBox("all")
         self.scale = QComboBox()
         self.legend = QLabel()
         self.summary = QLabel()
         self.health = QLabel()
-        self.save: QPushButton | None = None
-        """Saves the corrected layout; there only while there is one."""
+        self.save = QPushButton("Save the corrected layout\N{HORIZONTAL ELLIPSIS}")
         self.spacing = quiet(wrap=True)
         self.listed = quiet()
         self.modules = table("modules", MODULE_HEADINGS, MODULE_HINTS)
-        self.worst = QListWidget()
+        self.worst = TaxelList("taxels that lie farthest apart")
         self._fill()
         self._arrange()
         self._connect()
 
     def _fill(self) -> None:
-        for box, name in zip(self.boxes, ("from", "to"), strict=True):
-            box.setAccessibleName(name)
-            box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-            box.setMinimumContentsLength(12)
         self.scale.addItems([scale_choice(scale) for scale in SCALES])
         self.scale.setAccessibleName("length of the arrows")
         self.scale.setToolTip("How many times their own length the arrows are drawn")
         self.all.setToolTip("Show the layout and every method's places over each other")
         self.modules.setSelectionMode(QTreeWidget.SelectionMode.NoSelection)
         self.modules.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.worst.setAccessibleName("taxels that lie farthest apart")
-        self.worst.setMinimumHeight(110)
+        # The space bar pauses: Enter presses the button that has the focus.
+        self.save.setAutoDefault(True)
         embolden(self.summary)
         for label in (self.legend, self.summary, self.health):
             label.setWordWrap(True)
@@ -144,15 +128,18 @@ class ComparePanel(QScrollArea):
             choices.addWidget(box, row, 1)
             choices.addWidget(other, row, 2)
         inner = on_panel(self)
-        self._column = column = QVBoxLayout(inner)
+        column = QVBoxLayout(inner)
         column.setContentsMargins(GAP, GAP, GAP, GAP)
         column.addLayout(choices)
-        for widget in (self.legend, self.summary, self.health, self.listed, self.modules, self.spacing):
+        for widget in (self.legend, self.summary, self.health):
+            column.addWidget(widget)
+        column.addWidget(self.save, 0, Qt.AlignmentFlag.AlignLeft)
+        for widget in (self.listed, self.modules, self.spacing):
             column.addWidget(widget)
         column.addWidget(quiet("Farthest apart"))
         column.addWidget(self.worst, 1)
-        self.health.hide()
-        self.listed.hide()
+        for empty in (self.health, self.save, self.listed):
+            empty.hide()
         for widget in (self.modules, self.spacing):
             widget.setVisible(self._layout is not None)
         self.setWidget(inner)
@@ -160,10 +147,10 @@ class ComparePanel(QScrollArea):
     def _connect(self) -> None:
         for box in self.boxes:
             box.activated.connect(self._choose)
-        self.all.toggled.connect(self._show_again)
-        self.scale.activated.connect(self._show_again)
-        self.worst.itemActivated.connect(self._worst_chosen)
-        self.worst.itemClicked.connect(self._worst_chosen)
+        self.all.toggled.connect(self.show_again)
+        self.scale.activated.connect(self.show_again)
+        self.worst.taxel_wanted.connect(self.taxel_wanted)
+        self.save.clicked.connect(self._save_wanted)
 
     # Showing
 
@@ -172,16 +159,9 @@ class ComparePanel(QScrollArea):
         self._state = state
         if not self.isVisible():
             return
-        found = self._found = state.modules
-        shown = (
-            state.revision,
-            state.method,
-            state.review,
-            found,
-            self._chosen,
-            self.all.isChecked(),
-            self.scale.currentIndex(),
-        )
+        self._found = state.modules
+        choices = (self._chosen, self.all.isChecked(), self.scale.currentIndex())
+        shown = (state.revision, state.method, state.review, state.modules, *choices)
         if shown == self._shown:
             return
         self._shown = shown
@@ -213,16 +193,16 @@ class ComparePanel(QScrollArea):
     def _show_numbers(self, pair: Pair, here: FloatArray, there: FloatArray) -> None:
         lengths = differences(here, there)[1]
         channels = self._channels.tolist()
-        put(self.summary, difference_words(summarise(lengths), pair, self._names, channels))
+        self.summary.setText(difference_words(summarise(lengths), pair, self._names, channels))
         rows = [] if pair[0] == pair[1] else worst_rows(lengths, WORST).tolist()
-        put_taxels(self.worst, [(channels[row], worst_words(channels[row], float(lengths[row]), self._names)) for row in rows])
+        self.worst.show_taxels([(channels[row], worst_words(channels[row], float(lengths[row]), self._names)) for row in rows])
         if self._layout is not None:
             self._show_modules(self._layout, here, there)
 
     def _show_modules(self, layout: Layout, here: FloatArray, there: FloatArray) -> None:
         spacing, modules = self._ratios(there), layout.modules
         every = compare_modules(layout, self._channels, here, there)
-        put(self.listed, listed_words(len(every)))
+        self.listed.setText(listed_words(len(every)))
         self.listed.setVisible(bool(self.listed.text()))
         cells = [
             module_cells(found, modules[found.module].id, len(modules[found.module].channels), float(spacing[found.module]))
@@ -244,65 +224,39 @@ class ComparePanel(QScrollArea):
             method: float(self._ratios(self._places.find(Source(PlaceOrigin.METHOD, method), state))[-1])
             for method in self._methods
         }
-        put(self.spacing, spacing_words(ratios))
+        self.spacing.setText(spacing_words(ratios))
         found = state.modules
         sentences = () if found is None else misfit_words(found.mend, found.judged, found.method)
-        put(self.health, "\n".join(sentences))
+        self.health.setText("\n".join(sentences))
         self.health.setVisible(bool(sentences))
-        self._show_offer(None if found is None or not found.mend.changes else found.mend)
-
-    def _show_offer(self, mend: LayoutMend | None) -> None:
-        """Have the button while there is a corrected layout to save."""
-        if mend is None:
-            if self.save is not None:
-                self.save.deleteLater()
-            self.save = None
-            return
-        if self.save is None:
-            self.save = QPushButton("Save the corrected layout\N{HORIZONTAL ELLIPSIS}")
-            # The space bar pauses: Enter presses the button that has the focus.
-            self.save.setAutoDefault(True)
-            self.save.clicked.connect(self._save_wanted)
-            self._column.insertWidget(self._column.indexOf(self.health) + 1, self.save, 0, Qt.AlignmentFlag.AlignLeft)
-            self.save.show()
-            QWidget.setTabOrder(self.scale, self.save)
-        self.save.setToolTip(save_hint(mend))
+        self.save.setVisible(found is not None and bool(found.mend.changes))
+        if found is not None:
+            self.save.setToolTip(save_hint(found.mend))
 
     def _save_wanted(self) -> None:
-        found = self._found
-        if found is not None and found.mend.changes:
-            self.layout_wanted.emit(found.mend)
+        if self._found is not None:
+            self.layout_wanted.emit(self._found.mend)
 
     def _draw(self, state: ViewState, here: FloatArray, there: FloatArray) -> None:
         """Have the 3D view draw it, and say what is what there."""
         scale = SCALES[self.scale.currentIndex()]
         first, second = self.pair(state)
-        sets = [Cloud(Tint.FROM, here), Cloud(Tint.TO, there)]
-        named = [(Tint.FROM, source_words(first)), (Tint.TO, source_words(second))]
+        sets = [(Tint.FROM, first), (Tint.TO, second)]
         if self.all.isChecked():
             sources = [source for source in self._sources if source.origin in (PlaceOrigin.LAYOUT, PlaceOrigin.METHOD)]
-            tints = [TINTS[source.method] if source.method is not None else Tint.LAYOUT for source in sources]
-            sets = [Cloud(tint, self._places.find(source, state)) for tint, source in zip(tints, sources, strict=True)]
-            named = [(tint, source_words(source)) for tint, source in zip(tints, sources, strict=True)]
-        dots = [f"{self._sign(BLACK_DOT, tint)}&nbsp;{_kept(words)}" for tint, words in named]
-        arrows = self._sign(ARROW, Tint.TO) + "&nbsp;" + arrow_words((first, second), scale, named=self.all.isChecked())
-        put(self.legend, "&nbsp;&nbsp; ".join([*dots, arrows]))
+            sets = [(Tint.LAYOUT if source.method is None else TINTS[source.method], source) for source in sources]
+        clouds = tuple(Cloud(tint, self._places.find(source, state)) for tint, source in sets)
+        # Words that belong to a sign are not parted at the end of a line.
+        dots = [f"{_sign(BLACK_DOT, tint)}&nbsp;{source_words(source).replace(' ', '&nbsp;')}" for tint, source in sets]
+        arrows = _sign(ARROW, Tint.TO) + "&nbsp;" + arrow_words((first, second), scale, named=self.all.isChecked())
+        self.legend.setText("&nbsp;&nbsp; ".join([*dots, arrows]))
         ends = np.stack([here, here + scale * (there - here)], axis=1)
-        self.comparison_changed.emit(Comparison(tuple(sets), ends))
-
-    def _sign(self, sign: str, tint: Tint) -> str:
-        red, green, blue = self._tints[tint]
-        return f'<span style="color:#{red:02x}{green:02x}{blue:02x}">{sign}</span>'
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._tints = (DARK if colours.dark else LIGHT).tints
-        self._show_again()
+        self.comparison_changed.emit(Comparison(clouds, ends))
 
     def showEvent(self, event: QShowEvent) -> None:
         """Compare what came while it was hidden."""
         super().showEvent(event)
-        self._show_again()
+        self.show_again()
 
     def hideEvent(self, event: QHideEvent) -> None:
         """Show the estimates again in the 3D view."""
@@ -312,7 +266,8 @@ class ComparePanel(QScrollArea):
 
     # What the operator wants
 
-    def _show_again(self) -> None:
+    def show_again(self) -> None:
+        """Show the newest tick anew, in the colours that hold now."""
         self._shown = ()
         if self._state is not None:
             self.show_state(self._state)
@@ -320,12 +275,9 @@ class ComparePanel(QScrollArea):
     def _choose(self) -> None:
         first, second = (self._sources[box.currentIndex()] for box in self.boxes)
         self._chosen = first, second
-        self._show_again()
-
-    def _worst_chosen(self, item: QListWidgetItem) -> None:
-        self.taxel_wanted.emit(int(item.data(Qt.ItemDataRole.UserRole)))
+        self.show_again()
 
 
-def _kept(words: str) -> str:
-    """Return words that are not parted at the end of a line."""
-    return words.replace(" ", "&nbsp;")
+def _sign(sign: str, tint: Tint) -> str:
+    red, green, blue = (DARK if theme_colours().dark else LIGHT).tints[tint]
+    return f'<span style="color:#{red:02x}{green:02x}{blue:02x}">{sign}</span>'

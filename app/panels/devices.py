@@ -2,78 +2,53 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
-from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QScrollArea, QVBoxLayout
 
-from app.panels.widgets import ElidedLabel, Painted, embolden, on_panel, put, quiet
+from app.panels.widgets import ElidedLabel, digits_font, embolden, on_panel, quiet, theme_colours
 from app.state.view_state import LinkLook, ViewState
 from app.text.outcomes import LinkWords, link_lines
-from app.theme import GAP, LIGHT, Colours, digits_font
+from app.theme import GAP
 from app.units import count
 from skincal.model.readings import LinkHealth
 
-ICON_PX = 18
 BEHIND_SAID_S = 0.6
 """s. A shorter delay is not said: a hand does not notice it."""
 REFRESH_S = 0.25
 """s between two changes of the numbers of a device: faster ones cannot be read."""
 
 
-class LinkIcon(Painted):
-    """State of a link by shape: full disc, hollow ring, bar in a ring, cross, square."""
+_SIGNS = {
+    LinkLook.STREAMING: ("\N{BLACK CIRCLE}", "accent"),
+    LinkLook.WAITING: ("\N{WHITE CIRCLE}", "muted"),
+    LinkLook.SILENT: ("\N{WHITE UP-POINTING TRIANGLE}", "warn"),
+    LinkLook.LOST: ("\N{MULTIPLICATION X}", "bad"),
+    LinkLook.ENDED: ("\N{WHITE SQUARE}", "muted"),
+    LinkLook.AWAY: ("\N{WHITE CIRCLE}", "muted"),
+}
+"""The state of a link by shape, and which of the theme's colours says it again."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setFixedSize(ICON_PX, ICON_PX)
-        self._look = LinkLook.WAITING
+SIGN_PX = 18
 
-    def set(self, look: LinkLook) -> None:
-        """Show another state."""
-        if look is not self._look:
-            self._look = look
-            self.setToolTip(look.value)
-            self.update()
 
-    def paint(self, painter: QPainter) -> None:
-        """Paint the shape."""
-        colours = self._colours
-        colour = QColor(
-            {
-                LinkLook.STREAMING: colours.accent,
-                LinkLook.SILENT: colours.warn,
-                LinkLook.LOST: colours.bad,
-            }.get(self._look, colours.muted)
-        )
-        painter.setPen(QPen(colour, 2))
-        area = QRectF(3, 3, ICON_PX - 6, ICON_PX - 6)
-        if self._look is LinkLook.STREAMING:
-            painter.setBrush(colour)
-            painter.drawEllipse(area)
-        elif self._look is LinkLook.LOST:
-            painter.drawLine(area.topLeft(), area.bottomRight())
-            painter.drawLine(area.topRight(), area.bottomLeft())
-        elif self._look is LinkLook.SILENT:
-            painter.drawPolygon(QPolygonF([QPointF(ICON_PX / 2, 3), area.bottomRight(), area.bottomLeft()]))
-        elif self._look is LinkLook.ENDED:
-            painter.drawRect(area.adjusted(1, 1, -1, -1))
-        else:
-            painter.drawEllipse(area)
+def _sign(look: LinkLook) -> str:
+    sign, ink = _SIGNS[look]
+    return f'<span style="font-size:{SIGN_PX}px; font-weight:bold; color:{getattr(theme_colours(), ink)}">{sign}</span>'
 
 
 class LinkCard(QFrame):
     """One link."""
 
-    def __init__(self, address: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, address: str) -> None:
+        super().__init__()
         self.setObjectName("card")
-        self.icon = LinkIcon()
+        self.sign = QLabel()
         self.name = QLabel()
         embolden(self.name)
         self.rate = QLabel()
-        self.rate.setFont(digits_font(13, bold=True))
+        self.rate.setFont(digits_font(13))
         self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
-        self.about = ElidedLabel()
+        self.about = ElidedLabel("muted")
         self._address = address
         self.detail = quiet(wrap=True)
         self.losses = QLabel()
@@ -82,7 +57,7 @@ class LinkCard(QFrame):
         grid.setContentsMargins(GAP, GAP, GAP, GAP)
         grid.setVerticalSpacing(3)
         grid.setColumnStretch(1, 1)
-        grid.addWidget(self.icon, 0, 0)
+        grid.addWidget(self.sign, 0, 0)
         grid.addWidget(self.name, 0, 1)
         grid.addWidget(self.rate, 0, 2)
         grid.addWidget(self.about, 1, 1, 1, 2)
@@ -90,36 +65,32 @@ class LinkCard(QFrame):
         grid.addWidget(self.losses, 3, 1, 1, 2)
 
     def set(self, words: LinkWords, health: LinkHealth) -> None:
-        """Show how the link does; labels that are the same are left alone."""
-        self.icon.set(words.look)
-        put(self.name, words.name)
-        put(self.rate, words.rate)
+        """Show how the link does."""
+        self.sign.setText(_sign(words.look))
+        self.sign.setToolTip(words.look.value)
+        self.name.setText(words.name)
+        self.rate.setText(words.rate)
         carried = ", ".join(stream.value for stream in health.carries)
         about = [health.format or "format not known yet", self._address]
         # What a link carries is said only where its name does not say it.
         if carried != words.name:
             about.insert(0, carried)
         self.about.setText(f"last bytes {words.age}  \N{MIDDLE DOT}  " + "  \N{MIDDLE DOT}  ".join(filter(None, about)))
-        put(self.detail, words.detail)
+        self.detail.setText(words.detail)
         self.detail.setVisible(bool(words.detail))
         lost = "\n".join(f"{n:,}  {reason}".replace(",", "\N{NARROW NO-BREAK SPACE}") for reason, n in words.losses)
-        put(self.losses, f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost"))
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self.icon.set_colours(colours)
-        self.about.set_colour(QColor(colours.muted))
+        self.losses.setText(f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost"))
 
 
 class DevicesPanel(QScrollArea):
     """One card a link, and what was lost between them."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.cards: dict[str, LinkCard] = {}
         self.unpaired = quiet(wrap=True)
-        self._addresses: dict[str, str] = {}
-        self._colours = LIGHT
+        self.addresses: dict[str, str] = {}
+        """Where each link is connected to."""
         self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0
         inner = on_panel(self)
@@ -133,93 +104,46 @@ class DevicesPanel(QScrollArea):
             "vanishes is taken up again by itself."
         )
 
-    def set_addresses(self, addresses: dict[str, str]) -> None:
-        """Say where each link is connected to."""
-        self._addresses = addresses
-
     def show_state(self, state: ViewState) -> None:
         """Show the links; numbers change a few times a second, states at once."""
         links = link_lines(state)
-        looks = tuple((words.name, words.look, words.detail) for words in links)
+        looks = (theme_colours(), *((words.name, words.look, words.detail) for words in links))
         if looks == self._shown and state.now_s - self._shown_s < REFRESH_S:
             return
         self._shown, self._shown_s = looks, state.now_s
         for words, health in zip(links, state.live.links, strict=True):
             self._card(words.name).set(words, health)
-        for name in set(self.cards) - {words.name for words in links}:
-            self.cards.pop(name).deleteLater()
         missing = state.live.losses_unpaired
-        put(self.unpaired, f"{count(missing, 'skin frame')} without a wrench." if missing else "")
+        self.unpaired.setText(f"{count(missing, 'skin frame')} without a wrench." if missing else "")
 
     def _card(self, name: str) -> LinkCard:
         if name not in self.cards:
-            card = LinkCard(self._addresses.get(name, ""))
-            card.set_colours(self._colours)
-            self.cards[name] = card
+            self.cards[name] = LinkCard(self.addresses.get(name, ""))
             # Above the line of unpaired frames and the stretch.
-            self._column.insertWidget(len(self.cards) - 1, card)
+            self._column.insertWidget(len(self.cards) - 1, self.cards[name])
         return self.cards[name]
 
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        for card in self.cards.values():
-            card.set_colours(colours)
 
+class LinkChips(QLabel):
+    """The links in one short line, for the foot of the window, and how far behind the readings the program is."""
 
-class LinkChips(QWidget):
-    """The links in one short line, for the foot of the window."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._row = QHBoxLayout(self)
-        self._row.setContentsMargins(0, 0, GAP, 0)
-        self._row.setSpacing(4)
-        self._chips: dict[str, tuple[LinkIcon, QLabel]] = {}
-        self.behind = QLabel()
-        self.behind.hide()
-        self._row.addWidget(self.behind)
-        self._colours = LIGHT
+    def __init__(self) -> None:
+        super().__init__()
+        self.setContentsMargins(0, 0, GAP, 0)
+        self.setMinimumHeight(SIGN_PX)
+        self.setProperty("quiet", True)
+        self.setTextFormat(Qt.TextFormat.RichText)
+        self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0
-        self._looks: tuple[object, ...] = ()
 
     def show_state(self, state: ViewState) -> None:
-        """Show state and rate of each link, and how far behind the readings the program is."""
-        self._show_behind(state.behind_s)
+        """Show state and rate of each link, and that the program works on older readings than the newest."""
         links = link_lines(state)
-        looks = tuple((words.name, words.look) for words in links)
+        late = f"catching up, {round(state.behind_s)} s behind" if state.behind_s >= BEHIND_SAID_S else ""
+        shown = (theme_colours(), late, *((words.name, words.look) for words in links))
         # The foot of the window is seen from the corner of the eye: once a second is enough.
-        if looks == self._looks and state.now_s - self._shown_s < 4 * REFRESH_S:
+        if shown == self._shown and state.now_s - self._shown_s < 4 * REFRESH_S:
             return
-        self._looks, self._shown_s = looks, state.now_s
-        if {words.name for words in links} != set(self._chips):
-            self._rebuild([words.name for words in links])
-        for words in links:
-            icon, label = self._chips[words.name]
-            icon.set(words.look)
-            put(label, words.short)
-
-    def _show_behind(self, behind_s: float) -> None:
-        """Say that the program works on older readings than the newest; shown in whole seconds."""
-        late = behind_s >= BEHIND_SAID_S
-        put(self.behind, f"catching up, {round(behind_s)} s behind" if late else "")
-        self.behind.setVisible(late)
-
-    def _rebuild(self, names: list[str]) -> None:
-        for icon, label in self._chips.values():
-            icon.deleteLater()
-            label.deleteLater()
-        self._chips = {}
-        for name in names:
-            icon, label = LinkIcon(), quiet()
-            icon.set_colours(self._colours)
-            label.setContentsMargins(0, 0, GAP, 0)
-            self._row.addWidget(icon)
-            self._row.addWidget(label)
-            self._chips[name] = (icon, label)
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        for icon, _ in self._chips.values():
-            icon.set_colours(colours)
+        self._shown, self._shown_s = shown, state.now_s
+        chips = [late, *(f"{_sign(words.look)}&nbsp;{words.short}" for words in links)]
+        self.setText("&nbsp;&nbsp; ".join(filter(None, chips)))

@@ -9,14 +9,12 @@ The panel of one taxel: its estimates by each method and its pokes; and the taxe
 from __future__ import annotations
 
 import numpy as np
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QPointF, QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QImage, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
-    QListWidget,
-    QListWidgetItem,
     QPushButton,
     QScrollArea,
     QVBoxLayout,
@@ -24,7 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.top_view import AxisDiversityView, diversity_view
-from app.panels.widgets import Painted, embolden, on_panel, put, put_rows, put_taxels, quiet, table
+from app.panels.widgets import Painted, TaxelList, embolden, on_panel, put_rows, quiet, table
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
 from app.text.errors_text import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
@@ -40,6 +38,7 @@ from skincal.taxels.result import Estimate, Method, State
 
 PLOT_PX = 152
 DOT_PX = 4.0
+RADIUS_PX = PLOT_PX / 2 - DOT_PX - 3
 DOUBT_LEAST = 0.45
 """A contact that is not believed at all is drawn in this share of the size."""
 SHADE_MOST = 110
@@ -56,100 +55,88 @@ LEGENDS = {
 class AxisDiversityPlot(Painted):
     """The picture alone."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setFixedSize(PLOT_PX, PLOT_PX)
         self._diversity: AxisDiversity | None = None
         self._view: AxisDiversityView | None = None
         self.setAccessibleName("contacts of the taxel, from above")
-
-    def sizeHint(self) -> QSize:
-        """Return the size that it keeps."""
-        return QSize(PLOT_PX, PLOT_PX)
 
     def set(self, diversity: AxisDiversity, view: AxisDiversityView) -> None:
         """Show the contacts of a taxel."""
         self._diversity, self._view = diversity, view
         self.update()
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the rim, what is worth most, the limit, the contacts and the next."""
         diversity, view = self._diversity, self._view
         if diversity is None or view is None:
             return
         painter.translate(PLOT_PX / 2, PLOT_PX / 2)
-        self._draw_scale(painter, view)
+        self._draw_scale(painter, view, colours)
+        text, ground = QColor(colours.text), QColor(colours.window)
         for place, own, trust in zip(view.dots, diversity.own.tolist(), diversity.trust.tolist(), strict=True):
-            self._draw_dot(painter, self._at(place), own=own, trust=trust)
+            size = DOT_PX * (DOUBT_LEAST + (1.0 - DOUBT_LEAST) * trust)
+            # Full for its own, a ring for its neighbours': the shape says it without a colour.
+            painter.setPen(QPen(ground, 1.0) if own else QPen(text, 1.4))
+            painter.setBrush(text if own else ground)
+            painter.drawEllipse(self._at(place), size, size)
         if view.middle is not None and len(view.dots):
-            self._draw_middle(painter, self._at(view.middle))
+            at = self._at(view.middle)
+            for width, colour in ((5.0, colours.window), (2.2, colours.accent)):
+                painter.setPen(QPen(QColor(colour), width, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+                for x in (5.0, -5.0):
+                    painter.drawLine(at + QPointF(x, 5.0), at - QPointF(x, 5.0))
         if view.wanted is not None:
             self._draw_wanted(painter, self._at(view.wanted))
 
-    def _radius(self) -> float:
-        return PLOT_PX / 2 - DOT_PX - 3
-
     def _at(self, point: FloatArray) -> QPointF:
-        x, y = (self._radius() * point).tolist()
+        x, y = (RADIUS_PX * point).tolist()
         return QPointF(x, -y)
 
-    def _draw_scale(self, painter: QPainter, view: AxisDiversityView) -> None:
-        radius = self._radius()
-        painter.setPen(QPen(QColor(self._colours.line), 1.5))
-        painter.setBrush(QColor(self._colours.window))
-        painter.drawEllipse(QPointF(0, 0), radius, radius)
+    def _draw_scale(self, painter: QPainter, view: AxisDiversityView, colours: Colours) -> None:
+        middle = QPointF(0, 0)
+        painter.setPen(QPen(QColor(colours.line), 1.5))
+        painter.setBrush(QColor(colours.window))
+        painter.drawEllipse(middle, RADIUS_PX, RADIUS_PX)
         if view.shade.any():
-            painter.drawImage(QRectF(-radius, -radius, 2 * radius, 2 * radius), self._shade(view.shade))
-        painter.setPen(QPen(QColor(self._colours.line), 1.0))
-        painter.drawLine(self._at(np.array([-1.0, 0.0])), self._at(np.array([1.0, 0.0])))
-        painter.drawLine(self._at(np.array([0.0, -1.0])), self._at(np.array([0.0, 1.0])))
+            area = QRectF(-RADIUS_PX, -RADIUS_PX, 2 * RADIUS_PX, 2 * RADIUS_PX)
+            painter.drawImage(area, _shade(view.shade, QColor(colours.accent)))
+        painter.setPen(QPen(QColor(colours.line), 1.0))
+        painter.drawLine(QPointF(-RADIUS_PX, 0), QPointF(RADIUS_PX, 0))
+        painter.drawLine(QPointF(0, -RADIUS_PX), QPointF(0, RADIUS_PX))
         painter.setBrush(Qt.BrushStyle.NoBrush)
-        painter.setPen(QPen(QColor(self._colours.muted), 1.2, Qt.PenStyle.DashLine))
-        painter.drawEllipse(QPointF(0, 0), radius * view.limit, radius * view.limit)
-
-    def _shade(self, shade: FloatArray) -> QImage:
-        """Return the shade in the theme's accent: contrast from the least to the most that is worth anything."""
-        inside = shade[shade > 0]
-        least, most = float(inside.min()), float(inside.max())
-        share = np.where(shade > 0, (shade - least) / max(most - least, 1e-9), 0.0)
-        colour = QColor(self._colours.accent)
-        pixels = np.zeros((*shade.shape, 4), dtype=np.uint8)
-        pixels[..., :3] = colour.red(), colour.green(), colour.blue()
-        pixels[..., 3] = np.round(SHADE_MOST * share)
-        height, width = shade.shape
-        # The picture keeps a copy of its own: the bytes go with this function.
-        return QImage(pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
-
-    def _draw_dot(self, painter: QPainter, at: QPointF, *, own: bool, trust: float) -> None:
-        size = DOT_PX * (DOUBT_LEAST + (1.0 - DOUBT_LEAST) * trust)
-        text = QColor(self._colours.text)
-        # Full for its own, a ring for its neighbours': the shape says it without a colour.
-        painter.setPen(QPen(QColor(self._colours.window), 1.0) if own else QPen(text, 1.4))
-        painter.setBrush(text if own else QColor(self._colours.window))
-        painter.drawEllipse(at, size, size)
-
-    def _draw_middle(self, painter: QPainter, at: QPointF) -> None:
-        for width, colour in ((5.0, self._colours.window), (2.2, self._colours.accent)):
-            painter.setPen(QPen(QColor(colour), width, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
-            for x in (5.0, -5.0):
-                painter.drawLine(at + QPointF(x, 5.0), at - QPointF(x, 5.0))
+        painter.setPen(QPen(QColor(colours.muted), 1.2, Qt.PenStyle.DashLine))
+        painter.drawEllipse(middle, RADIUS_PX * view.limit, RADIUS_PX * view.limit)
 
     def _draw_wanted(self, painter: QPainter, at: QPointF) -> None:
         """Draw a square on its tip around the side from which the next one helps most."""
-        reach = 8.0
-        corners = [at + QPointF(x * reach, y * reach) for x, y in ((0, -1), (1, 0), (0, 1), (-1, 0))]
+        corners = [at + QPointF(x, y) for x, y in ((0, -8), (8, 0), (0, 8), (-8, 0))]
         painter.setBrush(Qt.BrushStyle.NoBrush)
         # White within black stands out in both themes, whatever lies below.
         for width, colour in ((4.5, Qt.GlobalColor.black), (1.8, Qt.GlobalColor.white)):
-            painter.setPen(QPen(QColor(colour), width))
+            painter.setPen(QPen(colour, width))
             painter.drawPolygon(QPolygonF(corners))
+
+
+def _shade(shade: FloatArray, colour: QColor) -> QImage:
+    """Return the shade in one colour: contrast from the least to the most that is worth anything."""
+    inside = shade[shade > 0]
+    least, most = float(inside.min()), float(inside.max())
+    share = np.where(shade > 0, (shade - least) / max(most - least, 1e-9), 0.0)
+    pixels = np.zeros((*shade.shape, 4), dtype=np.uint8)
+    pixels[..., :3] = colour.red(), colour.green(), colour.blue()
+    pixels[..., 3] = np.round(SHADE_MOST * share)
+    height, width = shade.shape
+    # The picture keeps a copy of its own: the bytes go with this function.
+    return QImage(pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
 
 
 class AxisDiversityPanel(QWidget):
     """The picture with its words; of the target where no taxel is selected."""
 
-    def __init__(self, names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, names: ChannelNames) -> None:
+        super().__init__()
         self._names = names
         self._key: tuple[object, ...] = ()
         self._guidance: Guidance | None = None
@@ -186,20 +173,14 @@ class AxisDiversityPanel(QWidget):
         self._key, self._guidance = key, state.guidance
         diversity = state.diversity
         self.setVisible(diversity is not None)
-        if diversity is not None:
-            self._show_diversity(diversity, state, is_target=channel == target)
-
-    def _show_diversity(self, diversity: AxisDiversity, state: ViewState, *, is_target: bool) -> None:
-        put(self.whose, f"{self._names.short(diversity.channel)}{', the target' if is_target else ''}")
-        put(self.contacts, contacts_words(diversity))
-        put(self.spread, diversity_words(diversity, state.method).capitalize())
-        put(self.legend, LEGENDS[state.method])
-        put(self.follows, FOLLOWS[state.method])
+        if diversity is None:
+            return
+        self.whose.setText(f"{self._names.short(diversity.channel)}{', the target' if channel == target else ''}")
+        self.contacts.setText(contacts_words(diversity))
+        self.spread.setText(diversity_words(diversity, state.method).capitalize())
+        self.legend.setText(LEGENDS[state.method])
+        self.follows.setText(FOLLOWS[state.method])
         self.plot.set(diversity, diversity_view(diversity, state.method, state.eye))
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self.plot.set_colours(colours)
 
 
 ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
@@ -245,15 +226,15 @@ class InspectPanel(QScrollArea):
     revive_requested = Signal(int)
     poke_wanted = Signal(int)
 
-    def __init__(self, methods: tuple[Method, ...], names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, methods: tuple[Method, ...], names: ChannelNames) -> None:
+        super().__init__()
         self._methods = methods
         self._names = names
         self._shown: tuple[object, ...] = ()
         self._selected: int | None = None
         self._dead = False
         self.title = QLabel("No taxel selected")
-        embolden(self.title, 2.0)
+        embolden(self.title, self.font().pointSizeF() + 2.0)
         self.cells = {method: [QLabel(DASH) for _ in ROWS] for method in methods}
         self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
@@ -264,12 +245,10 @@ class InspectPanel(QScrollArea):
         self.pokes_title = quiet()
         self.pokes = table("pokes of the taxel", POKE_HEADINGS, _POKE_HINTS)
         self.pokes.setMinimumHeight(110)
-        self.worst = QListWidget()
-        self.worst.setAccessibleName("taxels that need pokes most")
+        self.worst = TaxelList("taxels that need pokes most")
         self._arrange()
         self.use.clicked.connect(self._use_clicked)
-        self.worst.itemActivated.connect(self._worst_chosen)
-        self.worst.itemClicked.connect(self._worst_chosen)
+        self.worst.taxel_wanted.connect(self.taxel_wanted)
         self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(int(item.text(0))))
         self.setWhatsThis("The selected taxel by each method. " + LEFT_OUT)
 
@@ -301,7 +280,6 @@ class InspectPanel(QScrollArea):
             empty.hide()
         panel.addWidget(quiet("Need pokes most"))
         panel.addWidget(self.worst, 1)
-        self.worst.setMinimumHeight(110)
         self.setWidget(inner)
 
     def show_state(self, state: ViewState) -> None:
@@ -314,37 +292,32 @@ class InspectPanel(QScrollArea):
         changed_worst = shown[:-1] != self._shown[:-1]
         self._shown = shown
         if changed_worst:
-            put_taxels(self.worst, [(estimate.channel, self._worst_words(estimate)) for estimate in worst(state.estimates)])
+            self.worst.show_taxels([(estimate.channel, self._worst_words(estimate)) for estimate in worst(state.estimates)])
         self._selected = state.selected
         if state.selected is not None:
             self._show_taxel(state, state.selected)
 
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self.diversity.set_colours(colours)
-
     def _show_taxel(self, state: ViewState, channel: int) -> None:
         found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
-        put(self.title, f"{self._names.short(channel)}   {self._names.long(channel)}")
+        self.title.setText(f"{self._names.short(channel)}   {self._names.long(channel)}")
         for method, estimate in found.items():
             for label, text in zip(self.cells[method], estimate_cells(estimate), strict=True):
-                put(label, text)
+                label.setText(text)
         self._dead = channel in state.snapshot.dead
         shown = found.get(state.method)
         reason = state.snapshot.dead.get(channel) or state_sentence(None if shown is None else shown.reason)
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
         needs = "" if state.guidance is None else needs_words(state.guidance, channel)
         sentences = (reason, distance_words(pair[0], pair[1]), needs and f"It {needs}.")
-        put(self.reason, "  ".join(filter(None, sentences)))
-        put(self.rival, f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
+        self.reason.setText("  ".join(filter(None, sentences)))
+        self.rival.setText(f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
         self.rival.setVisible(shown is not None and bool(rival_words(shown)))
         self._list_pokes(() if shown is None else taxel_pokes(state.snapshot, shown), state.method)
-        put(self.use, "Use this taxel again" if self._dead else "Do not use this taxel")
+        self.use.setText("Use this taxel again" if self._dead else "Do not use this taxel")
         self.use.setEnabled(True)
 
     def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
-        """List what each poke counts for the taxel; one that the method doubts has a sign as well."""
-        put(self.pokes_title, f"Its pokes by the {METHOD_NAMES[method]} method, newest first")
+        self.pokes_title.setText(f"Its pokes by the {METHOD_NAMES[method]} method, newest first")
         for widget in (self.pokes_title, self.pokes):
             widget.setVisible(bool(pokes))
         put_rows(self.pokes, [poke_cells(poke) for poke in pokes])
@@ -354,9 +327,6 @@ class InspectPanel(QScrollArea):
         if estimate.state is State.ESTIMATED:
             return f"{name}   {millimetres(estimate.rms)} predicted error, {count(estimate.contacts, 'contact')}"
         return f"{name}   {MARK_WORDS[mark_of(estimate)]}"
-
-    def _worst_chosen(self, item: QListWidgetItem) -> None:
-        self.taxel_wanted.emit(int(item.data(Qt.ItemDataRole.UserRole)))
 
     def _use_clicked(self) -> None:
         if self._selected is not None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 
-from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QPalette
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton
 
+from app.panels.widgets import theme_colours
 from app.text.message import Message
-from app.theme import GAP, LIGHT, Colours
+from app.theme import GAP
 
 INFO_MS = 8000
 """A message that reports a success or a finding goes away by itself after this many milliseconds."""
@@ -20,12 +21,9 @@ KEPT = 20
 class MessageBar(QFrame):
     """The newest message; dismissing it shows the one before."""
 
-    dismissed = Signal()
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._waiting: deque[Message] = deque(maxlen=KEPT)
-        self._colours = LIGHT
         self.text = QLabel()
         self.text.setWordWrap(True)
         self.text.setTextFormat(Qt.TextFormat.PlainText)
@@ -49,41 +47,36 @@ class MessageBar(QFrame):
         if self._waiting and self._waiting[-1] == message:
             return
         self._waiting.append(message)
-        self._show_newest()
+        self.show_newest()
 
     def dismiss(self) -> None:
         """Take the newest message away."""
         if self._waiting:
             self._waiting.pop()
-        self._show_newest()
-        self.dismissed.emit()
+        self.show_newest()
 
     def withdraw(self, message: Message) -> None:
         """Take a message away that holds no more, wherever it waits."""
         if message in self._waiting:
             self._waiting.remove(message)
-            self._show_newest()
+            self.show_newest()
 
     def stop(self) -> None:
         """Stop the timer before the window goes."""
         self._timer.stop()
 
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self._show_newest()
-
     def _expire(self) -> None:
         if self._waiting and not _stays(self._waiting[-1]):
             self.dismiss()
 
-    def _show_newest(self) -> None:
+    def show_newest(self) -> None:
+        """Show the newest message in the theme's colours, if there is one."""
         self._timer.stop()
         self.setVisible(bool(self._waiting))
         if not self._waiting:
             return
         newest = self._waiting[-1]
-        colours = self._colours
+        colours = theme_colours()
         palette = self.palette()
         palette.setColor(QPalette.ColorRole.Window, colours.bad if newest.error else colours.raised)
         text = colours.window if newest.error else colours.text

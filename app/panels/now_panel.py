@@ -8,16 +8,16 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout
 
 from app.panels.top_view import AROUND, TopView, top_view
-from app.panels.widgets import ElidedLabel, FittedLabel, Painted
+from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, embolden, mix
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
-from app.theme import GAP, HEADLINE_PT, LIGHT, Colours, digits_font, mix
+from app.theme import GAP, HEADLINE_PT, Colours
 from app.units import degrees, millimetres, newtons
 from skincal.geometry import FloatArray
-from skincal.guide.coaching import leeway
+from skincal.guide.guidance import leeway
 from skincal.session.snapshot import Snapshot
 
 SIGN_PX = 52
@@ -50,8 +50,8 @@ class Dial(Painted):
     The middle is the taxel that is asked for.
     """
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setFixedSize(DIAL_PX, DIAL_PX)
         self._view: TopView | None = None
         self._key: tuple[object, ...] = ()
@@ -75,11 +75,9 @@ class Dial(Painted):
             self._key, self._view = key, view
             self.update()
         if coaching is None:
-            tip = f"Tilt {degrees(target.tilt)} is asked for"
+            self.setToolTip(f"Tilt {degrees(target.tilt)} is asked for")
         else:
-            tip = f"Aim {millimetres(coaching.away)}, tilt {degrees(coaching.tilt)} of {degrees(target.tilt)}"
-        if tip != self.toolTip():
-            self.setToolTip(tip)
+            self.setToolTip(f"Aim {millimetres(coaching.away)}, tilt {degrees(coaching.tilt)} of {degrees(target.tilt)}")
 
     def _looks(self, view: TopView, landed: int | None) -> tuple[object, ...]:
         """Return what decides the picture, as finely as it is seen."""
@@ -101,7 +99,7 @@ class Dial(Painted):
         size, most = float(np.sqrt(point @ point)), AROUND - BALL_PX / self._scale()
         return self._at(point * min(1.0, most / size if size > 0 else 1.0))
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the skin, what is asked for, and the tool."""
         view = self._view
         if view is None:
@@ -109,27 +107,23 @@ class Dial(Painted):
         painter.translate(DIAL_PX / 2, DIAL_PX / 2)
         radius = DIAL_PX / 2 - RIM_PX / 2
         rim = QRectF(-radius, -radius, 2 * radius, 2 * radius)
-        painter.setPen(QPen(QColor(self._colours.line), RIM_PX - 1))
-        painter.setBrush(QColor(self._colours.window))
+        painter.setPen(QPen(QColor(colours.line), RIM_PX - 1))
+        painter.setBrush(QColor(colours.window))
         painter.drawEllipse(rim)
         inside = QPainterPath()
         inside.addEllipse(rim.adjusted(1, 1, -1, -1))
         painter.setClipPath(inside)
-        self._draw_skin(painter, view)
-        self._draw_wanted(painter, view)
-        if view.tip is not None and view.tip @ view.tip > AROUND**2:
-            self._draw_wedge(painter, view.tip)
-        elif view.tip is not None and view.upper is not None:
-            self._draw_tool(painter, self._at(view.tip), self._inside(view.upper), right=view.right)
-
-    def _draw_skin(self, painter: QPainter, view: TopView) -> None:
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(mix(self._colours.muted, self._colours.window, 0.55))
+        painter.setBrush(mix(colours.muted, colours.window, 0.55))
         for place in view.taxels:
             painter.drawEllipse(self._at(place), TAXEL_PX, TAXEL_PX)
+        self._draw_wanted(painter, view, QColor(colours.text))
+        if view.tip is not None and view.tip @ view.tip > AROUND**2:
+            self._draw_wedge(painter, view.tip, colours)
+        elif view.tip is not None and view.upper is not None:
+            self._draw_tool(painter, self._at(view.tip), self._inside(view.upper), colours, right=view.right)
 
-    def _draw_wanted(self, painter: QPainter, view: TopView) -> None:
-        text = QColor(self._colours.text)
+    def _draw_wanted(self, painter: QPainter, view: TopView, text: QColor) -> None:
         faint = QColor(text)
         faint.setAlphaF(0.10)
         painter.setPen(QPen(text, 1.6))
@@ -139,12 +133,11 @@ class Dial(Painted):
         painter.setPen(QPen(text, 1.2, Qt.PenStyle.DashLine))
         painter.drawLine(QPointF(0, 0) if view.tip is None else self._at(view.tip), self._at(view.wanted))
         for width, colour in ((5.0, Qt.GlobalColor.black), (2.0, Qt.GlobalColor.white)):
-            painter.setPen(QPen(QColor(colour), width))
+            painter.setPen(QPen(colour, width))
             painter.drawEllipse(QPointF(0, 0), RING_PX, RING_PX)
 
-    def _draw_tool(self, painter: QPainter, tip: QPointF, upper: QPointF, *, right: bool) -> None:
-        colour = QColor(self._colours.accent if right else self._colours.bad)
-        edge = QColor(self._colours.window)
+    def _draw_tool(self, painter: QPainter, tip: QPointF, upper: QPointF, colours: Colours, *, right: bool) -> None:
+        colour, edge = QColor(colours.accent if right else colours.bad), QColor(colours.window)
         for each, more in ((edge, 2.5), (colour, 0.0)):
             painter.setPen(QPen(each, 4.0 + more, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
             painter.drawLine(tip, upper)
@@ -152,35 +145,27 @@ class Dial(Painted):
             painter.setBrush(each)
             painter.drawEllipse(upper, BALL_PX + more / 2, BALL_PX + more / 2)
         painter.setPen(QPen(edge, 1.0))
-        painter.setBrush(QColor(self._colours.text))
+        painter.setBrush(QColor(colours.text))
         painter.drawEllipse(tip, 3.5, 3.5)
 
-    def _draw_wedge(self, painter: QPainter, tip: FloatArray) -> None:
+    def _draw_wedge(self, painter: QPainter, tip: FloatArray, colours: Colours) -> None:
         """Draw a wedge at the rim, toward a tip that is farther away than the picture reaches."""
         x, y = (tip / np.sqrt(tip @ tip)).tolist()
         out, aside, rim = QPointF(x, -y), QPointF(y, x), DIAL_PX / 2 - RIM_PX
-        painter.setPen(QPen(QColor(self._colours.window), 1.0))
-        painter.setBrush(QColor(self._colours.bad))
+        painter.setPen(QPen(QColor(colours.window), 1.0))
+        painter.setBrush(QColor(colours.bad))
         painter.drawPolygon(QPolygonF([out * rim, out * (rim - 12) + aside * 7, out * (rim - 12) - aside * 7]))
 
 
-def tone_colour(tone: Tone, colours: Colours) -> str:
-    """Return the colour of a tone; which never says anything alone."""
-    return {
-        Tone.GO: colours.accent,
-        Tone.GOOD: colours.accent,
-        Tone.HOLD: colours.warn,
-        Tone.WAIT: colours.muted,
-        Tone.CALM: colours.muted,
-        Tone.BAD: colours.bad,
-    }[tone]
+_INKS = {Tone.GO: "accent", Tone.GOOD: "accent", Tone.HOLD: "warn", Tone.WAIT: "muted", Tone.CALM: "muted", Tone.BAD: "bad"}
+"""Which of the theme's colours a tone has; which never says anything alone."""
 
 
 class Sign(Painted):
     """A ring with a sign of the tone; the ring fills while the poke is held still."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setFixedSize(SIGN_PX, SIGN_PX)
         self._tone = Tone.CALM
         self._share = 0.0
@@ -191,23 +176,18 @@ class Sign(Painted):
             self._tone, self._share = tone, share
             self.update()
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the ring, its filled part and the sign."""
         ring = QRectF(5, 5, SIGN_PX - 10, SIGN_PX - 10)
-        colour = QColor(tone_colour(self._tone, self._colours))
-        painter.setPen(QPen(QColor(self._colours.line), 5))
+        colour = QColor(getattr(colours, _INKS[self._tone]))
+        painter.setPen(QPen(QColor(colours.line), 5))
         painter.drawEllipse(ring)
         share = self._share if self._tone is Tone.HOLD else (1.0 if self._tone in (Tone.GOOD, Tone.BAD, Tone.GO) else 0.0)
-        pen = QPen(colour, 5)
-        pen.setCapStyle(Qt.PenCapStyle.FlatCap)
-        painter.setPen(pen)
+        painter.setPen(QPen(colour, 5, Qt.PenStyle.SolidLine, Qt.PenCapStyle.FlatCap))
         # Qt counts sixteenths of a degree, from three o'clock and against the clock.
         painter.drawArc(ring, 90 * 16, -round(share * 360 * 16))
         painter.translate(SIGN_PX / 2, SIGN_PX / 2)
-        pen = QPen(colour, 4)
-        pen.setCapStyle(Qt.PenCapStyle.RoundCap)
-        pen.setJoinStyle(Qt.PenJoinStyle.RoundJoin)
-        painter.setPen(pen)
+        painter.setPen(QPen(colour, 4, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap, Qt.PenJoinStyle.RoundJoin))
         for line in _SIGNS[self._tone]:
             painter.drawPolyline(QPolygonF([QPointF(x, y) for x, y in line]))
 
@@ -215,8 +195,8 @@ class Sign(Painted):
 class ForceGauge(Painted):
     """The force of the poke in progress beside the window in which it counts."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setFixedWidth(GAUGE_PX)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
         self._force = 0.0
@@ -233,7 +213,7 @@ class ForceGauge(Painted):
             self._force, self._window = force, (low, high)
             self.update()
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the number, the scale, the window and the bar."""
         low, high = self._window
         # Room beyond the window, so that too much force is seen to grow.
@@ -243,21 +223,21 @@ class ForceGauge(Painted):
         x = [bar.left() + bar.width() * min(1.0, v / full) for v in (low, high, self._force)]
         inside = low <= self._force <= high
         pressing = self._force > 0.05
-        colour = QColor(self._colours.accent if inside else self._colours.bad if self._force > high else self._colours.warn)
+        colour = QColor(colours.accent if inside else colours.bad if self._force > high else colours.warn)
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(QColor(self._colours.raised))
+        painter.setBrush(QColor(colours.raised))
         painter.drawRoundedRect(bar, 3, 3)
-        painter.setBrush(QColor(self._colours.line))
+        painter.setBrush(QColor(colours.line))
         painter.drawRect(QRectF(x[0], bar.top(), x[1] - x[0], bar.height()))
         if pressing:
             painter.setBrush(colour)
             painter.drawRoundedRect(QRectF(bar.left(), bar.top() + 2, x[2] - bar.left(), bar.height() - 4), 2, 2)
-        painter.setPen(QColor(self._colours.muted))
+        painter.setPen(QColor(colours.muted))
         for place, value in zip(x[:2], (low, high), strict=True):
             text = f"{value:.0f}"
             painter.drawText(QPointF(place - metrics.horizontalAdvance(text) / 2, bar.bottom() + metrics.ascent() + 1), text)
-        painter.setPen(QColor(self._colours.text if pressing else self._colours.muted))
-        painter.setFont(digits_font(15, bold=True))
+        painter.setPen(QColor(colours.text if pressing else colours.muted))
+        painter.setFont(digits_font(15))
         area = QRectF(0, 0, self.width(), bar.top() - 2)
         flags = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom
         painter.drawText(area, flags, newtons(self._force) if pressing else newtons(None) + " N")
@@ -266,23 +246,19 @@ class ForceGauge(Painted):
 class NowPanel(QFrame):
     """The line that says what happens."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setObjectName("card")
         self._memory = NowMemory()
         self._now = Now(Tone.CALM, "")
-        self._colours = LIGHT
         self.sign = Sign()
         self.headline = FittedLabel()
-        self.detail = ElidedLabel()
+        self.detail = ElidedLabel("muted")
         self.detail.setProperty("quiet", True)
         self.gauge = ForceGauge()
         self.dial = Dial()
         self.dial.hide()
-        font = self.headline.font()
-        font.setPointSizeF(HEADLINE_PT)
-        font.setBold(True)
-        self.headline.setFont(font)
+        embolden(self.headline, HEADLINE_PT)
         self.headline.setAccessibleName("what is happening")
         self._arrange()
         self.setWhatsThis(
@@ -326,18 +302,4 @@ class NowPanel(QFrame):
             self._now = now
             self.headline.setText(now.headline)
             self.detail.setText(now.detail)
-            self._tint()
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self.sign.set_colours(colours)
-        self.gauge.set_colours(colours)
-        self.dial.set_colours(colours)
-        self._tint()
-
-    def _tint(self) -> None:
-        plain = self._now.tone in (Tone.WAIT, Tone.CALM)
-        colour = self._colours.text if plain else tone_colour(self._now.tone, self._colours)
-        self.headline.set_colour(QColor(colour))
-        self.detail.set_colour(QColor(self._colours.muted))
+            self.headline.set_ink("text" if now.tone in (Tone.WAIT, Tone.CALM) else _INKS[now.tone])

@@ -15,18 +15,17 @@ from PySide6.QtCore import (
     QItemSelectionModel,
     QModelIndex,
     QPersistentModelIndex,
-    QPoint,
     Qt,
     Signal,
 )
-from PySide6.QtGui import QAction, QColor
-from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QVBoxLayout, QWidget
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
 
-from app.panels.widgets import put, quiet
+from app.panels.widgets import quiet, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
-from app.theme import GAP, LIGHT, Colours
+from app.theme import GAP
 from app.units import DASH, ChannelNames, degrees, in_millimetres, number
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -54,7 +53,6 @@ class PokeTable(QAbstractTableModel):
         self._estimates: Mapping[int, Estimate] = {}
         self._doubting: Mapping[int, Sequence[Estimate]] = {}
         self._at_landmarks: Mapping[int, str] = {}
-        self._colours = LIGHT
 
     def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
         """Show another snapshot's pokes; the view learns of what changed alone."""
@@ -73,20 +71,9 @@ class PokeTable(QAbstractTableModel):
             self._records = records
             self.endInsertRows()
         self._records = records
-        self._announce_changes(old, records)
-
-    def _announce_changes(self, old: Sequence[PokeRecord], new: Sequence[PokeRecord]) -> None:
-        if new:
-            # What a poke counts for, and its tilt, follow the estimates, and these all pokes.
-            self.dataChanged.emit(self.index(0, 1), self.index(len(new) - 1, 4))
-        changed = [i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a is not b and a != b]
-        if changed:
-            rows = [len(new) - 1 - i for i in changed]
-            self.dataChanged.emit(self.index(min(rows), 0), self.index(max(rows), len(HEADINGS) - 1))
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
+        # What a poke counts for, and its tilt, follow the estimates, and these all pokes; only rows on the screen are read.
+        if records:
+            self.dataChanged.emit(self.index(0, 0), self.index(len(records) - 1, len(HEADINGS) - 1))
 
     def record(self, row: int) -> PokeRecord:
         """Return the record of a row."""
@@ -128,11 +115,12 @@ class PokeTable(QAbstractTableModel):
         return None
 
     def _colour(self, record: PokeRecord, column: int) -> QColor | None:
+        colours = theme_colours()
         if record.excluded:
-            return QColor(self._colours.muted)
+            return QColor(colours.muted)
         if isinstance(record.outcome, Rejection) and record.outcome.poke not in self._at_landmarks:
-            return QColor(self._colours.bad if column == 1 else self._colours.muted)
-        return QColor(self._colours.accent) if column == 1 else None
+            return QColor(colours.bad if column == 1 else colours.muted)
+        return QColor(colours.accent) if column == 1 else None
 
     def _hint(self, record: PokeRecord) -> str:
         outcome = record.outcome
@@ -192,14 +180,13 @@ class PokesPanel(QWidget):
     taxel_wanted = Signal(int)
     """A poke was chosen by hand: the channel that answered it most."""
 
-    def __init__(self, names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, names: ChannelNames) -> None:
+        super().__init__()
         self.model = PokeTable(names)
         self.table = QTableView()
         self.table.setModel(self.model)
         self.tally = quiet(wrap=True)
         self.tally.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
-        self.actions_offered: list[QAction] = []
         self._generation: tuple[object, object] = (None, None)
         self._prepare()
         column = QVBoxLayout(self)
@@ -219,7 +206,6 @@ class PokesPanel(QWidget):
         table.setShowGrid(False)
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
-        table.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         table.verticalHeader().hide()
         table.verticalHeader().setDefaultSectionSize(table.fontMetrics().height() + 8)
         table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -232,7 +218,6 @@ class PokesPanel(QWidget):
             if text:
                 header.resizeSection(column, table.fontMetrics().horizontalAdvance(text) + 12)
         table.selectionModel().selectionChanged.connect(self._selection_changed)
-        table.customContextMenuRequested.connect(self._menu)
 
     def show_state(self, state: ViewState) -> None:
         """Show the pokes of a tick; nothing happens where they are the same."""
@@ -241,12 +226,7 @@ class PokesPanel(QWidget):
             return
         self._generation = generation
         self.model.show(state.snapshot, state.by_channel())
-        put(self.tally, tally_words(state.snapshot))
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self.model.set_colours(colours)
-        self.table.viewport().update()
+        self.tally.setText(tally_words(state.snapshot))
 
     def selected(self) -> tuple[int, ...]:
         """Return the numbers of the selected pokes, ascending."""
@@ -269,11 +249,6 @@ class PokesPanel(QWidget):
             peak = peak_channel(self.model.record(rows[0].row()).outcome)
             if peak is not None:
                 self.taxel_wanted.emit(peak)
-
-    def _menu(self, place: QPoint) -> None:
-        menu = QMenu(self)
-        menu.addActions(self.actions_offered)
-        menu.popup(self.table.viewport().mapToGlobal(place))
 
 
 def tally_words(snapshot: Snapshot) -> str:

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import embolden, fit_rows, on_panel, put, put_cell, put_rows, quiet, table
+from app.panels.widgets import embolden, fit_rows, on_panel, put_rows, quiet, table
 from app.state.policies import Offer
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
@@ -27,7 +27,6 @@ from app.text.rig_text import landmark_rows, offer_text, review_words
 from app.theme import GAP
 from app.units import degrees
 from skincal.contacts.outcome import Contact
-from skincal.guide.guidance import Guidance
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
 
@@ -50,8 +49,8 @@ class ArmPanel(QWidget):
 
     pose_requested = Signal(str)
 
-    def __init__(self, arm: ArmSpec, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, arm: ArmSpec) -> None:
+        super().__init__()
         self._shown: tuple[object, ...] = ()
         self._streamed = False
         self.current = QLabel("Arm pose unknown")
@@ -87,14 +86,14 @@ class ArmPanel(QWidget):
             return
         self._shown = shown
         pose = state.snapshot.pose
-        put(self.current, f"Arm pose {pose}" if pose else "Arm pose unknown")
-        put(self.how, "The joints are streamed." if streamed else "Click the pose in which the arm stands, after moving it.")
+        self.current.setText(f"Arm pose {pose}" if pose else "Arm pose unknown")
+        self.how.setText("The joints are streamed." if streamed else "Click the pose in which the arm stands, after moving it.")
         self._streamed = streamed
         used = [p.outcome.pose for p in state.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
         for name, row in self.rows.items():
             mark = "\N{BLACK CIRCLE}" if name == pose else "\N{WHITE CIRCLE}"
-            put_cell(row, 0, f"{mark}  {name}")
-            put_cell(row, 2, str(used.count(name)))
+            row.setText(0, f"{mark}  {name}")
+            row.setText(2, str(used.count(name)))
         fit_rows(self.poses)
 
     def _chosen(self, row: QTreeWidgetItem, _column: int) -> None:
@@ -110,8 +109,8 @@ class RigPanel(QScrollArea):
     uncorrect_requested = Signal(str)
     """What is to be corrected no more."""
 
-    def __init__(self, arm: ArmSpec | None, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, arm: ArmSpec | None) -> None:
+        super().__init__()
         self._shown: tuple[object, ...] = ()
         self._offer: Offer | None = None
         self._used = ""
@@ -164,16 +163,18 @@ class RigPanel(QScrollArea):
             return
         self._shown = shown
         self._list_points(state)
-        put(self.asked, _asked_words(guidance))
-        self.asked.setVisible(bool(self.asked.text()))
-        put(self.said, _words(state))
+        landmark = None if guidance is None else guidance.landmark
+        asked = () if guidance is None or landmark is None else (landmark_words(landmark), gain_words(guidance.gain))
+        self.asked.setText("; ".join(filter(None, asked)))
+        self.asked.setVisible(bool(asked))
+        self.said.setText(_words(state))
         self._offer = state.offers[0] if state.offers else None
         # The newest one goes first: it was found under the others.
         self._used = next(reversed(tuple(state.snapshot.corrections)), "")
         offer = "" if self._offer is None else f"{offer_text(self._offer)}  (C)"
         for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):
             button.setVisible(bool(text))
-            put(button, text)
+            button.setText(text)
 
     def _list_points(self, state: ViewState) -> None:
         rows = landmark_rows(state.snapshot, state.review)
@@ -187,12 +188,6 @@ class RigPanel(QScrollArea):
     def _offer_taken(self) -> None:
         if self._offer is not None:
             self.correct_requested.emit(self._offer.action)
-
-
-def _asked_words(guidance: Guidance | None) -> str:
-    if guidance is None or guidance.landmark is None:
-        return ""
-    return "; ".join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
 
 
 def _words(state: ViewState) -> str:

@@ -11,15 +11,14 @@ marks are put again only when the estimates change; a tick draws the few taxels 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PySide6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import (
     QBrush,
     QColor,
-    QContextMenuEvent,
     QHelpEvent,
     QKeyEvent,
     QMouseEvent,
@@ -29,14 +28,14 @@ from PySide6.QtGui import (
     QPolygonF,
     QResizeEvent,
 )
-from PySide6.QtWidgets import QMenu, QSizePolicy, QToolTip, QWidget
+from PySide6.QtWidgets import QSizePolicy, QToolTip
 
-from app.panels.widgets import Painted
+from app.panels.widgets import Painted, mix, theme_colours
 from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.outcomes import MARK_WORDS
-from app.theme import HUES, Colours, mix
+from app.theme import HUES, Colours
 from app.units import ChannelNames, number
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
@@ -99,11 +98,6 @@ class MapPlan:
     labels: tuple[str, ...]
     """One a module."""
 
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest and the highest corner of everything, (2,) float each."""
-        points = np.concatenate([self.places, *self.outlines])
-        return points.min(axis=0) - self.spacing, points.max(axis=0) + self.spacing
-
 
 def plan_map(layout: Layout | None, channels: IntArray) -> MapPlan:
     """Place the channels of a skin on a flat map.
@@ -131,86 +125,53 @@ def plan_map(layout: Layout | None, channels: IntArray) -> MapPlan:
 class Fit:
     """From the plan to pixels: one scale for both axes, y down, a quarter turn where that shows more."""
 
-    scale: float
-    shift: tuple[float, float]
+    scale: float = 1.0
+    shift: tuple[float, float] = (0.0, 0.0)
     turned: bool = False
 
     def pixels(self, points: FloatArray) -> FloatArray:
         """Return (n, 2) pixels of (n, 2) points of the plan."""
-        own = points[:, ::-1] if self.turned else points * np.array([1.0, -1.0])
-        return own * self.scale + np.array(self.shift)
+        own = points[:, ::-1] if self.turned else points * (1.0, -1.0)
+        return own * self.scale + self.shift
 
 
-def fit(plan: MapPlan, width: float, height: float) -> Fit:
-    """Return how a plan fills `width` x `height` pixels, in the middle and with its proportions kept."""
-    low, high = plan.bounds()
-    size = np.maximum(high - low, 1e-9)
-    plain = min(width / size[0], height / size[1])
-    turned = min(width / size[1], height / size[0])
-    middle = (low + high) / 2
-    if turned > TURN_GAIN * plain:
-        return Fit(turned, (width / 2 - middle[1] * turned, height / 2 - middle[0] * turned), turned=True)
-    return Fit(plain, (width / 2 - middle[0] * plain, height / 2 + middle[1] * plain))
+def fit(plan: MapPlan, room: QRectF) -> Fit:
+    """Return how a plan fills a room, in the middle and with its proportions kept."""
+    points = np.concatenate([plan.places, *plan.outlines])
+    low, high = points.min(axis=0) - plan.spacing, points.max(axis=0) + plan.spacing
+    across, up = np.maximum(high - low, 1e-9)
+    plain = min(room.width() / across, room.height() / up)
+    turned = min(room.width() / up, room.height() / across)
+    made = Fit(turned, turned=True) if turned > TURN_GAIN * plain else Fit(plain)
+    x, y = made.pixels((low + high)[None] / 2)[0].tolist()
+    return replace(made, shift=(room.center().x() - x, room.center().y() - y))
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
-    """Draw one taxel.
-
-    Parameters
-    ----------
-    painter : with antialiasing
-    radius : pixels
-    hue : of the module
-    crossed : colour of the cross of a taxel that is not used
-    """
-    circle = QRectF(centre.x() - radius, centre.y() - radius, 2 * radius, 2 * radius)
-    if mark is Mark.DEAD:
-        _draw_cross(painter, centre, 0.8 * radius, crossed)
-        return
-    if mark is Mark.DONE:
-        painter.fillRect(circle, hue)
-        return
-    painter.setPen(QPen(hue, max(1.0, 0.26 * radius)))
-    painter.setBrush(QBrush(hue) if mark is Mark.GOOD else Qt.BrushStyle.NoBrush)
-    painter.drawEllipse(circle)
-    if mark in _FILLED:
-        painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(QBrush(hue))
-        painter.drawPie(circle, 90 * 16, -_FILLED[mark] * 16)
-
-
-def _draw_cross(painter: QPainter, centre: QPointF, reach: float, colour: QColor) -> None:
-    painter.setPen(QPen(colour, max(1.0, 0.3 * reach)))
-    for sign in (-1, 1):
-        start = QPointF(centre.x() - reach, centre.y() - sign * reach)
-        painter.drawLine(start, QPointF(centre.x() + reach, centre.y() + sign * reach))
-
-
-def draw_wedge(painter: QPainter, centre: QPointF, reach: float, colour: QColor, around: QColor) -> None:
-    """Draw the small triangle that says that a taxel may lie elsewhere.
-
-    Parameters
-    ----------
-    reach : pixels from the middle to a corner
-    around : colour of its rim, which sets it off from the mark below
-    """
-    corners = [(0.0, -1.0), (0.87, 0.5), (-0.87, 0.5)]
-    painter.setPen(QPen(around, 1.2))
-    painter.setBrush(QBrush(colour))
-    painter.drawPolygon(QPolygonF([QPointF(centre.x() + reach * x, centre.y() + reach * y) for x, y in corners]))
-
-
-def draw_small(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
-    """Draw one taxel too small for quarters and halves: a ring, a dot, a square once done, a cross; parameters as above."""
-    # On whole pixels, or the square's corners are as soft as a dot's.
-    reach = float(max(1, round(radius)))
+    """Draw one taxel; below `SMALL` there is no room for quarters and halves: a ring or a dot has the strength of its state."""
+    # On whole pixels, or a small square's corners are as soft as a dot's.
+    reach = radius if radius >= SMALL else float(max(1, round(radius)))
     circle = QRectF(centre.x() - reach, centre.y() - reach, 2 * reach, 2 * reach)
     if mark is Mark.DEAD:
-        _draw_cross(painter, centre, 0.8 * reach, crossed)
-        return
-    if mark is Mark.DONE:
+        arm = 0.8 * reach
+        painter.setPen(QPen(crossed, max(1.0, 0.3 * arm)))
+        for sign in (-1, 1):
+            painter.drawLine(centre + QPointF(-arm, -sign * arm), centre + QPointF(arm, sign * arm))
+    elif mark is Mark.DONE:
         painter.fillRect(circle, hue)
-        return
+    elif radius < SMALL:
+        _draw_dot(painter, circle, mark, hue)
+    else:
+        painter.setPen(QPen(hue, max(1.0, 0.26 * radius)))
+        painter.setBrush(QBrush(hue) if mark is Mark.GOOD else Qt.BrushStyle.NoBrush)
+        painter.drawEllipse(circle)
+        if mark in _FILLED:
+            painter.setPen(Qt.PenStyle.NoPen)
+            painter.setBrush(QBrush(hue))
+            painter.drawPie(circle, 90 * 16, -_FILLED[mark] * 16)
+
+
+def _draw_dot(painter: QPainter, circle: QRectF, mark: Mark, hue: QColor) -> None:
     colour = QColor(hue)
     colour.setAlphaF(_STRENGTH[mark])
     painter.setPen(Qt.PenStyle.NoPen)
@@ -222,19 +183,34 @@ def draw_small(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hu
         painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceOver)
 
 
-class Stamps:
-    """Marks of one size, drawn once each.
+def draw_wedge(painter: QPainter, centre: QPointF, reach: float, colour: QColor, around: QColor) -> None:
+    """Draw the small triangle that says that a taxel may lie elsewhere, in a rim that sets it off from the mark below."""
+    corners = [(0.0, -1.0), (0.87, 0.5), (-0.87, 0.5)]
+    painter.setPen(QPen(around, 1.2))
+    painter.setBrush(QBrush(colour))
+    painter.drawPolygon(QPolygonF([QPointF(centre.x() + reach * x, centre.y() + reach * y) for x, y in corners]))
 
-    Parameters
-    ----------
-    radius : pixels
-    ratio : device pixels a pixel
-    """
+
+def blank(width: float, height: float, ratio: float) -> QPixmap:
+    """Return an empty picture; in device pixels, `ratio` of them a pixel, since a dense screen would show it blurred."""
+    picture = QPixmap(math.ceil(width * ratio), math.ceil(height * ratio))
+    picture.setDevicePixelRatio(ratio)
+    picture.fill(Qt.GlobalColor.transparent)
+    return picture
+
+
+def soft(picture: QPixmap) -> QPainter:
+    """Return what paints into a picture, with soft edges; to be ended."""
+    painter = QPainter(picture)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    return painter
+
+
+class Stamps:
+    """Marks of one size, drawn once each; `radius` in pixels, `ratio` in device pixels a pixel."""
 
     def __init__(self, radius: float, ratio: float, crossed: QColor) -> None:
-        self._radius = radius
-        self._ratio = ratio
-        self._crossed = crossed
+        self._radius, self._ratio, self._crossed = radius, ratio, crossed
         self._made: dict[tuple[int, str], QPixmap] = {}
         self.reach = math.ceil(1.2 * radius) + 1.0
         """Pixels from a stamp's corner to its centre."""
@@ -243,31 +219,20 @@ class Stamps:
         """Return the stamp of a mark's value in a hue."""
         key = (mark, hue)
         if key not in self._made:
-            self._made[key] = self._make(Mark(mark), QColor(hue))
+            stamp = self._made[key] = blank(2 * self.reach, 2 * self.reach, self._ratio)
+            painter = soft(stamp)
+            draw_mark(painter, QPointF(self.reach, self.reach), self._radius, Mark(mark), QColor(hue), self._crossed)
+            painter.end()
         return self._made[key]
-
-    def _make(self, mark: Mark, hue: QColor) -> QPixmap:
-        side = math.ceil(2 * self.reach * self._ratio)
-        stamp = QPixmap(side, side)
-        stamp.setDevicePixelRatio(self._ratio)
-        stamp.fill(Qt.GlobalColor.transparent)
-        painter = QPainter(stamp)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        draw = draw_small if self._radius < SMALL else draw_mark
-        draw(painter, QPointF(self.reach, self.reach), self._radius, mark, hue, self._crossed)
-        painter.end()
-        return stamp
 
 
 class TaxelMap(Painted):
     """The flat map of a skin."""
 
     taxel_clicked = Signal(int)
-    mark_dead_requested = Signal(int)
-    revive_requested = Signal(int)
 
-    def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames) -> None:
+        super().__init__()
         self._plan: MapPlan = plan_map(scene.skin.layout, channels)
         self._settings = scene.contacts
         self._width = scene.skin.channels
@@ -275,7 +240,7 @@ class TaxelMap(Painted):
         owners = [names.module_index(int(channel)) for channel in channels]
         self._hues = ["" if owner < 0 else HUES[owner % len(HUES)] for owner in owners]
         """One a channel of the plan; empty where there is no module."""
-        self._fit = Fit(1.0, (0.0, 0.0))
+        self._fit = Fit()
         self._places: FloatArray = np.zeros((len(channels), 2))
         self._marks: IntArray = np.zeros(self._width, dtype=np.int64)
         self._levels: FloatArray = np.zeros(self._width)
@@ -288,6 +253,8 @@ class TaxelMap(Painted):
         self._selected: int | None = None
         self._generation: tuple[object, ...] = ()
         self._base = self._states = QPixmap()
+        self._drawn_in = theme_colours()
+        """The colours of these two."""
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAccessibleName("map of the taxels")
@@ -306,7 +273,6 @@ class TaxelMap(Painted):
 
     def show_state(self, state: ViewState) -> None:
         """Show states, answers and the selection of a tick; draws nothing where all are the same."""
-        changed = False
         self._guidance = state.guidance
         generation = (state.revision, state.method, state.guidance is None)
         if generation != self._generation:
@@ -314,23 +280,17 @@ class TaxelMap(Painted):
             self._marks = marks(state.estimates, self._width, done_channels(state.guidance))
             self._rivals = frozenset(e.channel for e in state.estimates if e.rival is not None)
             self._states = QPixmap()
-            changed = True
+            self.update()
         target = None if state.target is None else state.target.channel
         if (state.selected, target) != (self._selected, self._target):
             self._selected, self._target = state.selected, target
-            changed = True
+            self.update()
         if len(state.live.skin) == self._width:
             self._answers = state.live.skin
             levels = answer_levels(state.live.skin, self._settings)
-            changed |= not np.array_equal(levels, self._levels)
-            self._levels = levels
-        if changed:
-            self.update()
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        super().set_colours(colours)
-        self._base = self._states = QPixmap()
+            if not np.array_equal(levels, self._levels):
+                self._levels = levels
+                self.update()
 
     def channel_at(self, point: QPointF) -> int | None:
         """Return the channel whose mark is nearest to a point of the widget, None where none is near."""
@@ -348,16 +308,16 @@ class TaxelMap(Painted):
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Fit the plan into the new size."""
         super().resizeEvent(event)
-        room = self._room()
-        self._fit = fit(self._plan, room.width(), room.height())
-        self._places = self._fit.pixels(self._plan.places) + np.array([room.left(), room.top()])
+        width, height = self.width() - 2 * MARGIN_PX, self.height() - LEGEND_PX - 2 * MARGIN_PX
+        self._fit = fit(self._plan, QRectF(MARGIN_PX, MARGIN_PX, max(10, width), max(10, height)))
+        self._places = self._fit.pixels(self._plan.places)
         self._base = self._states = QPixmap()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Select the taxel under the pointer."""
         self.setFocus(Qt.FocusReason.MouseFocusReason)
         channel = self.channel_at(event.position())
-        if channel is not None and event.button() in (Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton):
+        if channel is not None and event.button() is Qt.MouseButton.LeftButton:
             self.taxel_clicked.emit(channel)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
@@ -369,19 +329,6 @@ class TaxelMap(Painted):
         channel = self._next(step)
         if channel is not None:
             self.taxel_clicked.emit(channel)
-
-    def contextMenuEvent(self, event: QContextMenuEvent) -> None:
-        """Offer to leave a taxel out, or to use it again."""
-        channel = self.channel_at(QPointF(event.pos()))
-        if channel is None:
-            return
-        menu = QMenu(self)
-        name = self._names.short(channel)
-        if self._marks[channel] == Mark.DEAD.value:
-            menu.addAction(f"Use {name} again", lambda: self.revive_requested.emit(channel))
-        else:
-            menu.addAction(f"Do not use {name}", lambda: self.mark_dead_requested.emit(channel))
-        menu.popup(event.globalPos())
 
     def event(self, event: QEvent) -> bool:
         """Say which taxel is under the pointer."""
@@ -400,11 +347,6 @@ class TaxelMap(Painted):
         needs = "" if self._guidance is None else needs_words(self._guidance, channel)
         return "\n".join(filter(None, (name, f"{state}{rival}", needs, f"answers {answer} above its baseline")))
 
-    def _room(self) -> QRectF:
-        return QRectF(
-            MARGIN_PX, MARGIN_PX, max(10, self.width() - 2 * MARGIN_PX), max(10, self.height() - LEGEND_PX - 2 * MARGIN_PX)
-        )
-
     def _radius(self) -> float:
         return max(1.0, self._plan.spacing * self._fit.scale * SHARE_OF_SPACING)
 
@@ -420,37 +362,44 @@ class TaxelMap(Painted):
         best = int(np.argmin(cost))
         return int(self._plan.channels[best]) if math.isfinite(cost[best]) else None
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the modules, the answers, the states, the selection and the target, in that order."""
+        if colours is not self._drawn_in:
+            self._base = self._states = QPixmap()
+            self._drawn_in = colours
         if self._base.isNull():
-            self._base = self._drawn(self._draw_modules)
+            self._base = self._drawn(self._draw_modules, colours)
         if self._states.isNull():
-            self._states = self._drawn(self._draw_states)
+            self._states = self._drawn(self._draw_states, colours)
         painter.drawPixmap(0, 0, self._base)
-        self._draw_answers(painter)
+        self._draw_answers(painter, QColor(colours.text))
         painter.drawPixmap(0, 0, self._states)
-        self._draw_selection(painter)
-        self._draw_target(painter)
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        if self._selected is not None and self._selected in self._plan.channels:
+            self._ring(painter, self._selected, self._radius() * 1.75, ((4.0, colours.panel), (2.0, colours.text)))
+        if self._target is not None:
+            # White in black, outside the ring of a selected one.
+            radius = max(TARGET_LEAST, self._radius() * TARGET_SHARE)
+            self._ring(painter, self._target, radius, ((6.5, "black"), (2.5, "white")))
 
-    def _drawn(self, draw: Callable[[QPainter], None]) -> QPixmap:
-        # In device pixels: a dense screen would show it blurred.
-        ratio = self.devicePixelRatioF()
-        pixmap = QPixmap(math.ceil(self.width() * ratio), math.ceil(self.height() * ratio))
-        pixmap.setDevicePixelRatio(ratio)
-        pixmap.fill(Qt.GlobalColor.transparent)
-        painter = QPainter(pixmap)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        draw(painter)
+    def _ring(self, painter: QPainter, channel: int, radius: float, pens: Sequence[tuple[float, str]]) -> None:
+        for width, colour in pens:
+            painter.setPen(QPen(QColor(colour), width))
+            painter.drawEllipse(self.place_of(channel), radius, radius)
+
+    def _drawn(self, draw: Callable[[QPainter, Colours], None], colours: Colours) -> QPixmap:
+        picture = blank(self.width(), self.height(), self.devicePixelRatioF())
+        painter = soft(picture)
+        draw(painter, colours)
         painter.end()
-        return pixmap
+        return picture
 
-    def _draw_modules(self, painter: QPainter) -> None:
-        room = np.array([self._room().left(), self._room().top()])
-        panel = self._colours.panel
+    def _draw_modules(self, painter: QPainter, colours: Colours) -> None:
+        panel = colours.panel
         looks = [(QPen(mix(hue, panel, 0.45), 1.2), mix(panel, hue, 0.07), mix(panel, hue, 0.2)) for hue in HUES]
         for index, outline in enumerate(self._plan.outlines):
             pen, brush, ink = looks[index % len(HUES)]
-            corners = (self._fit.pixels(outline) + room).tolist()
+            corners = self._fit.pixels(outline).tolist()
             painter.setPen(pen)
             painter.setBrush(brush)
             painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in corners]))
@@ -470,9 +419,8 @@ class TaxelMap(Painted):
         area = QRectF(sum(xs) / len(xs) - size, sum(ys) / len(ys) - size, 2 * size, 2 * size)
         painter.drawText(area, Qt.AlignmentFlag.AlignCenter, text)
 
-    def _draw_answers(self, painter: QPainter) -> None:
+    def _draw_answers(self, painter: QPainter, colour: QColor) -> None:
         painter.setPen(Qt.PenStyle.NoPen)
-        colour = QColor(self._colours.text)
         radius = self._radius()
         levels = self._levels[self._plan.channels]
         for row in np.flatnonzero(levels > 0):
@@ -482,57 +430,34 @@ class TaxelMap(Painted):
             reach = radius * (1.3 + 0.5 * level)
             painter.drawEllipse(QPointF(float(self._places[row, 0]), float(self._places[row, 1])), reach, reach)
 
-    def _draw_states(self, painter: QPainter) -> None:
+    def _draw_states(self, painter: QPainter, colours: Colours) -> None:
         values = self._marks[self._plan.channels].tolist()
-        hues = [hue or self._colours.muted for hue in self._hues]
-        stamps = Stamps(self._radius(), self.devicePixelRatioF(), QColor(self._colours.muted))
-        for value, hue, (x, y) in zip(values, hues, (self._places - stamps.reach).tolist(), strict=True):
-            painter.drawPixmap(QPointF(x, y), stamps.get(value, hue))
-        self._draw_rivals(painter)
-        self._draw_legend(painter)
+        radius, text, panel = self._radius(), QColor(colours.text), QColor(colours.panel)
+        stamps = Stamps(radius, self.devicePixelRatioF(), QColor(colours.muted))
+        for value, hue, (x, y) in zip(values, self._hues, (self._places - stamps.reach).tolist(), strict=True):
+            painter.drawPixmap(QPointF(x, y), stamps.get(value, hue or colours.muted))
+        # A wedge at the upper right of each taxel that may as well lie elsewhere.
+        away = 0.9 * radius
+        for x, y in self._places[np.isin(self._plan.channels, list(self._rivals))].tolist():
+            draw_wedge(painter, QPointF(x + away, y - away), max(WEDGE_LEAST, WEDGE_SHARE * radius), text, panel)
+        self._draw_legend(painter, text, panel, QColor(colours.muted))
 
-    def _draw_rivals(self, painter: QPainter) -> None:
-        """Put a wedge at the upper right of each taxel that may as well lie elsewhere."""
-        reach = max(WEDGE_LEAST, WEDGE_SHARE * self._radius())
-        away = 0.9 * self._radius()
-        for row in np.flatnonzero(np.isin(self._plan.channels, list(self._rivals))):
-            x, y = self._places[row].tolist()
-            draw_wedge(painter, QPointF(x + away, y - away), reach, QColor(self._colours.text), QColor(self._colours.panel))
-
-    def _draw_legend(self, painter: QPainter) -> None:
+    def _draw_legend(self, painter: QPainter, text: QColor, panel: QColor, muted: QColor) -> None:
         painter.setFont(self.font())
         counted = np.bincount(self._marks[self._plan.channels], minlength=len(Mark))
-        y = self.height() - LEGEND_PX / 2 - 1
-        x = float(MARGIN_PX + 6)
+        at = QPointF(MARGIN_PX + 6, self.height() - LEGEND_PX / 2 - 1)
+
+        def count(words: str) -> None:
+            nonlocal at
+            width = painter.fontMetrics().horizontalAdvance(words)
+            painter.setPen(muted)
+            painter.drawText(QRectF(at.x() + 9, at.y() - 9, width + 4, 18), Qt.AlignmentFlag.AlignVCenter, words)
+            at += QPointF(width + 26, 0)
+
         for mark in Mark:
-            if mark is not Mark.UNSEEN and counted[mark.value] == 0:
-                continue
-            draw_mark(painter, QPointF(x, y), 5.0, mark, QColor(self._colours.text), QColor(self._colours.text))
-            text = f"{_SHORT[mark]} {counted[mark.value]}"
-            painter.setPen(QColor(self._colours.muted))
-            width = painter.fontMetrics().horizontalAdvance(text)
-            painter.drawText(QRectF(x + 9, y - 9, width + 4, 18), Qt.AlignmentFlag.AlignVCenter, text)
-            x += width + 26
+            if mark is Mark.UNSEEN or counted[mark.value]:
+                draw_mark(painter, at, 5.0, mark, text, text)
+                count(f"{_SHORT[mark]} {counted[mark.value]}")
         if self._rivals:
-            draw_wedge(painter, QPointF(x, y), 5.0, QColor(self._colours.text), QColor(self._colours.panel))
-            painter.setPen(QColor(self._colours.muted))
-            painter.drawText(QRectF(x + 9, y - 9, 120, 18), Qt.AlignmentFlag.AlignVCenter, f"2 places {len(self._rivals)}")
-
-    def _draw_selection(self, painter: QPainter) -> None:
-        if self._selected is None or self._selected not in self._plan.channels:
-            return
-        centre, radius = self.place_of(self._selected), self._radius() * 1.75
-        painter.setBrush(Qt.BrushStyle.NoBrush)
-        for width, colour in ((4.0, self._colours.panel), (2.0, self._colours.text)):
-            painter.setPen(QPen(QColor(colour), width))
-            painter.drawEllipse(centre, radius, radius)
-
-    def _draw_target(self, painter: QPainter) -> None:
-        """Draw a white ring in a black one around the taxel that is to be poked, outside the ring of a selected one."""
-        if self._target is None:
-            return
-        centre, radius = self.place_of(self._target), max(TARGET_LEAST, self._radius() * TARGET_SHARE)
-        painter.setBrush(Qt.BrushStyle.NoBrush)
-        for width, colour in ((6.5, Qt.GlobalColor.black), (2.5, Qt.GlobalColor.white)):
-            painter.setPen(QPen(QColor(colour), width))
-            painter.drawEllipse(centre, radius, radius)
+            draw_wedge(painter, at, 5.0, text, panel)
+            count(f"2 places {len(self._rivals)}")

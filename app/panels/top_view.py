@@ -12,8 +12,7 @@ import numpy as np
 
 from app.scene3d.camera import Eye
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.coaching import Coaching
-from skincal.guide.guidance import Guidance, Target
+from skincal.guide.guidance import Coaching, Guidance, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings
 from skincal.taxels.result import Method
 
@@ -70,12 +69,7 @@ class TopView:
 
 
 def top_view(guidance: Guidance, target: Target, coaching: Coaching | None, leeway: float, eye: Eye) -> TopView:
-    """Return the picture of a target and of the tool that presses.
-
-    Parameters
-    ----------
-    leeway : rad, how far a push may be off the wanted one
-    """
+    """Return the picture of a target and of the tool that presses, which may be off the wanted push by `leeway`, rad."""
     axes = axes_on(target.normal, eye)
     # What is asked of the tool's upper end is asked above its tip, wherever that is.
     tip = np.zeros(2) if coaching is None else -(axes @ coaching.off)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import QSize, Qt
-from PySide6.QtGui import QColor, QFont, QFontMetrics, QIcon, QPainter, QPaintEvent, QPalette
+from PySide6.QtCore import QSize, Qt, Signal
+from PySide6.QtGui import QColor, QFont, QFontDatabase, QFontMetrics, QIcon, QPainter, QPaintEvent, QPalette
 from PySide6.QtWidgets import (
-    QAbstractButton,
+    QApplication,
+    QComboBox,
     QDialogButtonBox,
     QHeaderView,
     QLabel,
@@ -20,7 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.theme import LIGHT, Colours
+from app.theme import DARK, LIGHT, Colours
 
 MOST_ROWS = 12
 """Rows of a list that is as high as its rows."""
@@ -28,13 +29,33 @@ LEAST_SHARE = 0.75
 """Share of a large type's size below which it is not read from two metres."""
 
 
-class ElidedLabel(QWidget):
-    """One line of text that ends in an ellipsis where it does not fit; the whole of it is the tooltip."""
+def theme_colours() -> Colours:
+    """Return the colours that hold: the application's palette is what keeps the theme."""
+    return DARK if QApplication.palette().window().color().lightness() < 128 else LIGHT
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+
+def mix(first: str, second: str, share: float) -> QColor:
+    """Return the colour that lies `share` of the way from `first` to `second`."""
+    a, b = QColor(first), QColor(second)
+    ends = ((a.redF(), b.redF()), (a.greenF(), b.greenF()), (a.blueF(), b.blueF()))
+    return QColor.fromRgbF(*(low + (high - low) * share for low, high in ends))
+
+
+def digits_font(points: float) -> QFont:
+    """Return a bold font whose digits have one width, so that live numbers do not jump."""
+    font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
+    font.setPointSizeF(points)
+    font.setBold(True)
+    return font
+
+
+class ElidedLabel(QWidget):
+    """One line in one of the theme's colours, with an ellipsis where it does not fit; the whole of it is the tooltip."""
+
+    def __init__(self, ink: str = "text") -> None:
+        super().__init__()
         self._text = ""
-        self._colour: QColor | None = None
+        self._ink = ink
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def text(self) -> str:
@@ -49,10 +70,10 @@ class ElidedLabel(QWidget):
             self.setAccessibleDescription(text)
             self.update()
 
-    def set_colour(self, colour: QColor) -> None:
-        """Draw in another colour than the palette's."""
-        if colour != self._colour:
-            self._colour = colour
+    def set_ink(self, ink: str) -> None:
+        """Draw in another of the theme's colours."""
+        if ink != self._ink:
+            self._ink = ink
             self.update()
 
     def sizeHint(self) -> QSize:
@@ -64,7 +85,7 @@ class ElidedLabel(QWidget):
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw what fits."""
         painter = QPainter(self)
-        painter.setPen(self._colour or self.palette().windowText().color())
+        painter.setPen(QColor(getattr(theme_colours(), self._ink)))
         self.draw(painter)
         painter.end()
 
@@ -85,10 +106,6 @@ class FittedLabel(ElidedLabel):
             font.setPointSizeF(font.pointSizeF() - step)
         return font
 
-    def is_elided(self) -> bool:
-        """Return whether the text does not fit even so."""
-        return QFontMetrics(self.fitted()).horizontalAdvance(self.text()) > self.width()
-
     def draw(self, painter: QPainter) -> None:
         """Draw what fits."""
         painter.setFont(self.fitted())
@@ -103,41 +120,25 @@ def quiet(text: str = "", *, wrap: bool = False) -> QLabel:
     return label
 
 
-def put(label: QLabel | QAbstractButton, text: str) -> None:
-    """Set the text of a label or a button where it differs, so that an unchanged one costs no redraw."""
-    if label.text() != text:
-        label.setText(text)
-
-
 def embolden(label: QWidget, points: float = 0.0) -> None:
-    """Make a label's type bold, and so many points larger."""
+    """Make a label's type bold, and so large where that is said."""
     font = label.font()
     font.setBold(True)
-    if points:
-        font.setPointSizeF(font.pointSizeF() + points)
+    font.setPointSizeF(points or font.pointSizeF())
     label.setFont(font)
 
 
 class Painted(QWidget):
-    """A widget that is one picture, painted in the theme's colours."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._colours = LIGHT
-
-    def set_colours(self, colours: Colours) -> None:
-        """Follow the theme."""
-        self._colours = colours
-        self.update()
+    """A widget that is one picture, painted in the theme's colours; Qt has it painted anew when its palette changes."""
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Paint the picture, with soft edges."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        self.paint(painter)
+        self.paint(painter, theme_colours())
         painter.end()
 
-    def paint(self, painter: QPainter) -> None:
+    def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the picture."""
         raise NotImplementedError
 
@@ -157,31 +158,34 @@ def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTre
 
 
 def put_rows(tree: QTreeWidget, rows: Sequence[Sequence[str]]) -> None:
-    """Have a table show these rows; cells that are the same are left alone, and rows keep their place."""
+    """Have a table show these rows; rows keep their place, and Qt leaves cells alone that are the same."""
     while tree.topLevelItemCount() > len(rows):
         tree.takeTopLevelItem(tree.topLevelItemCount() - 1)
     for at, cells in enumerate(rows):
         item = tree.topLevelItem(at) or QTreeWidgetItem(tree)
         for column, text in enumerate(cells):
-            put_cell(item, column, text)
+            item.setText(column, text)
 
 
-def put_cell(row: QTreeWidgetItem, column: int, text: str) -> None:
-    """Set a cell's text where it differs."""
-    if row.text(column) != text:
-        row.setText(column, text)
+class TaxelList(QListWidget):
+    """A list of taxels with a word on each; an item's user data is its channel."""
 
+    taxel_wanted = Signal(int)
 
-def put_taxels(listed: QListWidget, entries: Sequence[tuple[int, str]]) -> None:
-    """Have a list show channels with their words; an item's user data is its channel."""
-    while listed.count() > len(entries):
-        listed.takeItem(listed.count() - 1)
-    while listed.count() < len(entries):
-        listed.addItem(QListWidgetItem())
-    for row, (channel, text) in enumerate(entries):
-        item = listed.item(row)
-        item.setData(Qt.ItemDataRole.UserRole, channel)
-        if item.text() != text:
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.setAccessibleName(name)
+        self.setMinimumHeight(110)
+        for chosen in (self.itemActivated, self.itemClicked):
+            chosen.connect(lambda item: self.taxel_wanted.emit(item.data(Qt.ItemDataRole.UserRole)))
+
+    def show_taxels(self, entries: Sequence[tuple[int, str]]) -> None:
+        """Show channels with their words; rows keep their place."""
+        while self.count() > len(entries):
+            self.takeItem(self.count() - 1)
+        for row, (channel, text) in enumerate(entries):
+            item = self.item(row) or QListWidgetItem(self)
+            item.setData(Qt.ItemDataRole.UserRole, channel)
             item.setText(text)
 
 
@@ -194,6 +198,15 @@ def on_panel(area: QScrollArea) -> QWidget:
     inner.setBackgroundRole(QPalette.ColorRole.Base)
     inner.setAutoFillBackground(True)
     return inner
+
+
+def short_box(name: str) -> QComboBox:
+    """Return an empty box of choices that is as wide as its place, not as its longest words."""
+    box = QComboBox()
+    box.setAccessibleName(name)
+    box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+    box.setMinimumContentsLength(12)
+    return box
 
 
 def plain_buttons(box: QDialogButtonBox) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from itertools import islice
 
 import numpy as np
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
-from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState
+from app.scene3d.scene_state import Look, StaticScene, View3DState
 from app.scene3d.shapes import Balls, Layer, Segments
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
-from skincal.guide.coaching import PRESSING
+from skincal.guide.guidance import PRESSING
 from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 
@@ -26,21 +25,19 @@ class AxesLayer(Layer):
 
     name = "axes"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.static = static
+        self.past = Segments(pixels=1.5)
         self.current = Segments(pixels=5.0)
         self.contact = Balls(pixels=13.0)
-        self.past = Segments(pixels=1.5)
         self._middle = static.extent.mean(axis=0) if len(static.extent) else np.zeros(3)
-        self._look: Look | None = None
         self._past_key: object = None
         self._axis: bytes = b""
-        for shape in (self.past, self.current, self.contact):
-            renderer.AddActor(shape.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
-        self._look = look
+        self.look = look
         self._past_key = None
         self._axis = b"\0"
 
@@ -66,8 +63,8 @@ class AxesLayer(Layer):
             return True
         direction = progress.force / np.linalg.norm(progress.force)
         at = contact_point(self.static.surface, progress.axis_point, direction, self._near(state, progress))
-        self.current.join(_span(at[None], direction[None]), self._ink("ink", 1))
-        self.contact.set(at[None], self._ink("ink", 1))
+        self.current.join(_span(at[None], direction[None]), np.array(self.look.ink, np.uint8))
+        self.contact.set(at[None], np.array(self.look.ink, np.uint8))
         return True
 
     def _near(self, state: View3DState, progress: Progress) -> FloatArray:
@@ -77,15 +74,13 @@ class AxesLayer(Layer):
 
     def _show_past(self, state: View3DState) -> None:
         last = _last(state.snapshot)
-        groups = [self._group([last], self._middle, "ink")] if last is not None else []
+        ends, colours = [self._axes([] if last is None else [last], self._middle)], [self.look.ink]
         if state.selected is not None and state.selected in self.static.row:
             place = self._place_of(state, state.selected)
-            groups.append(
-                self._group(_touching(state.snapshot, state.selected), self._middle if place is None else place, "faint")
-            )
-        ends = [ends for ends, _ in groups] or [np.empty((0, 2, 3))]
-        colours = [colours for _, colours in groups] or [np.empty((0, 3), np.uint8)]
-        self.past.join(np.concatenate(ends), np.concatenate(colours))
+            ends.append(self._axes(_touching(state.snapshot, state.selected), self._middle if place is None else place))
+            colours.append(self.look.faint)
+        counts = [len(group) for group in ends]
+        self.past.join(np.concatenate(ends), np.repeat(np.array(colours, np.uint8), counts, axis=0))
 
     def _place_of(self, state: View3DState, channel: int) -> FloatArray | None:
         """Return where a taxel is by its estimate, else by the plan; None where neither says it."""
@@ -95,7 +90,8 @@ class AxesLayer(Layer):
         position = estimates[row].position if row < len(estimates) else None
         return self.static.places[row] if position is None and np.isfinite(self.static.places[row, 0]) else position
 
-    def _group(self, contacts: list[Contact], near: FloatArray, colour: str) -> tuple[FloatArray, ColourArray]:
+    def _axes(self, contacts: list[Contact], near: FloatArray) -> FloatArray:
+        """Return the drawn part of each axis, (n, 2, 3) float, metres; of several where they pass `near`, (3,)."""
         lines = [_axis_of(contact) for contact in contacts]
         points = np.array([point for point, _ in lines]).reshape(-1, 3)
         directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
@@ -103,10 +99,7 @@ class AxesLayer(Layer):
             at = np.array([contact_point(self.static.surface, points[0], directions[0], near)])
         else:
             at = points + directions * np.einsum("ix,ix->i", near - points, directions)[:, None]
-        return _span(at, directions), self._ink(colour, len(contacts))
-
-    def _ink(self, colour: str, count: int) -> ColourArray:
-        return np.tile(np.array(getattr(self._look, colour), np.uint8), (count, 1))
+        return _span(at, directions)
 
 
 def _key(progress: Progress) -> bytes:

@@ -7,15 +7,14 @@ side, too slanting, or outside the picture. A turn waits while a tool presses an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.scene3d.scene_state import View3DState
-from skincal.geometry import FloatArray
-from skincal.guide.coaching import PRESSING
-from skincal.guide.guidance import Target
+from skincal.geometry import FloatArray, cross_matrix
+from skincal.guide.guidance import PRESSING, Target
 from skincal.mesh.surface import Surface, entry_points, skin_point
 
 if TYPE_CHECKING:
@@ -63,8 +62,7 @@ class Eye:
 
     def same(self, other: Eye) -> bool:
         """Return whether a picture drawn for one is right for the other: a hundredth of a radian is not seen."""
-        off = np.abs(np.concatenate([self.right - other.right, self.up - other.up]))
-        return bool(off.max() < 0.01)
+        return bool(np.abs([self.right - other.right, self.up - other.up]).max() < 0.01)
 
 
 PLAIN = Eye(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
@@ -111,30 +109,22 @@ class Sight:
 
 def eye_of(camera: vtkCamera) -> Eye:
     """Return how a camera stands."""
-    back, up = -np.array(camera.GetDirectionOfProjection()), np.array(camera.GetViewUp())
-    right: FloatArray = np.cross(up, back)
-    right /= np.linalg.norm(right)
-    return Eye(right, np.cross(back, right))
+    right, up, _ = stand_of(camera).axes
+    return Eye(right, up)
 
 
 def sight_of(renderer: vtkRenderer) -> Sight:
     """Return from where a renderer's next picture is seen."""
-    camera, (width, height) = renderer.GetActiveCamera(), renderer.GetSize()
-    scale = height / (2 * camera.GetDistance() * np.tan(np.radians(camera.GetViewAngle() / 2)))
-    towards = -np.array(camera.GetDirectionOfProjection())
-    return Sight(eye_of(camera), np.array(camera.GetPosition()), towards, (width, height), float(scale))
+    camera, size = renderer.GetActiveCamera(), renderer.GetSize()
+    scale = size[1] / (2 * camera.GetDistance() * np.tan(np.radians(camera.GetViewAngle() / 2)))
+    right, up, towards = stand_of(camera).axes
+    return Sight(Eye(right, up), np.array(camera.GetPosition()), towards, size, float(scale))
 
 
 def project(renderer: vtkRenderer, points: FloatArray) -> FloatArray:
-    """Return where points appear.
+    """Return where (n, 3) points, metres, appear, (n, 3) float.
 
-    Parameters
-    ----------
-    points : (n, 3) float, metres
-
-    Returns
-    -------
-    (n, 3) float: x and y in pixels from the lower left, depth from -1 (near) to 1; outside of that, not in the picture
+    x and y are pixels from the lower left; depth is from -1 (near) to 1 in the picture.
     """
     camera = renderer.GetActiveCamera()
     matrix = camera.GetCompositeProjectionTransformMatrix(renderer.GetTiledAspectRatio(), -1, 1)
@@ -146,18 +136,12 @@ def project(renderer: vtkRenderer, points: FloatArray) -> FloatArray:
 
 
 def ray(renderer: vtkRenderer, x: float, y: float) -> tuple[FloatArray, FloatArray]:
-    """Return the line of sight through a place of the picture: the camera's place, (3,) metres, and (3,) unit, away from it.
-
-    Parameters
-    ----------
-    x, y : pixels from the lower left
-    """
+    """Return the line of sight through a pixel, from the lower left: the camera's place and a unit vector away from it."""
     camera = renderer.GetActiveCamera()
     width, height = renderer.GetSize()
-    eye, ahead = eye_of(camera), np.array(camera.GetDirectionOfProjection())
+    right, up, back = stand_of(camera).axes
     half = np.tan(np.radians(camera.GetViewAngle() / 2))
-    aside = half * ((2 * x - width) / height * eye.right + (2 * y / height - 1) * eye.up)
-    direction = ahead + aside
+    direction = half * ((2 * x - width) / height * right + (2 * y / height - 1) * up) - back
     return np.array(camera.GetPosition()), direction / np.linalg.norm(direction)
 
 
@@ -171,21 +155,18 @@ def fit(camera: vtkCamera, points: FloatArray, facing: FloatArray | None, aspect
     aspect : width over height of the picture
     least : metres, half the height of the picture at least
     """
-    centre, right, up, back = _frame(points, facing)
-    seen = (points - centre) @ np.stack([right, up, back], axis=1) if len(points) else np.zeros((1, 3))
+    centre, axes = _frame(points, facing)
+    seen = (points - centre) @ axes.T if len(points) else np.zeros((1, 3))
     slope = np.tan(np.radians(VIEW_ANGLE / 2))
     distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * MARGIN / slope + seen[:, 2]
     camera.SetViewAngle(VIEW_ANGLE)
-    camera.SetFocalPoint(*centre)
-    camera.SetPosition(*(centre + back * max(float(distances.max()), least / slope)))
-    camera.SetViewUp(*up)
+    place(camera, Stand(axes, centre, max(float(distances.max()), least / slope)))
 
 
-def _frame(points: FloatArray, facing: FloatArray | None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the middle of the points and the camera's right, up and back, unit."""
+def _frame(points: FloatArray, facing: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return the middle of the points, and the camera's right, up and back as rows, unit."""
     if len(points) < 3:
-        centre = points.mean(axis=0) if len(points) else np.zeros(3)
-        return centre, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0])
+        return points.mean(axis=0) if len(points) else np.zeros(3), np.eye(3)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     variances, principal = np.linalg.eigh(np.cov(points.T))
     back = principal[:, 0] if facing is None else facing
@@ -194,8 +175,7 @@ def _frame(points: FloatArray, facing: FloatArray | None) -> tuple[FloatArray, F
     level = _level(variances, principal, back)
     right: FloatArray = level - float(level @ back) * back
     right /= np.linalg.norm(right)
-    up: FloatArray = np.cross(back, right)
-    return centre, right, up, back
+    return centre, np.stack([right, np.cross(back, right), back])
 
 
 def _level(variances: FloatArray, principal: FloatArray, back: FloatArray) -> FloatArray:
@@ -207,12 +187,7 @@ def _level(variances: FloatArray, principal: FloatArray, back: FloatArray) -> Fl
 
 
 def level_of(points: FloatArray) -> FloatArray | None:
-    """Return (3,) float, unit: the long axis of a long part, which `fit` lays level; None for any other part.
-
-    Parameters
-    ----------
-    points : (n, 3) float, metres
-    """
+    """Return (3,) float, unit: the long axis of a long part, (n, 3) float, which `fit` lays level; None for any other part."""
     if len(points) < 3:
         return None
     variances, principal = np.linalg.eigh(np.cov(points.T))
@@ -228,19 +203,15 @@ def orbit(camera: vtkCamera, right: float, up: float) -> None:
 
 def shift(camera: vtkCamera, right: float, up: float) -> None:
     """Move the camera sideways; in heights of the picture."""
-    back = np.array(camera.GetDirectionOfProjection()) * -1.0
-    upward = np.array(camera.GetViewUp())
-    height = 2 * camera.GetDistance() * np.tan(np.radians(camera.GetViewAngle() / 2))
-    step = -height * (right * np.cross(upward, back) + up * upward)
-    camera.SetPosition(*(np.array(camera.GetPosition()) + step))
-    camera.SetFocalPoint(*(np.array(camera.GetFocalPoint()) + step))
+    stand = stand_of(camera)
+    height = 2 * stand.distance * np.tan(np.radians(camera.GetViewAngle() / 2))
+    place(camera, replace(stand, focus=stand.focus - height * (right * stand.axes[0] + up * stand.axes[1])))
 
 
 def approach(camera: vtkCamera, factor: float) -> None:
     """Bring the camera `factor` times nearer to what it looks at."""
-    distance = float(np.clip(camera.GetDistance() / factor, NEAREST, FARTHEST))
-    focus, back = np.array(camera.GetFocalPoint()), -np.array(camera.GetDirectionOfProjection())
-    camera.SetPosition(*(focus + distance * back))
+    stand = stand_of(camera)
+    place(camera, replace(stand, distance=float(np.clip(stand.distance / factor, NEAREST, FARTHEST))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,9 +232,10 @@ class Stand:
 
 def stand_of(camera: vtkCamera) -> Stand:
     """Return where a camera stands."""
-    eye = eye_of(camera)
-    axes = np.stack([eye.right, eye.up, -np.array(camera.GetDirectionOfProjection())])
-    return Stand(axes, np.array(camera.GetFocalPoint()), camera.GetDistance())
+    back = -np.array(camera.GetDirectionOfProjection())
+    right: FloatArray = np.cross(camera.GetViewUp(), back)
+    right /= np.linalg.norm(right)
+    return Stand(np.stack([right, np.cross(back, right), back]), np.array(camera.GetFocalPoint()), camera.GetDistance())
 
 
 def place(camera: vtkCamera, stand: Stand) -> None:
@@ -276,10 +248,7 @@ def place(camera: vtkCamera, stand: Stand) -> None:
 def well_seen(stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, surface: Surface | None) -> bool:
     """Return whether a place on the skin is in the picture, turned to the camera, and not behind the part.
 
-    Parameters
-    ----------
-    at, normal : (3,) float, metres and unit
-    aspect : width over height of the picture
+    `at` and `normal` are (3,) float, metres and unit; `aspect` is width over height of the picture.
     """
     towards = stand.position - at
     reach = float(np.linalg.norm(towards))
@@ -294,13 +263,9 @@ def well_seen(stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, s
 
 
 def turned_to(stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, level: FloatArray | None) -> Stand:
-    """Return the nearest stand, at the same distance, from which a place on the skin is well seen.
+    """Return the nearest stand, at the same distance, from which a place on the skin is well seen; see `well_seen`.
 
-    Parameters
-    ----------
-    at, normal : (3,) float, metres and unit
-    aspect : width over height of the picture
-    level : (3,) float, unit: what lies level in the picture; None where nothing does
+    `level` is (3,) float, unit: what lies level in the picture; None where nothing does.
     """
     axes = stand.axes
     slant = float(np.arccos(np.clip(normal @ axes[2], -1.0, 1.0)))
@@ -331,8 +296,7 @@ def _between(start: FloatArray, end: FloatArray, share: float, spare: FloatArray
     if float(np.linalg.norm(axis)) < 1e-9:
         axis = spare
     axis = axis / np.linalg.norm(axis)
-    angle = share * float(np.arccos(np.clip(start @ end, -1.0, 1.0)))
-    return np.asarray(np.cos(angle) * start + np.sin(angle) * np.cross(axis, start), dtype=np.float64)
+    return _rotation(axis, share * float(np.arccos(np.clip(start @ end, -1.0, 1.0)))) @ start
 
 
 def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> FloatArray:
@@ -372,19 +336,13 @@ def _turn(rotation: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _rotation(axis: FloatArray, angle: float) -> FloatArray:
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """Return the rotation by `angle`, rad, about `axis`, (3,) float, unit."""
+    cross = cross_matrix(axis)
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross, dtype=np.float64)
 
 
 class Turner:
-    """Turns one camera.
-
-    Parameters
-    ----------
-    surface : None where the scene has none
-    level : (3,) float, unit: what lies level in the picture; None where nothing does
-    """
+    """Turns one camera; `level`, (3,) float, unit, lies level in the picture, where there is one."""
 
     def __init__(self, surface: Surface | None, level: FloatArray | None) -> None:
         self.wanted = True
@@ -402,12 +360,7 @@ class Turner:
         self._touched_s, self._way = now_s, None
 
     def step(self, camera: vtkCamera, aspect: float, state: View3DState, now_s: float) -> bool:
-        """Go on with a turn, or begin one that is due; return whether the camera moved.
-
-        Parameters
-        ----------
-        aspect : width over height of the picture
-        """
+        """Go on with a turn, or begin one that is due; return whether the camera moved; `aspect` is as in `well_seen`."""
         target = state.target if self.wanted else None
         if not _same(target, self._target):
             self._due, self._way = target is not None, None

@@ -13,15 +13,14 @@ from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent, QResizeEvent
+from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
 from PySide6.QtWidgets import QWidget
-
-from app.scene3d.scene_state import Look, StaticScene, View3DState
 
 if TYPE_CHECKING:
     from pyvistaqt import QtInteractor
 
     from app.scene3d.offscreen import HiddenWindow
+    from app.scene3d.scene_state import Look, StaticScene, View3DState
     from app.scene3d.stage import Stage
 
     AnyCanvas: TypeAlias = "QtInteractor | RasterCanvas"
@@ -95,11 +94,6 @@ class RasterCanvas(QWidget):
         painter.drawImage(0, 0, self._image)
         painter.end()
 
-    def resizeEvent(self, event: QResizeEvent) -> None:
-        """Have the next picture drawn in the new size."""
-        self._stale = True
-        super().resizeEvent(event)
-
     def _refresh(self) -> None:
         density = self.devicePixelRatioF()
         size = max(1, round(self.width() * density)), max(1, round(self.height() * density))
@@ -132,12 +126,7 @@ class Loaded:
 
 
 def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int], state: View3DState | None) -> Loaded:
-    """Import what the canvas needs and make what needs no widget.
-
-    Parameters
-    ----------
-    size : pixels of the picture to come
-    state : what to show first, if known
+    """Import what the canvas needs and make what needs no widget, for a first picture of so many pixels.
 
     Raises
     ------

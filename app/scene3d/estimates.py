@@ -15,11 +15,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.scene3d.camera import Sight
-from app.scene3d.scene_state import DARK, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
-from app.scene3d.shapes import Balls, Dots, Layer, Segments, crosses, rings
+from app.scene3d.scene_state import ColourArray, Comparison, Look, StaticScene, Tint, View3DState
+from app.scene3d.shapes import Balls, Dots, Layer, Segments, crosses, heads, rings
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
@@ -48,7 +47,8 @@ LARGEST = 0.15
 DISC_LIFT = 6e-4
 """m. Discs float this far above the part."""
 
-OTHER = {Method.FREE: Method.SURFACE, Method.SURFACE: Method.FREE, Method.MODULES: Method.SURFACE}
+BESIDE = (Method.SURFACE, Method.FREE, Method.MODULES)
+"""Lines lead to the first of these that there is beside the method that is shown; without a mesh there is no surface method."""
 
 
 class EstimatesLayer(Layer):
@@ -56,13 +56,14 @@ class EstimatesLayer(Layer):
 
     name = "estimates"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.static = static
         self.balls = Balls(pixels=12.0)
         self.marks = Segments(pixels=2.0)
-        self.differences = Segments(pixels=1.5) if static.surface is not None else None
-        self.alternative: Segments | None = None
-        """Where else the selected taxel may lie; made when a taxel is selected that may."""
+        self.differences = Segments(pixels=1.5)
+        self.alternative = Segments(pixels=1.5)
+        """Where else the selected taxel may lie."""
         self.shown: IntArray = np.empty(0, dtype=np.int64)
         """(k,) channels that have a ball, in the order of `places`."""
         self.places: FloatArray = np.empty((0, 3))
@@ -70,14 +71,9 @@ class EstimatesLayer(Layer):
         """(k,) whether each is drawn: not on the far side of the part."""
         self._hues: ColourArray = np.empty((0, 3), dtype=np.uint8)
         self._normals: FloatArray = np.empty((0, 3))
-        self._renderer = renderer
-        self._ink: ColourArray = np.zeros(3, dtype=np.uint8)
-        self._faint: ColourArray = np.zeros(3, dtype=np.uint8)
+        self._ink = self._faint = np.zeros(3, dtype=np.uint8)
         self._key: object = None
         self._compared = False
-        for shape in (self.balls, self.marks, self.differences):
-            if shape is not None:
-                renderer.AddActor(shape.actor)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
@@ -121,54 +117,37 @@ class EstimatesLayer(Layer):
         """Draw a line from the selected taxel to its rival, or along which a blind one lies."""
         row = self.static.row.get(-1 if state.selected is None else state.selected, len(estimates))
         ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else np.empty((0, 2, 3))
-        if self.alternative is None and len(ends):
-            self.alternative = Segments(pixels=1.5)
-            self._renderer.AddActor(self.alternative.actor)
-        if self.alternative is not None:
-            self.alternative.join(ends, self._ink)
+        self.alternative.join(ends, self._ink)
 
     def _show_marks(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
-        row = self.static.row
-        parts = [
-            self._rings(estimates, [row[int(c)] for c in state.snapshot.touched if int(c) in row], RING),
-            self._blind([r for r, e in enumerate(estimates) if e.state is State.BLIND]),
-            self._dead([r for r, e in enumerate(estimates) if e.state is State.DEAD]),
-        ]
-        if state.selected in row:
-            parts += [self._rings(estimates, [row[state.selected]], RING * k) for k in (1.0, 1.5)]
-        self.marks.join(np.concatenate([ends for ends, _ in parts]), np.concatenate([colours for _, colours in parts]))
+        row, hues = self.static.row, self.static.hues
+        touched = [row[channel] for channel in state.snapshot.touched.tolist() if channel in row]
+        selected = [row[state.selected]] if state.selected in row else []
+        blind, dead = ([at for at, e in enumerate(estimates) if e.state is kind] for kind in (State.BLIND, State.DEAD))
+        around = [(touched, RING), (selected, RING), (selected, 1.5 * RING)]
+        drawn = [(rings(*self._places(rows, estimates), radius), self._ink) for rows, radius in around]
+        drawn.insert(1, (rings(*self._places(blind), MARK, sides=12), hues[blind][:, None]))
+        drawn.insert(2, (crosses(*self._places(dead), MARK), self._ink))
+        strokes = [lines.reshape(-1, 2, 3) for lines, _ in drawn]
+        colours = [np.broadcast_to(colour, (*lines.shape[:2], 3)).reshape(-1, 3) for lines, colour in drawn]
+        known = np.isfinite((ends := np.concatenate(strokes))[:, 0, 0])
+        self.marks.join(ends[known], np.concatenate(colours)[known])
 
-    def _rings(self, estimates: Sequence[Estimate], rows: list[int], radius: float) -> tuple[FloatArray, ColourArray]:
-        """Rings around balls, or around the planned place of a taxel that has none."""
-        centres, normals = self._planned(rows)
+    def _places(self, rows: list[int], estimates: Sequence[Estimate] = ()) -> tuple[FloatArray, FloatArray]:
+        """Return the places of taxels, metres, NaN where unknown, and their normals: by `estimates`, else as planned."""
+        normals = self.static.normals[rows]
+        centres = self.static.places[rows] + LIFT * normals
         for at, row in enumerate(rows):
             estimate = estimates[row] if row < len(estimates) else None
             if estimate is not None and estimate.position is not None:
                 centres[at] = estimate.position
                 normals[at] = normals[at] if estimate.normal is None else estimate.normal
-        ends = rings(centres, normals, radius)[np.isfinite(centres[:, 0])].reshape(-1, 2, 3)
-        return ends, np.tile(self._ink, (len(ends), 1))
-
-    def _blind(self, rows: list[int]) -> tuple[FloatArray, ColourArray]:
-        centres, normals = self._planned(rows)
-        known = np.isfinite(centres[:, 0])
-        circles = rings(centres[known], normals[known], MARK, sides=12)
-        return circles.reshape(-1, 2, 3), np.repeat(self.static.hues[rows][known], circles.shape[1], axis=0)
-
-    def _dead(self, rows: list[int]) -> tuple[FloatArray, ColourArray]:
-        centres, normals = self._planned(rows)
-        known = np.isfinite(centres[:, 0])
-        strokes = crosses(centres[known], normals[known], MARK).reshape(-1, 2, 3)
-        return strokes, np.tile(self._ink, (len(strokes), 1))
-
-    def _planned(self, rows: list[int]) -> tuple[FloatArray, FloatArray]:
-        normals = self.static.normals[rows]
-        return self.static.places[rows] + LIFT * normals, normals.copy()
+        return centres, normals
 
     def _show_differences(self, state: View3DState, rows: list[int]) -> None:
-        if self.differences is None:
-            return
-        others = state.snapshot.estimates.get(OTHER[state.method], ()) if state.difference else ()
+        found = state.snapshot.estimates
+        beside = next((method for method in BESIDE if method is not state.method and method in found), None)
+        others = found[beside] if beside is not None and state.difference else ()
         paired = [i for i, row in enumerate(rows) if row < len(others) and others[row].position is not None]
         there = _positions([others[rows[i]] for i in paired])
         self.differences.join(np.stack([self.places[paired], there], axis=1), self._faint)
@@ -177,9 +156,7 @@ class EstimatesLayer(Layer):
 def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
     """Return the segments that show where else a taxel may lie, (n, 2, 3) float, metres; none where nowhere.
 
-    Parameters
-    ----------
-    planned : (3,) float, its place by the layout; NaN where unknown
+    `planned` is its place by the layout, (3,) float, NaN where unknown.
     """
     if estimate.rival is not None and estimate.position is not None:
         there = estimate.rival.position[None]
@@ -196,16 +173,8 @@ def _positions(estimates: list[Estimate]) -> FloatArray:
     return np.array([e.position for e in estimates], dtype=float).reshape(-1, 3)
 
 
-def _unit_circles(sides: int = 48) -> FloatArray:
-    """Return circles about the three axes as segments, (3, sides, 2, 3) float; the last lies across the third axis."""
-    turn = np.arange(sides + 1) * (2 * np.pi / sides)
-    zero = np.zeros_like(turn)
-    c, s = np.cos(turn), np.sin(turn)
-    lines = np.array([np.stack([zero, c, s], axis=1), np.stack([c, zero, s], axis=1), np.stack([c, s, zero], axis=1)])
-    return np.stack([lines[:, :-1], lines[:, 1:]], axis=2).astype(np.float64)
-
-
-CIRCLES = _unit_circles()
+CIRCLES = rings(np.zeros((3, 3)), np.eye(3), 1.0, sides=48)
+"""(3, 48, 2, 3) float: unit circles across the three axes, as segments."""
 
 
 class UncertaintyLayer(Layer):
@@ -218,11 +187,11 @@ class UncertaintyLayer(Layer):
 
     name = "uncertainty"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.static = static
         self.lines = Segments(pixels=1.5)
         self._key: object = None
-        renderer.AddActor(self.lines.actor)
 
     def show(self, state: View3DState) -> bool:
         """Show the regions of a moment; return whether anything changed."""
@@ -230,14 +199,10 @@ class UncertaintyLayer(Layer):
         if key == self._key:
             return False
         self._key = key
-        rows = self.rows(state)
-        estimates = state.estimates()
-        parts = [region(estimates[row]).reshape(-1, 2, 3) for row in rows]
-        hues: list[ColourArray] = [
-            np.repeat(self.static.hues[[row]], len(p), axis=0) for row, p in zip(rows, parts, strict=True)
-        ]
-        # The empty heads keep the shapes where no region is drawn.
-        self.lines.join(np.concatenate([np.empty((0, 2, 3)), *parts]), np.concatenate([self.static.hues[:0], *hues]))
+        rows, estimates = self.rows(state), state.estimates()
+        # The empty head keeps the shape where no region is drawn.
+        parts = [np.empty((0, 2, 3)), *(region(estimates[row]).reshape(-1, 2, 3) for row in rows)]
+        self.lines.join(np.concatenate(parts), np.repeat(self.static.hues[rows], [len(part) for part in parts[1:]], axis=0))
         return True
 
     def rows(self, state: View3DState) -> list[int]:
@@ -249,16 +214,7 @@ class UncertaintyLayer(Layer):
 
 
 def region(estimate: Estimate) -> FloatArray:
-    """Return the outline of an estimate's 95 % region as segments.
-
-    Parameters
-    ----------
-    estimate : without a position or a covariance it has no region
-
-    Returns
-    -------
-    (circles, sides, 2, 3) float, metres, link frame
-    """
+    """Return the outline of an estimate's 95 % region as segments, (circles, sides, 2, 3) float, metres, link frame."""
     if estimate.position is None or estimate.covariance is None:
         return np.empty((0, 1, 2, 3))
     variances, axes = np.linalg.eigh(estimate.covariance)
@@ -277,12 +233,6 @@ DOT_PIXELS = (4.0, 9.0)
 """Smallest and largest dot on the screen."""
 HEAD = 2.4e-3
 """m. Length of each of the two strokes of an arrow's head at most."""
-HEAD_SHARE = 0.4
-"""Of an arrow's length at most, so that a short arrow is not all head."""
-SPREAD = float(np.radians(28.0))
-"""rad. Angle of these strokes with the arrow."""
-ALONG = 1e-6
-"""Sine. An arrow that the camera looks along has no head: it is a dot."""
 
 
 class CompareLayer(Layer):
@@ -290,84 +240,42 @@ class CompareLayer(Layer):
 
     name = "compare"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
-        self.dots = Dots(pixels=DOT_PIXELS[1])
+    def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.arrows = Segments(pixels=2.0)
-        self.dots.actor.GetProperty().SetRenderPointsAsSpheres(True)
-        self._look = DARK
+        self.dots = Dots(pixels=DOT_PIXELS[1], render_points_as_spheres=True)
         self._shown: Comparison | None = None
-        self._sight: Sight | None = None
         self._part = static.extent
         self._normals = static.skin_normals
-        for shape in (self.arrows, self.dots):
-            renderer.AddActor(shape.actor)
-
-    def set_colours(self, look: Look) -> None:
-        """Take the colours of a theme."""
-        self._look = look
-        if self._shown is not None:
-            self._draw(self._shown)
 
     def show(self, state: View3DState) -> bool:
         """Show what is compared in a moment; return whether anything changed."""
         if state.comparison is self._shown:
             return False
         self._shown = state.comparison
-        if self._shown is not None:
-            self._draw(self._shown)
-        else:
+        if self._shown is None:
             self.dots.clear()
             self.arrows.clear()
+        self.draw()
         return True
 
-    def fit_to(self, sight: Sight) -> None:
+    def draw(self) -> None:
         """Keep the dots' size on the part, all before it, and the arrows' heads flat to the camera; leave out the far side."""
-        if self._shown is None or sight.same(self._sight):
+        shown, sight = self._shown, self.sight
+        if shown is None or sight is None:
             return
-        self._sight = sight
         self.dots.actor.GetProperty().SetPointSize(float(np.clip(DOT * sight.scale, *DOT_PIXELS)))
-        self._draw(self._shown)
-
-    def _draw(self, shown: Comparison) -> None:
-        sight = self._sight
-        if sight is None:
-            return
         near = ~(self._normals @ sight.towards < FAR_SIDE)
         dots = [_known(cloud.places, near) for cloud in shown.clouds]
         tints = [np.tile(self._colour(cloud.tint), (len(places), 1)) for cloud, places in zip(shown.clouds, dots, strict=True)]
         self.dots.set(sight.bring_before(np.concatenate(dots), self._part), np.concatenate(tints))
         shafts = _known(shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
-        strokes = np.concatenate([shafts, heads(shafts, sight.towards)])
+        strokes = np.concatenate([shafts, heads(shafts, sight.towards, HEAD)])
         self.arrows.join(sight.bring_before(strokes, self._part), self._colour(Tint.TO))
 
     def _colour(self, tint: Tint) -> ColourArray:
-        return np.array(self._look.tints[tint], np.uint8)
+        return np.array(self.look.tints[tint], np.uint8)
 
 
 def _known(rows: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
     return rows[near & np.isfinite(rows).all(axis=1)]
-
-
-def heads(shafts: FloatArray, towards: FloatArray) -> FloatArray:
-    """Return the strokes of the heads of arrows, flat to the camera.
-
-    Parameters
-    ----------
-    shafts : (n, 2, 3) float, metres, each from its tail to its tip
-    towards : (3,) float, to the camera
-
-    Returns
-    -------
-    (k, 2, 3) float, metres, two strokes an arrow; none of one that the camera looks along
-    """
-    ways = shafts[:, 1] - shafts[:, 0]
-    lengths = np.sqrt(np.sum(ways * ways, axis=1))
-    sides = np.cross(ways, towards)
-    widths = np.sqrt(np.sum(sides * sides, axis=1))
-    seen = widths > ALONG * lengths
-    along = ways[seen] / lengths[seen, None]
-    across = sides[seen] / widths[seen, None]
-    size = np.minimum(HEAD, HEAD_SHARE * lengths[seen])[:, None]
-    tips = shafts[seen, 1]
-    ends = [tips + size * (hand * np.sin(SPREAD) * across - np.cos(SPREAD) * along) for hand in (1.0, -1.0)]
-    return np.concatenate([np.stack([end, tips], axis=1) for end in ends])

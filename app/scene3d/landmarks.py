@@ -8,10 +8,9 @@ from __future__ import annotations
 from bisect import bisect_left
 
 import numpy as np
-from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
 
-from app.scene3d.camera import Sight, project
+from app.scene3d.camera import project
 from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState, unit
 from app.scene3d.shapes import Layer, Segments, closed, tangents, written
 from skincal.geometry import FloatArray
@@ -43,6 +42,7 @@ class LandmarksLayer(Layer):
     name = "landmarks"
 
     def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+        super().__init__()
         self.marks = Segments(pixels=2.0)
         self.names: list[vtkTextActor] = []
         """Made when they are first needed; the first `named` belong to the landmarks, the others are hidden."""
@@ -54,35 +54,7 @@ class LandmarksLayer(Layer):
         self._landmarks: tuple[Landmark, ...] = ()
         self._poked: frozenset[str] = frozenset()
         self._normals: FloatArray = np.empty((0, 3))
-        self._near: NDArray[np.bool_] = np.empty(0, dtype=bool)
-        """(n,) whether each is drawn: not on the far side of the part."""
         self._generation = -1
-        self._scale = 1.0
-        """How many times larger than its own size each is drawn."""
-        self._look: Look | None = None
-        self._sight: Sight | None = None
-        renderer.AddActor(self.marks.actor)
-
-    def set_colours(self, look: Look) -> None:
-        """Take the colours of a theme."""
-        self._look = look
-        self._draw()
-        self._colour_names()
-
-    def fit_to(self, sight: Sight) -> None:
-        """Keep the diamonds large enough to be found when the camera goes away, and leave out those on the part's far side."""
-        if not self._landmarks:
-            return
-        scale = max(1.0, LEAST_PIXELS / (DIAMOND * sight.scale))
-        near = self._normals @ sight.towards >= FAR_SIDE
-        if not (sight.same(self._sight) and np.array_equal(near, self._near)):
-            self._sight, self._scale, self._near = sight, scale, near
-            self._draw()
-        at = project(self._renderer, self.places)
-        beside = GAP + BESIDE * scale * DIAMOND * sight.scale
-        for actor, seen, (x, y, depth) in zip(self.names[: self.named], near.tolist(), at.tolist(), strict=False):
-            actor.SetVisibility(seen and abs(depth) <= 1.0)
-            actor.SetPosition(x + beside, y)
 
     def show(self, state: View3DState) -> bool:
         """Show a session's landmarks; return whether anything changed."""
@@ -98,25 +70,34 @@ class LandmarksLayer(Layer):
             self._landmarks = snapshot.landmarks
             self.places = np.array([landmark.place for landmark in self._landmarks]).reshape(-1, 3)
             self._normals = normals_of(self._landmarks, self._surface)
-            self._near = np.ones(len(self._landmarks), dtype=bool)
             self._put_names()
-        self._draw()
-        self._colour_names()
+            self.marks.clear()
+        self.draw()
         return True
 
-    def _draw(self) -> None:
-        if self._look is None:
+    def draw(self) -> None:
+        """Keep the diamonds large enough to be found when the camera goes away, and leave out those on the part's far side."""
+        sight = self.sight
+        if sight is None or not self._landmarks:
             return
-        near = self._near
+        # How many times larger than its own size each is drawn.
+        scale = max(1.0, LEAST_PIXELS / (DIAMOND * sight.scale))
+        near = self._normals @ sight.towards >= FAR_SIDE
         fresh = np.array([landmark.name not in self._poked for landmark in self._landmarks], dtype=bool)[near]
-        diamonds, crosses = strokes(self.places[near], self._normals[near], self._scale * DIAMOND)
-        ink, pale = np.array(self._look.ink, np.uint8), _pale(self._look)
+        diamonds, crosses = strokes(self.places[near], self._normals[near], scale * DIAMOND)
+        ink, pale = np.array(self.look.ink, np.uint8), _pale(self.look)
         sides = np.where(fresh[:, None, None], ink, pale).repeat(4, axis=1)
         inner = np.tile(ink, (2 * int(fresh.sum()), 1))
         ends = np.concatenate([diamonds.reshape(-1, 2, 3), crosses[fresh].reshape(-1, 2, 3)])
-        if self._sight is not None:
-            ends = self._sight.lift(ends, LIFT * self._scale)
-        self.marks.join(ends, np.concatenate([sides.reshape(-1, 3), inner]).astype(np.uint8))
+        self.marks.join(sight.lift(ends, LIFT * scale), np.concatenate([sides.reshape(-1, 3), inner]).astype(np.uint8))
+        at = project(self._renderer, self.places)
+        beside = GAP + BESIDE * scale * DIAMOND * sight.scale
+        for row, actor in enumerate(self.names[: self.named]):
+            x, y, depth = at[row]
+            actor.SetVisibility(bool(near[row] and abs(depth) <= 1.0))
+            actor.SetPosition(x + beside, y)
+            poked = self._landmarks[row].name in self._poked
+            actor.GetTextProperty().SetColor(*unit(pale if poked else self.look.ink))
 
     def _put_names(self) -> None:
         """Write the names beside the diamonds, where there are few."""
@@ -129,13 +110,6 @@ class LandmarksLayer(Layer):
             actor.VisibilityOff()
         for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):
             actor.SetInput(landmark.name)
-
-    def _colour_names(self) -> None:
-        if self._look is None:
-            return
-        for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):
-            colour = _pale(self._look) if landmark.name in self._poked else self._look.ink
-            actor.GetTextProperty().SetColor(*unit(colour))
 
 
 def poked_here(snapshot: Snapshot) -> frozenset[str]:
@@ -159,21 +133,13 @@ def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> Floa
 
 
 def strokes(places: FloatArray, normals: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Return diamonds about `places` across `normals`, and the crosses that join their corners.
+    """Return diamonds about `places`, (n, 3), across `normals`, (n, 3) unit, and the crosses that join their corners.
 
-    Parameters
-    ----------
-    places, normals : (n, 3) float, metres and unit
-    radius : metres, from the middle to the corners
-
-    Returns
-    -------
-    (n, 4, 2, 3) float, the sides; (n, 2, 2, 3) float, the cross
+    All in metres: (n, 4, 2, 3) the sides, (n, 2, 2, 3) the crosses; `radius` is from the middle to the corners.
     """
     first, second = tangents(normals)
     corners = places[:, None] + radius * np.stack([first, second, -first, -second], axis=1)
-    sides = np.array([closed(each) for each in corners]).reshape(-1, 4, 2, 3)
-    return sides, np.stack([corners[:, ::2], corners[:, 1::2]], axis=1)
+    return closed(corners), np.stack([corners[:, ::2], corners[:, 1::2]], axis=1)
 
 
 def _pale(look: Look) -> ColourArray:

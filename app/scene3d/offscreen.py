@@ -1,21 +1,21 @@
 """Pictures without a window: what can draw them here, and a session's picture for the headless commands. Imports no Qt.
 
-On Linux an off-screen picture needs EGL with a driver that starts, or OSMesa. Both are asked through `ctypes`, and nothing is
-left open, before VTK makes its first window: it ends the process where it cannot draw. Windows and macOS bring what is needed.
+On Linux an off-screen picture needs EGL with a driver that starts, or OSMesa. Both are looked for before VTK makes its first
+window: it ends the process where it cannot draw. Windows and macOS bring what is needed.
 """
 
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkCommonCore import vtkLogger, vtkUnsignedCharArray
 from vtkmodules.vtkIOImage import vtkPNGWriter
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 
@@ -30,9 +30,6 @@ from skincal.taxels.result import Method
 
 NO_SAMPLES = 0
 """Software OpenGL pays for every sample of every pixel: four of them make a picture take 2.5 times as long."""
-EGL_DEVICE = 0x313F
-"""EGL_PLATFORM_DEVICE_EXT, of the extension EGL_EXT_platform_device: a display without a window system."""
-MOST_DEVICES = 16
 OSMESA_NAMES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 """VTK's own switch: the class that it makes for a window it is not given."""
@@ -56,46 +53,29 @@ def choose_offscreen() -> None:
         return
     if egl_starts():
         os.environ[VARIABLE] = "vtkEGLRenderWindow"
-    elif _load(*OSMESA_NAMES) is not None:
+    elif _has_osmesa():
         os.environ[VARIABLE] = "vtkOSOpenGLRenderWindow"
     else:
         raise InputError(MISSING)
 
 
 def egl_starts() -> bool:
-    """Return whether one of EGL's devices starts with a driver; the library alone does not say so."""
-    library = _load("libEGL.so.1")
-    if library is None:
-        return False
-    library.eglGetProcAddress.restype = ctypes.c_void_p
-    query_at = library.eglGetProcAddress(b"eglQueryDevicesEXT")
-    display_at = library.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
-    if not query_at or not display_at:
-        return False
-    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query_at)
-    display_of = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(display_at)
-    devices, count = (ctypes.c_void_p * MOST_DEVICES)(), ctypes.c_int(0)
-    if not query(MOST_DEVICES, ctypes.addressof(devices), ctypes.addressof(count)):
-        return False
-    return any(_starts(library, display_of(EGL_DEVICE, devices[at], None)) for at in range(count.value))
+    """Return whether VTK can draw by EGL; the library alone does not say so."""
+    from vtkmodules.vtkRenderingOpenGL2 import vtkEGLRenderWindow
+
+    # Where EGL has no driver VTK says so in its own words, too.
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    starts = bool(vtkEGLRenderWindow().SupportsOpenGL())
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_INFO)
+    return starts
 
 
-def _starts(library: ctypes.CDLL, display: int | None) -> bool:
-    library.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-    library.eglTerminate.argtypes = [ctypes.c_void_p]
-    if not display or not library.eglInitialize(display, None, None):
-        return False
-    library.eglTerminate(display)
-    return True
-
-
-def _load(*names: str) -> ctypes.CDLL | None:
-    for name in names:
-        try:
-            return ctypes.CDLL(name)
-        except OSError:
-            continue
-    return None
+def _has_osmesa() -> bool:
+    for name in OSMESA_NAMES:
+        with suppress(OSError):
+            ctypes.CDLL(name)
+            return True
+    return False
 
 
 class HiddenWindow:
@@ -107,11 +87,7 @@ class HiddenWindow:
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.renderer = vtkRenderer()
-        self._window = vtkRenderWindow()
-        self._window.SetMultiSamples(NO_SAMPLES)
-        self._window.SetShowWindow(False)
-        self._window.SetOffScreenRendering(True)
-        self._window.SetSize(*size)
+        self._window = vtkRenderWindow(multi_samples=NO_SAMPLES, show_window=False, off_screen_rendering=True, size=size)
         self._window.AddRenderer(self.renderer)
         self._pixels = vtkUnsignedCharArray()
 
@@ -130,13 +106,8 @@ class HiddenWindow:
     def png(self) -> bytes:
         """Return a new picture as the content of a PNG file."""
         self._window.Render()
-        grabber = vtkWindowToImageFilter()
-        grabber.SetInput(self._window)
-        grabber.ShouldRerenderOff()
-        grabber.ReadFrontBufferOff()
-        writer = vtkPNGWriter()
-        writer.SetInputConnection(grabber.GetOutputPort())
-        writer.WriteToMemoryOn()
+        grabber = vtkWindowToImageFilter(input=self._window, should_rerender=False, read_front_buffer=False)
+        writer = vtkPNGWriter(input_connection=grabber.GetOutputPort(), write_to_memory=True)
         writer.Write()
         return vtk_to_numpy(writer.GetResult()).tobytes()
 
@@ -159,11 +130,7 @@ def picture(
     path: Path,
     size: tuple[int, int] = (1280, 800),
 ) -> None:
-    """Draw what the window's 3D view shows of a session, as a PNG file.
-
-    Parameters
-    ----------
-    size : width and height, pixels
+    """Draw what the window's 3D view shows of a session, as a PNG file of so many pixels.
 
     Raises
     ------

@@ -9,11 +9,13 @@ The modules as planned: outlines in their hues, the taxels of the plan as faint 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkRenderer
+from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp, vtkProperty
 
 from app.scene3d.scene_state import HUES, ColourArray, Look, Shaded, StaticScene, unit
 from app.scene3d.shapes import Dots, Layer, Segments, cells, closed, written
@@ -34,17 +36,20 @@ class SurfaceLayer(Layer):
 
     name = "surface"
 
-    def __init__(self, renderer: vtkRenderer, shaded: Shaded) -> None:
-        mesh = _polydata(shaded)
-        self._normals = shaded.normals
+    def __init__(self, shaded: Shaded) -> None:
+        super().__init__()
+        points, self._normals, triangles = shaded
+        places = vtkPoints(data=numpy_to_vtk(points.astype(np.float32), deep=True))
+        mesh = vtkPolyData(points=places, polys=cells(triangles))
+        mesh.GetPointData().SetNormals(numpy_to_vtk(self._normals.astype(np.float32), deep=True))
         self._tinted = vtkPolyData()
         self._tinted.ShallowCopy(mesh)
-        self.inside = _side(self._tinted, hidden="front")
-        self.outside = _side(mesh, hidden="back")
-        self.inside.GetProperty().LightingOff()
-        self.outside.GetProperty().SetOpacity(FRONT_OPACITY)
-        for actor in (self.inside, self.outside):
-            renderer.AddActor(actor)
+        self.inside = _side(self._tinted, frontface_culling=True, lighting=False)
+        self.outside = _side(mesh, backface_culling=True, opacity=FRONT_OPACITY)
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return the inner side, which is drawn first, then the outer."""
+        return self.inside, self.outside
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
@@ -54,31 +59,11 @@ class SurfaceLayer(Layer):
         self._tinted.GetPointData().SetScalars(numpy_to_vtk(colours, deep=True))
 
 
-def _side(mesh: vtkPolyData, hidden: str) -> vtkActor:
-    mapper = vtkPolyDataMapper()
+def _side(mesh: vtkPolyData, **look: float) -> vtkActor:
+    mapper = vtkPolyDataMapper(static=True)
     mapper.SetInputData(mesh)
     mapper.SetColorModeToDirectScalars()
-    mapper.SetStatic(True)
-    actor = vtkActor()
-    actor.SetMapper(mapper)
-    look = actor.GetProperty()
-    look.SetBackfaceCulling(hidden == "back")
-    look.SetFrontfaceCulling(hidden == "front")
-    look.SetAmbient(0.25)
-    look.SetDiffuse(0.75)
-    look.SetSpecular(0.0)
-    return actor
-
-
-def _polydata(shaded: Shaded) -> vtkPolyData:
-    points, normals, triangles = shaded
-    mesh = vtkPolyData()
-    places = vtkPoints()
-    places.SetData(numpy_to_vtk(points.astype(np.float32), deep=True))
-    mesh.SetPoints(places)
-    mesh.SetPolys(cells(triangles))
-    mesh.GetPointData().SetNormals(numpy_to_vtk(normals.astype(np.float32), deep=True))
-    return mesh
+    return vtkActor(mapper=mapper, property=vtkProperty(ambient=0.25, diffuse=0.75, specular=0.0, **look))
 
 
 LIFT = 4e-4
@@ -98,7 +83,8 @@ class ModulesLayer(Layer):
 
     name = "modules"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene, layout: Layout, laid: LaidSkin) -> None:
+    def __init__(self, static: StaticScene, layout: Layout, laid: LaidSkin) -> None:
+        super().__init__()
         self.outlines = Segments(pixels=2.0)
         self.outlines.join(*_outline_segments(layout, laid))
         self.dots = Dots(pixels=3.0)
@@ -106,8 +92,10 @@ class ModulesLayer(Layer):
         self.places = (static.places + LIFT * static.normals)[self.known]
         self.hues = static.hues[self.known]
         self.numbers = _numbers(layout, laid) if len(layout.modules) <= MOST_NUMBERS else []
-        for actor in (self.outlines.actor, self.dots.actor, *self.numbers):
-            renderer.AddActor(actor)
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return outlines and dots, then the numbers before them."""
+        return *super().props(), *self.numbers
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""

@@ -1,4 +1,7 @@
-"""What all layers draw from: the part and the plan, which a session does not change; what to show of it; the colours.
+"""What all layers draw from.
+
+`StaticScene` is the part and its layout, which a session does not change; `View3DState` is what one picture shows of a moment;
+`Look` is the colours of a theme.
 
 Hue names the module, light and dark follow the window. Colours are (3,) uint8, red green blue.
 """
@@ -66,44 +69,32 @@ class Look:
     """Sets of places over each other; the methods as in the course of errors."""
 
 
-_DARK_TINTS = {
-    Tint.FROM: (245, 245, 245), Tint.TO: (255, 92, 170), Tint.LAYOUT: (245, 245, 245),
-    Tint.FREE: (86, 180, 233), Tint.SURFACE: (230, 159, 0), Tint.MODULES: (53, 197, 150),
-}  # fmt: skip
-_LIGHT_TINTS = {
-    Tint.FROM: (16, 18, 22), Tint.TO: (190, 0, 105), Tint.LAYOUT: (16, 18, 22),
-    Tint.FREE: (0, 114, 178), Tint.SURFACE: (213, 94, 0), Tint.MODULES: (0, 121, 90),
-}  # fmt: skip
 DARK = Look(
     background=(20, 23, 28),
     front=(176, 179, 184),
     back=(74, 77, 83),
     ink=(245, 245, 245),
     faint=(128, 132, 140),
-    tints=_DARK_TINTS,
-)
+    tints={
+        Tint.FROM: (245, 245, 245), Tint.TO: (255, 92, 170), Tint.LAYOUT: (245, 245, 245),
+        Tint.FREE: (86, 180, 233), Tint.SURFACE: (230, 159, 0), Tint.MODULES: (53, 197, 150),
+    },
+)  # fmt: skip
 LIGHT = Look(
     background=(238, 240, 243),
     front=(150, 153, 158),
     back=(214, 216, 220),
     ink=(16, 18, 22),
     faint=(120, 124, 130),
-    tints=_LIGHT_TINTS,
-)
+    tints={
+        Tint.FROM: (16, 18, 22), Tint.TO: (190, 0, 105), Tint.LAYOUT: (16, 18, 22),
+        Tint.FREE: (0, 114, 178), Tint.SURFACE: (213, 94, 0), Tint.MODULES: (0, 121, 90),
+    },
+)  # fmt: skip
 
 
 def module_hues(layout: Layout | None, channels: IntArray) -> ColourArray:
-    """Return the hue of each channel's module, repeated beyond seven modules.
-
-    Parameters
-    ----------
-    layout : None where the modules are not known; then one hue serves all
-    channels : (n,) int
-
-    Returns
-    -------
-    (n, 3) uint8
-    """
+    """Return the hue of the module of each of n channels, (n, 3) uint8: repeated beyond seven, one where none is known."""
     if layout is None:
         return np.tile(HUES[0], (len(channels), 1))
     return HUES[layout.module_of[channels] % len(HUES)]
@@ -129,13 +120,7 @@ def shade(vertices: FloatArray, triangles: IntArray, normals: FloatArray) -> Sha
     """Give every corner the normal to shade it with: smooth, but sharp along edges.
 
     A corner takes the mean normal of its vertex, weighted by area. Where that is more than `CREASE` off one of the
-    vertex's triangles, every corner there gets a point of its own with its triangle's normal.
-
-    Parameters
-    ----------
-    vertices : (nv, 3) float, metres
-    triangles : (nt, 3) int
-    normals : (nt, 3) float, unit
+    vertex's triangles, every corner there gets a point of its own with its triangle's normal. `normals` are (nt, 3), unit.
     """
     corners = vertices[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -195,13 +180,7 @@ class View3DState:
 
 
 class StaticScene:
-    """The part of a scene that does not change during a session.
-
-    Parameters
-    ----------
-    surface, laid : None where the scene has none
-    channels : taxels, in the order of the snapshot's estimates
-    """
+    """The part of a scene that does not change during a session; `channels` are in the order of the snapshot's estimates."""
 
     def __init__(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
         self.scene = scene

@@ -6,6 +6,7 @@ while the number of points stays, and swaps them otherwise; the actor stays in e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -13,23 +14,41 @@ from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkTextActor
+from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp, vtkProperty, vtkTextActor
 
 from app.scene3d.camera import Sight
-from app.scene3d.scene_state import ColourArray, Look, View3DState
+from app.scene3d.scene_state import DARK, ColourArray, Look, View3DState
 from skincal.geometry import FloatArray, IntArray
+
+HEAD_SHARE = 0.4
+"""Of an arrow's length at most in a stroke of its head, so that a short arrow is not all head."""
+SPREAD = float(np.radians(28.0))
+"""rad. Angle of these strokes with the arrow."""
+ALONG = 1e-6
+"""Sine. A camera that is turned away by less looks along the arrow."""
 
 Text = TypeVar("Text", vtkTextActor, vtkBillboardTextActor3D)
 
 
 class Layer:
-    """One kind of thing in the picture; its constructor makes its actors."""
+    """One kind of thing in the picture; its constructor makes what it draws."""
 
     name: ClassVar[str]
     """What the layer shows, in one word."""
 
+    def __init__(self) -> None:
+        self.look = DARK
+        self.sight: Sight | None = None
+        """From where the picture is seen; None before the first."""
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return what goes into the renderer, in the order of drawing: its shapes."""
+        return [shape.actor for shape in vars(self).values() if isinstance(shape, DrawnShape)]
+
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme; called before the first `show`."""
+        self.look = look
+        self.draw()
 
     def show(self, state: View3DState) -> bool:  # noqa: ARG002
         """Change arrays in place for a moment of the session; return whether anything changed."""
@@ -37,6 +56,12 @@ class Layer:
 
     def fit_to(self, sight: Sight) -> None:
         """Fit what depends on the camera, before each picture."""
+        if not sight.same(self.sight):
+            self.sight = sight
+            self.draw()
+
+    def draw(self) -> None:
+        """Write the arrays that depend on the theme or the camera."""
 
 
 def cells(connectivity: IntArray) -> vtkCellArray:
@@ -49,24 +74,19 @@ def cells(connectivity: IntArray) -> vtkCellArray:
 
 
 class DrawnShape:
-    """Coloured points and the actor that draws them; subclasses say how points form cells."""
+    """Coloured points and the actor that draws them as a `vtkProperty` says; subclasses say how points form cells."""
 
-    def __init__(self) -> None:
+    def __init__(self, **look: float) -> None:
         self.data = vtkPolyData()
-        self.actor = vtkActor()
-        self.actor.SetMapper(_mapper(self.data))
-        self.actor.VisibilityOff()
+        mapper = vtkPolyDataMapper(static=False)
+        mapper.SetInputData(self.data)
+        mapper.SetColorModeToDirectScalars()
+        self.actor = vtkActor(mapper=mapper, property=vtkProperty(**look), visibility=False)
         self._points: NDArray[np.float32] = np.empty((0, 3), dtype=np.float32)
         self._colours: ColourArray = np.empty((0, 3), dtype=np.uint8)
 
     def set(self, points: FloatArray, colours: ColourArray) -> None:
-        """Show other points.
-
-        Parameters
-        ----------
-        points : (n, 3) float, metres; n = 0 hides the shape
-        colours : (n, 3) uint8, or (3,) for all
-        """
+        """Show other points, (n, 3) float, metres, in colours, (n, 3) uint8, or (3,) for all; n = 0 hides the shape."""
         if len(points) != len(self._points):
             self._allocate(len(points))
         self.actor.SetVisibility(len(points) > 0)
@@ -97,21 +117,11 @@ class DrawnShape:
         self.connect(count)
 
 
-def _mapper(data: vtkPolyData) -> vtkPolyDataMapper:
-    mapper = vtkPolyDataMapper()
-    mapper.SetInputData(data)
-    mapper.SetColorModeToDirectScalars()
-    mapper.SetStatic(False)
-    return mapper
-
-
 class Dots(DrawnShape):
     """Points drawn as flat dots of one size in pixels."""
 
-    def __init__(self, pixels: float) -> None:
-        super().__init__()
-        self.actor.GetProperty().SetPointSize(pixels)
-        self.actor.GetProperty().LightingOff()
+    def __init__(self, pixels: float, **look: float) -> None:
+        super().__init__(point_size=pixels, **({"lighting": False} | look))
 
     def connect(self, count: int) -> None:
         """One vertex a point."""
@@ -122,55 +132,31 @@ class Balls(Dots):
     """Points drawn as lit balls of one size in pixels; a ball bulges towards the camera, a dot does not."""
 
     def __init__(self, pixels: float) -> None:
-        super().__init__(pixels)
-        look = self.actor.GetProperty()
-        look.LightingOn()
-        look.SetRenderPointsAsSpheres(True)
-        look.SetAmbient(0.35)
-        look.SetDiffuse(0.75)
+        super().__init__(pixels, lighting=True, render_points_as_spheres=True, ambient=0.35, diffuse=0.75)
 
 
 class Segments(DrawnShape):
     """Line segments, two points each, not lit."""
 
     def __init__(self, pixels: float) -> None:
-        super().__init__()
-        look = self.actor.GetProperty()
-        look.SetLineWidth(pixels)
-        look.LightingOff()
+        super().__init__(line_width=pixels, lighting=False)
 
     def connect(self, count: int) -> None:
         """One segment a pair of points."""
         self.data.SetLines(cells(np.arange(count).reshape(-1, 2)))
 
     def join(self, ends: FloatArray, colours: ColourArray) -> None:
-        """Show segments.
-
-        Parameters
-        ----------
-        ends : (n, 2, 3) float, metres
-        colours : (n, 3) uint8, or (3,) for all
-        """
+        """Show segments: `ends` are (n, 2, 3) float, metres, `colours` (n, 3) uint8, or (3,) for all."""
         self.set(ends.reshape(-1, 3), colours if colours.ndim == 1 else np.repeat(colours, 2, axis=0))
 
 
 def closed(corners: FloatArray) -> FloatArray:
-    """Return the sides of a closed line, (n, 2, 3), from its corners, (n, 3)."""
-    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    """Return the sides of closed lines, (..., n, 2, 3), from their corners, (..., n, 3)."""
+    return np.stack([corners, np.roll(corners, -1, axis=-2)], axis=-2)
 
 
 def rings(centres: FloatArray, normals: FloatArray, radius: float, sides: int = 24) -> FloatArray:
-    """Return circles about `centres` across `normals`.
-
-    Parameters
-    ----------
-    centres, normals : (n, 3) float, metres and unit
-    radius : metres
-
-    Returns
-    -------
-    (n, sides, 2, 3) float, the sides as segments
-    """
+    """Return circles about `centres`, (n, 3), across `normals`, (n, 3) unit, as segments, (n, sides, 2, 3); all in metres."""
     first, second = tangents(normals)
     turn = np.arange(sides + 1) * (2 * np.pi / sides)
     around = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
@@ -179,10 +165,34 @@ def rings(centres: FloatArray, normals: FloatArray, radius: float, sides: int = 
 
 
 def crosses(centres: FloatArray, normals: FloatArray, radius: float) -> FloatArray:
-    """Return two crossing strokes across each normal, (n, 2, 2, 3) float; parameters as in `rings`."""
+    """Return two crossing strokes across each normal, (n, 2, 2, 3) float, as `rings`."""
     first, second = tangents(normals)
     strokes = np.stack([first + second, first - second], axis=1) * (radius / np.sqrt(2))
     return np.stack([centres[:, None] - strokes, centres[:, None] + strokes], axis=2)
+
+
+def heads(shafts: FloatArray, towards: FloatArray, longest: float) -> FloatArray:
+    """Return the strokes of the heads of arrows, flat to the camera: (k, 2, 3) float, metres, two strokes an arrow.
+
+    An arrow that the camera looks along is seen as a dot and has no head.
+
+    Parameters
+    ----------
+    shafts : (n, 2, 3) float, metres, each from its tail to its tip
+    towards : (3,) float, to the camera
+    longest : metres, length of a stroke at most
+    """
+    ways = shafts[:, 1] - shafts[:, 0]
+    lengths = np.sqrt(np.sum(ways * ways, axis=1))
+    sides = np.cross(ways, towards)
+    widths = np.sqrt(np.sum(sides * sides, axis=1))
+    seen = widths > ALONG * lengths
+    along = ways[seen] / lengths[seen, None]
+    across = sides[seen] / widths[seen, None]
+    size = np.minimum(longest, HEAD_SHARE * lengths[seen])[:, None]
+    tips = shafts[seen, 1]
+    ends = [tips + size * (hand * np.sin(SPREAD) * across - np.cos(SPREAD) * along) for hand in (1.0, -1.0)]
+    return np.concatenate([np.stack([end, tips], axis=1) for end in ends])
 
 
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,6 +1,4 @@
-"""A scale bar and the link's axes, drawn flat over the picture.
-
-The layers of one scene in one renderer, and the camera before them.
+"""The stage: the layers of one scene in one renderer, and the camera before them; over all, a scale bar and the link's axes.
 
 Only what the scene supports is built: no mesh, no surface layer; no layout, or a layout without a place, no outlines. Landmarks
 may be added to any scene, and be asked for.
@@ -8,13 +6,26 @@ may be added to any scene, and be asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+
+# Drawing code behind the classes below: each registers itself as it is imported.
+import vtkmodules.vtkRenderingFreeType
+import vtkmodules.vtkRenderingOpenGL2  # noqa: F401
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkCommand, vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor2D, vtkLight, vtkPolyDataMapper2D, vtkRenderer, vtkTextActor
+from vtkmodules.vtkRenderingCore import (
+    VTK_LIGHT_TYPE_HEADLIGHT,
+    vtkActor2D,
+    vtkLight,
+    vtkPolyDataMapper2D,
+    vtkProp,
+    vtkProperty2D,
+    vtkRenderer,
+    vtkTextActor,
+)
 
 from app.scene3d import camera
 from app.scene3d.axes import AxesLayer
@@ -42,39 +53,31 @@ class HintsLayer(Layer):
 
     name = "hints"
 
-    def __init__(self, renderer: vtkRenderer) -> None:
+    def __init__(self) -> None:
+        super().__init__()
         self._xy = np.zeros((12, 3), dtype=np.float32)
-        points = vtkPoints()
-        points.SetData(numpy_to_vtk(self._xy))
-        self._data = vtkPolyData()
-        self._data.SetPoints(points)
-        self._data.SetLines(cells(np.arange(12).reshape(-1, 2)))
+        self._points = vtkPoints(data=numpy_to_vtk(self._xy))
         mapper = vtkPolyDataMapper2D()
-        mapper.SetInputData(self._data)
-        self.lines = vtkActor2D()
-        self.lines.SetMapper(mapper)
-        self.lines.GetProperty().SetLineWidth(2.0)
+        mapper.SetInputData(vtkPolyData(points=self._points, lines=cells(np.arange(12).reshape(-1, 2))))
+        self.lines = vtkActor2D(mapper=mapper, property=vtkProperty2D(line_width=2.0))
         self.texts = [written(vtkTextActor(), letter) for letter in LETTERS]
         self.length = written(vtkTextActor())
-        self._sight: Sight | None = None
-        for actor in (self.lines, *self.texts, self.length):
-            renderer.AddViewProp(actor)
 
-    def set_colours(self, look: Look) -> None:
-        """Take the colours of a theme."""
-        self.lines.GetProperty().SetColor(*unit(look.faint))
-        for text in (*self.texts, self.length):
-            text.GetTextProperty().SetColor(*unit(look.faint))
+    def props(self) -> Sequence[vtkProp]:
+        """Return the lines, then the letters."""
+        return self.lines, *self.texts, self.length
 
-    def fit_to(self, sight: Sight) -> None:
+    def draw(self) -> None:
         """Draw the axes as they lie in the picture, and a bar of a round length."""
-        if sight.same(self._sight):
+        self.lines.GetProperty().SetColor(*unit(self.look.faint))
+        for text in (*self.texts, self.length):
+            text.GetTextProperty().SetColor(*unit(self.look.faint))
+        if self.sight is None:
             return
-        self._sight = sight
-        self._xy[:6, :2] = self._axes(sight)
-        self._xy[6:, :2] = self._bar(sight)
-        self._data.GetPoints().GetData().Modified()
-        self._data.GetPoints().Modified()
+        self._xy[:6, :2] = self._axes(self.sight)
+        self._xy[6:, :2] = self._bar(self.sight)
+        self._points.GetData().Modified()
+        self._points.Modified()
 
     def _axes(self, sight: Sight) -> FloatArray:
         turned = np.stack([sight.eye.right, sight.eye.up], axis=1)
@@ -108,23 +111,20 @@ REACH = 14.0
 
 
 class Stage:
-    """Layers, lights and camera of a scene.
-
-    Parameters
-    ----------
-    renderer : of any window: on the screen or not
-    """
+    """Layers, lights and camera of a scene, in the renderer of any window: on the screen or not."""
 
     def __init__(self, renderer: vtkRenderer, static: StaticScene, look: Look) -> None:
         self.renderer = renderer
         self.static = static
         self.moved = False
         """The operator moved the camera: it is theirs from then on."""
-        self.estimates = EstimatesLayer(renderer, static)
-        self.compare = CompareLayer(renderer, static)
+        self.estimates = EstimatesLayer(static)
         self.landmarks = LandmarksLayer(renderer, static)
-        self.target = TargetLayer(renderer, static)
-        self.layers = self._build(renderer, static)
+        self.target, self.compare = TargetLayer(static), CompareLayer(static)
+        self.layers = self._build(static)
+        for layer in self.layers:
+            for prop in layer.props():
+                renderer.AddViewProp(prop)
         self.turner = Turner(static.surface, camera.level_of(static.extent))
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
@@ -133,15 +133,15 @@ class Stage:
         self._observer = renderer.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(look)
 
-    def _build(self, renderer: vtkRenderer, static: StaticScene) -> tuple[Layer, ...]:
+    def _build(self, static: StaticScene) -> tuple[Layer, ...]:
         layers: list[Layer] = []
         layout = static.scene.skin.layout
         if static.shaded is not None:
-            layers.append(SurfaceLayer(renderer, static.shaded))
+            layers.append(SurfaceLayer(static.shaded))
         if layout is not None and static.laid is not None and np.isfinite(static.places[:, 0]).any():
-            layers.append(ModulesLayer(renderer, static, layout, static.laid))
-        others = (self.estimates, AxesLayer(renderer, static), UncertaintyLayer(renderer, static))
-        return (*layers, *others, self.landmarks, self.target, self.compare, HintsLayer(renderer))
+            layers.append(ModulesLayer(static, layout, static.laid))
+        others = (self.estimates, AxesLayer(static), UncertaintyLayer(static), self.landmarks)
+        return (*layers, *others, self.target, self.compare, HintsLayer())
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""
@@ -217,12 +217,7 @@ class Stage:
         return None if row is None else int(self.estimates.shown[row])
 
     def pick_surface(self, x: float, y: float) -> FloatArray | None:
-        """Return the point of the part that is seen at a place of the picture, (3,) float, metres; None beside the part.
-
-        Parameters
-        ----------
-        x, y : pixels from the lower left
-        """
+        """Return the point of the part that is seen at a pixel, (3,) float, metres; None beside the part; x, y as in `pick`."""
         surface = self.static.surface
         return None if surface is None else seen_point(surface, *ray(self.renderer, x, y))
 
@@ -244,23 +239,13 @@ def _light(renderer: vtkRenderer) -> None:
     """One light at the camera: on software OpenGL a second one costs as much as the mesh."""
     renderer.RemoveAllLights()
     renderer.SetAutomaticLightCreation(False)
-    light = vtkLight()
-    light.SetLightTypeToHeadlight()
-    renderer.AddLight(light)
+    renderer.AddLight(vtkLight(light_type=VTK_LIGHT_TYPE_HEADLIGHT))
 
 
 def nearest_at(screen: FloatArray, x: float, y: float, ball: float) -> int | None:
-    """Return the row of the point that a click means.
+    """Return the row of the point that a click means: the foremost ball that it hits, else the nearest within `REACH`.
 
-    Parameters
-    ----------
-    screen : (n, 3) float, from `project`
-    x, y : pixels from the lower left
-    ball : pixels, radius of a drawn ball
-
-    Returns
-    -------
-    The foremost of the balls that the click hits; else the nearest within `REACH`; else None.
+    `screen` is (n, 3) float, from `project`; x and y are pixels from the lower left, as `ball`, the radius of a drawn ball.
     """
     away = np.hypot(screen[:, 0] - x, screen[:, 1] - y)
     away[~(np.abs(screen[:, 2]) <= 1.0)] = np.inf

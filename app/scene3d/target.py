@@ -6,11 +6,9 @@ Ring and arrow are drawn twice, broad in black and narrow in white upon it, so t
 from __future__ import annotations
 
 import numpy as np
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
-from app.scene3d.camera import Sight
-from app.scene3d.scene_state import Look, StaticScene, View3DState
-from app.scene3d.shapes import Layer, Segments, rings, tangents
+from app.scene3d.scene_state import StaticScene, View3DState
+from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import skin_point
@@ -21,12 +19,8 @@ TOOL = 0.035
 """m. Length of the arrow, a tool's tip: as long as a drawn force axis outside the part."""
 HEAD = 7e-3
 """m. Length of each of the two strokes of the arrow's head."""
-SPREAD = float(np.radians(28.0))
-"""rad. Angle of these strokes with the arrow."""
 SPOKES = 4
 """Lines of the cone, from the tip to its rim."""
-ALONG = 1e-6
-"""Sine. A camera that looks along the arrow sees a dot: either side of it will do."""
 LEAST_PIXELS = 13.0
 """Radius of the ring at least, on the screen: on a whole body a ring of its own size would not be found."""
 RIM_LIFT, CORE_LIFT = 3e-3, 5e-3
@@ -39,28 +33,18 @@ class TargetLayer(Layer):
 
     name = "target"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, static: StaticScene) -> None:
+        super().__init__()
         self.static = static
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
         self.cone = Segments(pixels=1.5)
         self._key = b""
-        self._soft = BLACK
         self._leeway = 0.0
         """rad, half angle of the cone."""
         self._target: Target | None = None
         self._at: FloatArray = np.zeros(3)
         """(3,) float, metres: where the target's line meets the skin."""
-        self._scale = 1.0
-        """How many times larger than its own size it is drawn."""
-        self._sight: Sight | None = None
-        for shape in (self.rim, self.core, self.cone):
-            renderer.AddActor(shape.actor)
-
-    def set_colours(self, look: Look) -> None:
-        """Take the cone's colour, between ink and what is not to be in the way; black and white are seen in every theme."""
-        self._soft = ((np.array(look.ink, float) + look.faint) / 2.0).astype(np.uint8)
-        self._draw()
 
     def show(self, state: View3DState) -> bool:
         """Show the target of a moment; return whether anything changed."""
@@ -74,60 +58,42 @@ class TargetLayer(Layer):
             # A believed place lies above or below the skin; seen from outside, the ring must not. A landmark is where it is.
             surface = None if target.landmark else self.static.surface
             self._at = skin_point(surface, target.place, target.normal)
-        self._draw()
+        self.draw()
         return True
 
-    def fit_to(self, sight: Sight) -> None:
+    def draw(self) -> None:
         """Keep the ring large enough to be found when the camera goes away, and the arrow's head flat to the camera."""
-        if not sight.same(self._sight):
-            self._scale, self._sight = max(1.0, LEAST_PIXELS / (RING * sight.scale)), sight
-            self._draw()
-
-    def _draw(self) -> None:
-        ends = np.empty((0, 2, 3)) if self._target is None else self._strokes(self._target)
+        target, sight = self._target, self.sight
+        # How many times larger than its own size it is drawn.
+        scale = 1.0 if sight is None else max(1.0, LEAST_PIXELS / (RING * sight.scale))
+        ends = soft = np.empty((0, 2, 3))
+        if target is not None:
+            ring = rings(np.zeros((1, 3)), target.normal[None], RING, sides=36).reshape(-1, 2, 3)
+            towards = np.zeros(3) if sight is None else sight.towards
+            ends = self._at + scale * np.concatenate([ring, arrow(target.push, towards)])
+            if self._leeway:
+                soft = self._at + scale * cone(target.push, self._leeway)
         for shape, colour, by in ((self.rim, BLACK, RIM_LIFT), (self.core, WHITE, CORE_LIFT)):
-            lifted = ends if self._sight is None else self._sight.lift(ends, by * self._scale)
-            shape.join(lifted, colour)
-        soft = np.empty((0, 2, 3))
-        if self._target is not None and self._leeway:
-            soft = self._at + self._scale * cone(self._target.push, self._leeway)
-        self.cone.join(soft, self._soft)
-
-    def _strokes(self, target: Target) -> FloatArray:
-        """Return the sides of the ring and the strokes of the arrow, (n, 2, 3) float, metres, on the skin."""
-        towards = np.zeros(3) if self._sight is None else self._sight.towards
-        ring = rings(np.zeros((1, 3)), target.normal[None], RING, sides=36).reshape(-1, 2, 3)
-        return self._at + self._scale * np.concatenate([ring, arrow(target.push, towards)])
+            shape.join(ends if sight is None else sight.lift(ends, by * scale), colour)
+        # Between ink and what is not to be in the way; black and white are seen in every theme.
+        self.cone.join(soft, ((np.array(self.look.ink, float) + self.look.faint) / 2.0).astype(np.uint8))
 
 
 def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:
-    """Return the strokes of an arrow that ends at the origin and points along `push`, (3,) float, unit.
+    """Return the shaft and the head's two strokes of an arrow that ends at the origin, (3, 2, 3) float, metres.
 
-    Parameters
-    ----------
-    towards : (3,) float, to the camera, which sees both strokes of the head
-
-    Returns
-    -------
-    (3, 2, 3) float, metres: the shaft, then the head
+    It points along `push`, (3,) float, unit; the camera, `towards` which (3,) leads, sees both strokes.
     """
-    side = np.cross(push, towards)
-    length = float(np.linalg.norm(side))
-    side = side / length if length > ALONG else tangents(push[None])[0][0]
-    tails = [-TOOL * push, *(HEAD * (np.sin(SPREAD) * each - np.cos(SPREAD) * push) for each in (side, -side))]
-    return np.stack([np.array(tails), np.zeros((3, 3))], axis=1)
+    shaft = np.array([[-TOOL * push, np.zeros(3)]])
+    strokes = heads(shaft, towards, HEAD)
+    # A camera that looks along the arrow sees a dot: either side of it will do.
+    return np.concatenate([shaft, strokes if len(strokes) else heads(shaft, -tangents(push[None])[1][0], HEAD)])
 
 
 def cone(push: FloatArray, angle: float) -> FloatArray:
-    """Return the rim and the lines of a cone that opens from the origin against `push`, (3,) float, unit.
+    """Return the rim and the lines of a cone, (36 + 4, 2, 3) float, metres.
 
-    Parameters
-    ----------
-    angle : rad, between its axis and its side
-
-    Returns
-    -------
-    (36 + 4, 2, 3) float, metres
+    It opens from the origin against `push`, (3,) float, unit; `angle`, rad, lies between its axis and its side.
     """
     rim = rings((-TOOL * np.cos(angle) * push)[None], push[None], TOOL * float(np.sin(angle)), sides=36).reshape(-1, 2, 3)
     tops = rim[:: len(rim) // SPOKES, 0]

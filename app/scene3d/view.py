@@ -52,24 +52,16 @@ class Pointer(QObject):
     """Turns mouse events of a canvas into moves of the stage's camera and into clicks.
 
     Left drag turns, middle or shift-left drag shifts, right drag and the wheel come nearer, a left click picks. The canvas
-    itself sees neither mouse nor keys, so no key binding of VTK can fire.
-
-    Parameters
-    ----------
-    moved : called after the camera moved
-    clicked : called with x and y of a click, pixels of the picture from its lower left
+    itself sees neither mouse nor keys, so no key binding of VTK can fire. `clicked` gets pixels from the lower left.
     """
 
     def __init__(
         self, canvas: QWidget, stage: Stage, moved: Callable[[], None], clicked: Callable[[float, float], None]
     ) -> None:
         super().__init__(canvas)
-        self._canvas = canvas
-        self._stage = stage
-        self._moved = moved
-        self._clicked = clicked
-        self._start = QPointF()
-        self._last = QPointF()
+        self._canvas, self._stage = canvas, stage
+        self._moved, self._clicked = moved, clicked
+        self._start = self._last = QPointF()
         self._dragged = False
         canvas.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         canvas.installEventFilter(self)
@@ -78,7 +70,8 @@ class Pointer(QObject):
         """Take mouse events, pass keys on to the window, leave the rest to the canvas."""
         kind = event.type()
         if isinstance(event, QWheelEvent):
-            self._near(WHEEL_STEP ** (event.angleDelta().y() / NOTCH))
+            camera.approach(self._camera(), WHEEL_STEP ** (event.angleDelta().y() / NOTCH))
+            self._note_move()
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
             self._dragged = False
@@ -102,8 +95,7 @@ class Pointer(QObject):
         self._dragged = True
         step, self._last = event.position() - self._last, event.position()
         size = max(1, min(self._canvas.width(), self._canvas.height()))
-        shifting = buttons & Qt.MouseButton.MiddleButton or event.modifiers() & Qt.KeyboardModifier.ShiftModifier
-        if shifting:
+        if buttons & Qt.MouseButton.MiddleButton or event.modifiers() & Qt.KeyboardModifier.ShiftModifier:
             height = max(1, self._canvas.height())
             camera.shift(self._camera(), step.x() / height, -step.y() / height)
         elif buttons & Qt.MouseButton.LeftButton:
@@ -119,10 +111,6 @@ class Pointer(QObject):
         density = self._canvas.devicePixelRatioF()
         self._clicked(event.position().x() * density, (self._canvas.height() - event.position().y()) * density)
 
-    def _near(self, factor: float) -> None:
-        camera.approach(self._camera(), factor)
-        self._note_move()
-
     def _camera(self) -> vtkCamera:
         return self._stage.renderer.GetActiveCamera()
 
@@ -132,12 +120,7 @@ class Pointer(QObject):
 
 
 class View3D(QWidget):
-    """The surface, the modules, the estimates, the force axes, the uncertainty and the target of a session.
-
-    Parameters
-    ----------
-    canvas : how the picture is made; by default what suits the machine
-    """
+    """The 3D view of a session, its picture made as `canvas` says; by default what suits the machine."""
 
     taxel_picked = Signal(int)
     """Channel whose estimate was clicked."""
@@ -169,14 +152,9 @@ class View3D(QWidget):
         self._stack.addWidget(self._message)
 
     def begin(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
-        """Start to build the layers that a scene supports; call once the window is on the screen.
+        """Start to build the layers that a scene supports (see `StaticScene`); call once the window is on the screen.
 
         Returns at once; `ready` follows. A second call replaces the scene.
-
-        Parameters
-        ----------
-        surface, laid : None where the scene has none
-        channels : taxels, in the order of the snapshots' estimates
         """
         self.close_view()
         self._static = static = StaticScene(scene, surface, laid, channels)
@@ -216,15 +194,16 @@ class View3D(QWidget):
     def set_difference(self, wanted: bool) -> None:
         """Draw a line from each estimate to the other method's, or do not."""
         self._difference = wanted
-        if self._state is not None:
-            self._state = replace(self._state, difference=wanted)
-            self._show_state()
+        self._lay_over()
 
     def set_comparison(self, comparison: Comparison | None) -> None:
         """Lay sets of places over each other in place of the estimates; None shows the estimates again."""
         self._comparison = comparison
-        if self._state is not None and self._state.comparison is not comparison:
-            self._state = replace(self._state, comparison=comparison)
+        self._lay_over()
+
+    def _lay_over(self) -> None:
+        if self._state is not None:
+            self._state = replace(self._state, difference=self._difference, comparison=self._comparison)
             self._show_state()
 
     def set_turning(self, wanted: bool) -> None:

@@ -17,15 +17,14 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, resume_pipeline
 from app.session.recording import Recording, Storage, stop_all
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
-from app.workers.processes import ProcessService
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from app.workers.processes import ReviewClient
+    from app.workers.processes import ProcessService, ReviewClient
     from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import Reference
     from skincal.guide.guidance import Guidance
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
-    from skincal.simulate.orders import Wish
+    from skincal.simulate.operator import OperatorTarget
     from skincal.streams.links import LinkSpec
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
@@ -135,7 +134,10 @@ class Controller(QObject):
         super().__init__(parent)
         self._documents = documents
         self._threads = ThreadService("background", self)
-        self._processes = ProcessService()
+        self._endings = ThreadService("ending", self)
+        """Copies recordings that are kept, and ends them, in that order; each is waited for, also as the window closes."""
+        self._processes: ProcessService | None = None
+        """Made with the first review."""
         self._news = False
         """The background brought something that is not shown yet."""
         self._server: DeviceProcess | None = None
@@ -185,18 +187,22 @@ class Controller(QObject):
         server, self._server = self._server, None
         if server is not None:
             server.release()
-        recording, self._recording = self._recording, None
         reviewing, self._reviewing = self._reviewing, None
         if reviewing is not None:
             reviewing.stop()
             reviewing.deleteLater()
-        storage, self._storage = self._storage, None
         self._part = self._shown = None
         self._links, self._truth, self._sent, self._schedule = (), b"", "", TickSchedule()
-        if recording is not None:
-            self.compute(recording.end)
-        elif storage is not None:
+        storage = self._storage
+        if not self._end_recording() and storage is not None:
             self.compute(storage.finish)
+
+    def _end_recording(self) -> bool:
+        """End the recording in the background; return whether there was one."""
+        recording, self._recording, self._storage = self._recording, None, None
+        if recording is not None:
+            self._endings.submit(recording.end, lambda _: None, self._say_failure)
+        return recording is not None
 
     def stop(self) -> None:
         """Stop the timer, then the readers: nothing comes to the window any more."""
@@ -208,22 +214,23 @@ class Controller(QObject):
     def close(self) -> None:
         """Stop, end the process behind the links, and close the journal, in that order."""
         self.stop()
-        recording, self._recording = self._recording, None
+        storage = self._storage
+        ended = self._end_recording()
         if self._server is not None:
             self._server.stop()
             self._server = None
         if self._reviewing is not None:
             self._reviewing.stop()
             self._reviewing = None
-        self._processes.close()
+        if self._processes is not None:
+            self._processes.close()
         self._threads.close()
-        try:
-            if recording is not None:
-                recording.end()
-            elif self._storage is not None:
-                self._storage.finish()
-        finally:
-            self._storage = None
+        if not ended and storage is not None:
+            storage.finish()
+        # Without a limit: a slow disk must not cost what the operator recorded or keeps.
+        self._endings.wait()
+        self._endings.deliver()
+        self._endings.close()
 
     def _start_server(self, command: tuple[str, ...]) -> None:
         self._server = DeviceProcess(self)
@@ -237,7 +244,7 @@ class Controller(QObject):
 
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._links = links
-        from skincal.simulate.orders import NoTarget
+        from skincal.simulate.operator import NoTarget
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
@@ -262,13 +269,13 @@ class Controller(QObject):
 
         recording.pipeline.act(AskLandmark(name), time.monotonic_ns())
 
-    def ask(self, target: Wish) -> None:
+    def ask(self, target: OperatorTarget) -> None:
         """Send a simulated operator what the guide shows, where that changed; real devices are sent nothing."""
         if self._server is None:
             return
-        from skincal.simulate.orders import write_wish
+        from skincal.simulate.operator import write_target
 
-        line = write_wish(target)
+        line = write_target(target)
         if line != self._sent:
             self._sent = line
             self._server.tell(line)
@@ -337,8 +344,8 @@ class Controller(QObject):
     def _take_in(self, recording: Recording) -> bool:
         drained = recording.drain(DRAIN_S)
         recording.pipeline.tick(time.monotonic_ns())
-        if recording.journal_failure and self.running is Running.STREAMING:
-            self.said.emit(Message(refused_words(recording.journal_failure), error=True))
+        if recording.pipeline.journal_failure and self.running is Running.STREAMING:
+            self._say_failure(refused_words(recording.pipeline.journal_failure))
             self.pause()
         return drained
 
@@ -357,15 +364,16 @@ class Controller(QObject):
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process work out what landmark pokes say of the rig."""
         if self._reviewing is None:
-            from app.workers.processes import ReviewClient
+            from app.workers.processes import ProcessService, ReviewClient
 
+            self._processes = self._processes or ProcessService()
             self._reviewing = ReviewClient(session, self._processes, self)
             self._reviewing.reviewed.connect(self.reviewed)
             self._reviewing.failed.connect(self._review_failed)
         self._reviewing.follow(snapshot)
 
     def _review_failed(self, sentence: str) -> None:
-        self.said.emit(Message(sentence, error=True))
+        self._say_failure(sentence)
         self.reviewed.emit(None)
 
     # What the operator wants
@@ -391,7 +399,7 @@ class Controller(QObject):
         try:
             self._recording.go_on()
         except InputError as failure:
-            self.said.emit(Message(str(failure), error=True))
+            self._say_failure(str(failure))
             return
         self._set_running(Running.STREAMING)
 
@@ -402,7 +410,7 @@ class Controller(QObject):
         try:
             self._recording.pipeline.act(action, time.monotonic_ns())
         except InputError as error:
-            self.said.emit(Message(str(error), error=True))
+            self._say_failure(str(error))
             return False
         pipeline = self._recording.pipeline
         # Where all taxels are to be solved, that begins in the next tick.
@@ -417,7 +425,7 @@ class Controller(QObject):
         if self._recording.pipeline.session.unsolved <= AT_ONCE:
             self._recording.pipeline.snapshot()
             return False
-        self.said.emit(Message(STILL_SOLVING, error=True))
+        self._say_failure(STILL_SOLVING)
         return True
 
     def act_all(self, actions: Iterable[Action]) -> None:
@@ -429,8 +437,8 @@ class Controller(QObject):
     def keep(self) -> None:
         """Copy a temporary recording to where it stays."""
         if self._recording is not None and self.can_keep:
-            self._recording.sync()
-            self.compute(self._recording.storage.keep, self._kept)
+            self._recording.pipeline.sync()
+            self._endings.submit(self._recording.storage.keep, self._kept, self._say_failure)
 
     def _kept(self, folder: Path) -> None:
         self.said.emit(Message(kept_words(folder)))
@@ -509,10 +517,15 @@ class Controller(QObject):
 
     def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
         self.prepare()
+        # It may be the session that was open until now.
+        self._endings.wait()
         return resume_pipeline(folder, links)
 
-    def _fail(self, sentence: str) -> None:
+    def _say_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))
+
+    def _fail(self, sentence: str) -> None:
+        self._say_failure(sentence)
         if self._recording is None:
             self._set_running(Running.OFFLINE)
 
@@ -526,14 +539,14 @@ class Controller(QObject):
             self.stored.emit(self._recording.storage.words())
 
 
-def operator_target(guidance: Guidance | None, running: Running) -> Wish:
+def operator_target(guidance: Guidance | None, running: Running) -> OperatorTarget:
     """Return what a simulated operator is to poke: what somebody who looks at the window would.
 
     Parameters
     ----------
     guidance : None where nobody guides
     """
-    from skincal.simulate.orders import NoTarget, TargetOrder
+    from skincal.simulate.operator import NoTarget, TargetOrder
 
     if running is not Running.STREAMING:
         return NoTarget.WAIT

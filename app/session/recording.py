@@ -22,26 +22,23 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from skincal.model.readings import Chunk, LinkEvent
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.link_reader import Reader
-    from skincal.streams.links import LinkSpec
+    from skincal.streams.links import LinkSpec, Reader
 
 
 class Storage:
     """The folder of one recording.
 
-    A recording without a folder of its own goes into a temporary one. `keep` copies it at once, and `finish` copies what
-    was recorded after that and removes the temporary folder.
-
-    Parameters
-    ----------
-    request : says where the recording goes
-    documents : folder under which kept sessions are put, each in a folder of its date and time
+    A recording without a folder of its own goes into a temporary one. `keep` copies it at once into a folder of its date and
+    time under `documents`, and `finish` copies what was recorded after that and removes the temporary folder.
     """
 
     def __init__(self, request: OpenRequest, documents: Path) -> None:
         self._documents = documents
         self._temporary = Path(tempfile.mkdtemp(prefix="skincal-")) if request.temporary else None
         self.kept: Path | None = None
+        """Where the whole of it was copied to."""
+        self._target: Path | None = None
+        """Where it is to be copied to: also while that was tried in vain."""
         given = request.session or request.folder
         self.folder = given or (self._temporary or documents) / "session"
 
@@ -58,17 +55,23 @@ class Storage:
         InputError
             The folder cannot be written.
         """
-        target = self.kept or dated_folder(self._documents, datetime.now().astimezone())
-        self._copy(target)
-        self.kept = target
-        return target
+        self._target = self._target or dated_folder(self._documents, datetime.now().astimezone())
+        self._copy(self._target)
+        self.kept = self._target
+        return self.kept
 
     def finish(self) -> None:
-        """Bring the kept copy up to date, then remove the temporary folder; call after the journal is closed."""
+        """Bring the copy that was asked for up to date, then remove the temporary folder; call after the journal is closed.
+
+        Raises
+        ------
+        InputError
+            The copy cannot be written; the temporary folder stays.
+        """
         if self._temporary is None:
             return
-        if self.kept is not None and self.folder.exists():
-            self._copy(self.kept)
+        if self._target is not None and self.folder.exists():
+            self._copy(self._target)
         shutil.rmtree(self._temporary, ignore_errors=True)
         self._temporary = None
 
@@ -79,7 +82,9 @@ class Storage:
                 left_out = shutil.ignore_patterns(LOCK_NAME, other)
                 shutil.copytree(self.folder, target, ignore=left_out, dirs_exist_ok=True)
         except (OSError, shutil.Error) as error:
-            raise InputError(f"{target}: the session cannot be kept there ({error}); free some space and try again.") from error
+            raise InputError(
+                f"{target}: the session cannot be kept there ({error}). It stays in {self.folder}; free some space."
+            ) from error
 
     def words(self) -> str:
         """Return where the recording is, for the foot of the window."""
@@ -87,12 +92,7 @@ class Storage:
 
 
 class Recording:
-    """One session while it is open.
-
-    Parameters
-    ----------
-    pipeline : with an open journal
-    """
+    """One session while it is open, its pipeline with an open journal."""
 
     def __init__(self, pipeline: Pipeline, storage: Storage) -> None:
         self.pipeline = pipeline
@@ -105,7 +105,7 @@ class Recording:
 
     def start(self) -> None:
         """Begin to read the links; returns at once."""
-        from skincal.streams.link_reader import Reader
+        from skincal.streams.links import Reader
 
         self._readers = [Reader(link, self._queue) for link in self.links]
         for reader in self._readers:
@@ -125,10 +125,7 @@ class Recording:
         return not self._queue.empty()
 
     def drain(self, limit_s: float = float("inf")) -> bool:
-        """Let the pipeline work on what arrived, for at most `limit_s`; return whether there was anything.
-
-        What the disk no longer takes is said by `journal_failure`.
-        """
+        """Let the pipeline work on what arrived, for at most `limit_s`; return whether there was anything."""
         end = time.perf_counter() + limit_s
         drained = False
         while not self._queue.empty():
@@ -140,15 +137,6 @@ class Recording:
             if time.perf_counter() > end:
                 break
         return drained
-
-    @property
-    def journal_failure(self) -> str:
-        """Why nothing is recorded any more; empty while all is well."""
-        return self.pipeline.journal_failure
-
-    def sync(self) -> None:
-        """Force what is recorded onto the medium."""
-        self.pipeline.sync()
 
     def go_on(self) -> None:
         """Read again, in a new segment of the journal.

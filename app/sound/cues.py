@@ -21,13 +21,13 @@ from enum import Enum
 
 import numpy as np
 
-from app.state.policies import Running, is_news, newest_outcome
+from app.state.policies import is_news, newest_outcome
+from app.state.running import Running
 from app.state.view_state import LinkLook, ViewState
 from app.text.guidance_text import newly_done
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.coaching import PRESSING
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.session.snapshot import Snapshot
 
 RATE = 48_000
@@ -75,11 +75,7 @@ _NOTES: Mapping[Cue, tuple[Note, ...]] = {
     Cue.ACCEPTED: (Note(0.0, 0.030, (660.0,)), Note(0.045, 0.075, (990.0,))),
     Cue.REJECTED: (Note(0.0, 0.045, _LOW), Note(0.075, 0.045, _LOW)),
     Cue.DONE: (Note(0.0, 0.120, (1320.0, 2640.0), 0.045),),
-    Cue.ENOUGH: (
-        Note(0.0, 0.020, (523.25,)),
-        Note(0.030, 0.020, (659.25,)),
-        Note(0.060, 0.060, (523.25, 659.25, 783.99)),
-    ),
+    Cue.ENOUGH: (Note(0.0, 0.02, (523.25,)), Note(0.03, 0.02, (659.25,)), Note(0.06, 0.06, (523.25, 659.25, 783.99))),
     Cue.LOST: tuple(Note(0.032 * k, 0.022, (740.0 - 70.0 * k,)) for k in range(4)),
 }
 

@@ -16,7 +16,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -64,12 +65,7 @@ def speech_command(platform: str = sys.platform) -> tuple[str, ...]:
 
 
 class Speaker:
-    """Says one word at a time; the next cuts off the one before.
-
-    Parameters
-    ----------
-    command : that speaks; see `speech_command`
-    """
+    """Says one word at a time by a command; the next cuts off the one before."""
 
     def __init__(self, command: tuple[str, ...]) -> None:
         self._command = command
@@ -111,24 +107,20 @@ class NoSoundError(Exception):
 
 
 class Output(Protocol):
-    """What plays a stream."""
+    """What plays a stream that was begun, in a thread of its own; it may be started again after a stop."""
 
     def start(self, stream: Stream, /) -> None:
-        """Take samples from a stream that was begun, in a thread of its own."""
+        """Begin to play."""
 
     def stop(self) -> None:
-        """Take no more; it may be started again."""
+        """Fall silent."""
 
     def close(self) -> None:
-        """Give the device back."""
+        """Let the device go."""
 
 
 def open_output(*, real: bool = True) -> Output:
-    """Open the sound device that the desktop uses.
-
-    Parameters
-    ----------
-    real : else a device that takes samples at the right pace, and nobody hears them
+    """Open the sound device that the desktop uses; where not `real`, one that takes samples at the right pace, unheard.
 
     Raises
     ------
@@ -165,30 +157,25 @@ def _has_cards() -> bool:
     return not sys.platform.startswith("linux") or any(Path("/dev/snd").glob("pcmC*D*p"))
 
 
+@dataclass(slots=True)
 class Line:
-    """One sound on its way into the device.
+    """One sound on its way into the device, 16 bits a sample."""
 
-    Parameters
-    ----------
-    samples : 16 bits each
-    """
-
-    def __init__(self, samples: bytes) -> None:
-        self.since_s = time.monotonic()
-        self.taken = 0
-        """Bytes that the device has."""
-        self._samples = samples
+    samples: bytes
+    since_s: float = field(default_factory=time.monotonic)
+    taken: int = 0
+    """Bytes that the device has."""
 
     def take(self, frames: int) -> bytes:
         """Return the next samples; fewer at the end, then none."""
-        part = self._samples[self.taken : self.taken + 2 * frames]
+        part = self.samples[self.taken : self.taken + 2 * frames]
         self.taken += len(part)
         return part
 
     @property
     def stuck(self) -> bool:
         """The device should have begun long ago."""
-        return not self.taken and bool(self._samples) and time.monotonic() - self.since_s > GONE_S
+        return not self.taken and bool(self.samples) and time.monotonic() - self.since_s > GONE_S
 
 
 class _Outlet:
@@ -246,21 +233,11 @@ class _Outlet:
             output.close()
 
 
-@dataclass(frozen=True, slots=True)
-class _Order:
-    sound: Cue | None
-    """None: only get ready."""
-    word: str
-    due_s: float
-
-
 class Player:
     """Plays one sound at a time, and says a word after it, in its own thread.
 
-    Parameters
-    ----------
-    opener : opens the device; may take its time, and may raise anything
-    speech : command that says a word; the system's if None, and none where empty
+    `opener` opens the device: it may take time, and may raise anything. `speech` is the command that says a word: by default
+    the system's, none where empty.
     """
 
     def __init__(self, opener: Callable[[], Output] = open_output, speech: tuple[str, ...] | None = None) -> None:
@@ -273,7 +250,8 @@ class Player:
         self._opener = opener
         self._speech = speech_command() if speech is None else speech
         self._speaker = Speaker(self._speech)
-        self._orders: queue.SimpleQueue[_Order | None] = queue.SimpleQueue()
+        self._orders: queue.SimpleQueue[tuple[Cue | None, str, float] | None] = queue.SimpleQueue()
+        """A sound, or None to get ready only; the word after it; since when it is due, s."""
         self._thread: threading.Thread | None = None
         self._closed = False
         self._there: bool | None = None
@@ -310,7 +288,7 @@ class Player:
         if self._thread is None:
             self._thread = threading.Thread(target=self._loop, name="skincal-sound", daemon=True)
             self._thread.start()
-        self._orders.put(_Order(sound, word, time.monotonic()))
+        self._orders.put((sound, word, time.monotonic()))
 
     # In the thread
 
@@ -326,28 +304,25 @@ class Player:
             if order is None:
                 break
             if self._there is not False or time.monotonic() >= self._retry_s:
-                self._guarded(outlet, lambda order=order: self._do(outlet, order))
+                self._guarded(outlet, lambda order=order: self._do(outlet, *order))
         self._speaker.stop()
         self._guarded(outlet, outlet.close)
 
-    def _do(self, outlet: _Outlet, order: _Order) -> None:
+    def _do(self, outlet: _Outlet, sound: Cue | None, word: str, due_s: float) -> None:
         if not self._samples:
             from app.sound.cues import Cue, samples_of
 
-            self._samples = {sound: samples_of(sound) for sound in Cue}
+            self._samples = {cue: samples_of(cue) for cue in Cue}
         outlet.ready()
-        if order.sound is not None and time.monotonic() - order.due_s <= LATE_S:
-            outlet.play(self._samples[order.sound])
-            if order.word and self.speaks and self._speech:
-                self._say(order.word)
+        if sound is not None and time.monotonic() - due_s <= LATE_S:
+            outlet.play(self._samples[sound])
+            if word and self.speaks and self._speech:
+                try:
+                    self._speaker.say(word)
+                except OSError as error:
+                    LOG.info("nothing is said any more: %s", error)
+                    self._speech = ()
         self._report(there=True)
-
-    def _say(self, word: str) -> None:
-        try:
-            self._speaker.say(word)
-        except OSError as error:
-            LOG.info("nothing is said any more: %s", error)
-            self._speech = ()
 
     def _guarded(self, outlet: _Outlet, do: Callable[[], None]) -> None:
         """Do something with the device; whatever becomes of it, the program goes on without sound."""
@@ -358,10 +333,8 @@ class Player:
                 LOG.info("nothing is heard: %s", error)
             self._retry_s = time.monotonic() + RETRY_S
             self._report(there=False)
-            try:
+            with suppress(Exception):
                 outlet.close()
-            except Exception as second:  # noqa: BLE001 - as above
-                LOG.info("the sound device cannot be closed: %s", second)
 
     def _report(self, *, there: bool) -> None:
         if there is not self._there and not self._closed:

@@ -41,14 +41,7 @@ Pair = tuple[Source, Source]
 
 
 def sources_of(methods: Sequence[Method], review: Review | None, *, laid: bool) -> tuple[Source, ...]:
-    """Return the sets of places that there are.
-
-    Parameters
-    ----------
-    methods : of the scene, in the order in which they are offered
-    review : of the rig; None where there is none
-    laid : whether the layout has a place on the part
-    """
+    """Return the sets of places that there are, methods in their order; the layout where it is `laid` on the part."""
     found = [LAYOUT] if laid else []
     found += [Source(PlaceOrigin.METHOD, method) for method in methods]
     if review is not None:
@@ -68,10 +61,7 @@ def default_pair(sources: Sequence[Source], shown: Method) -> Pair:
 class Places:
     """Where each source puts the taxels of a part, worked out once for what it follows from.
 
-    Parameters
-    ----------
-    channels : (n,) int, of the taxels
-    laid : (width, 3) float, metres, of the layout by channel; None where it has no place on the part
+    `laid` is the layout's place of each channel, (width, 3) float, metres; None where it has none on the part.
     """
 
     def __init__(self, channels: IntArray, laid: FloatArray | None) -> None:
@@ -94,24 +84,18 @@ class Places:
         kept, places = self._kept.get(source, (None, None))
         # The same estimates, by identity, give the same places.
         if kept is not found or places is None:
-            if review is None or reviewed is None:
-                places = self._worked_out(source.method, state)
-            else:
+            if review is not None and reviewed is not None:
                 places = self._in_order(review.channels, reviewed)
+            else:
+                estimates = state.snapshot.estimates.get(source.method, ())
+                places = places_of(estimates) if len(estimates) == len(self.channels) else self._unknown()
             self._kept[source] = found, places
         return places
 
-    def _worked_out(self, method: Method, state: ViewState) -> FloatArray:
-        estimates = state.snapshot.estimates.get(method, ())
-        return places_of(estimates) if len(estimates) == len(self.channels) else self._unknown()
-
     def _in_order(self, channels: IntArray, found: FloatArray) -> FloatArray:
         places = self._unknown()
-        row_of = {channel: row for row, channel in enumerate(self.channels.tolist())}
-        there = [(row_of[channel], row) for row, channel in enumerate(channels.tolist()) if channel in row_of]
-        if there:
-            own, theirs = np.array(there).T
-            places[own] = found[theirs]
+        _, own, theirs = np.intersect1d(self.channels, channels, assume_unique=True, return_indices=True)
+        places[own] = found[theirs]
         return places
 
     def _unknown(self) -> FloatArray:

@@ -1,8 +1,6 @@
-"""What the program does with its devices; by itself, since the window has it before a session is there.
+"""What the operator may do now, which corrections of the rig are offered, and how what is known is drawn.
 
-What landmark pokes say of the open session's rig: which corrections are offered, and which offers were announced.
-
-What the operator may do now, and how what is known is drawn: pure functions of a session's state, without a memory.
+Pure functions of a session's state; `RigReview` alone remembers which offers were announced.
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ from enum import Enum
 
 import numpy as np
 
+from app.state.running import Running
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase
@@ -27,17 +26,8 @@ from skincal.rig.frame_check import FrameDiagnosis
 from skincal.sentences import frame_sentence
 from skincal.session.corrections import offered
 from skincal.session.review import Review
-from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, State
-
-
-class Running(Enum):
-    """What the program does with its devices."""
-
-    OPENING = "opening"
-    STREAMING = "streaming"
-    PAUSED = "paused"
-    OFFLINE = "no device"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,11 +109,8 @@ def is_news(seen: Outcome | None, newest: Outcome) -> bool:
     """Return whether a poke's outcome is another than what was seen last; it is not where a poke was only undone."""
     if seen is None or newest.poke != seen.poke:
         return seen is None or newest.poke > seen.poke
-    return _kind(seen) != _kind(newest)
-
-
-def _kind(outcome: Outcome) -> object:
-    return outcome.reason if isinstance(outcome, Rejection) else Contact
+    before, now = (outcome.reason if isinstance(outcome, Rejection) else None for outcome in (seen, newest))
+    return before is not now
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,18 +156,12 @@ def allowed(
     guidance: Guidance | None = None,
     offers: Sequence[Offer] = (),
 ) -> Allowed:
-    """Return what may be done with the selection in this state.
-
-    Parameters
-    ----------
-    pokes : numbers of the selected pokes
-    taxel : the selected channel
-    guidance : None where nobody guides
-    offers : what could put the rig right
-    """
+    """Return what may be done in this state with the selection: numbers of `pokes`, and the channel of a `taxel`."""
     pause = {Running.STREAMING: "Pause", Running.PAUSED: "Go on", Running.OFFLINE: "Connect"}.get(running, "")
     ends = running is Running.STREAMING and guidance is not None and guidance.phase is GuidePhase.ENOUGH
-    chosen = _selected(snapshot.pokes, pokes)
+    wanted = set(pokes)
+    # Mostly nothing is selected: then the list, which may be long, is not looked through.
+    chosen = [record for record in snapshot.pokes if record.outcome.poke in wanted] if wanted else []
     streamed = any(Stream.JOINTS in link.carries for link in links)
     return Allowed(
         undo=snapshot.can_undo,
@@ -203,11 +184,6 @@ def allowed(
         verdict=guidance is not None,
         ends=ends,
     )
-
-
-def _selected(records: Sequence[PokeRecord], pokes: Sequence[int]) -> list[PokeRecord]:
-    wanted = set(pokes)
-    return [p for p in records if p.outcome.poke in wanted] if wanted else []
 
 
 class Mark(Enum):
@@ -234,9 +210,7 @@ def mark_of(estimate: Estimate) -> Mark:
 def marks(estimates: Sequence[Estimate], width: int, done: Collection[int] = ()) -> IntArray:
     """Return the mark of each channel of a frame, (width,) int; a channel without an estimate was never poked.
 
-    Parameters
-    ----------
-    done : channels that the guide needs nothing more of
+    The guide needs nothing more of channels that are `done`.
     """
     result = np.full(width, Mark.UNSEEN.value, dtype=np.int64)
     for estimate in estimates:
@@ -256,14 +230,8 @@ def worst(estimates: Sequence[Estimate], shown: int = WORST_SHOWN) -> tuple[Esti
 def curve_range(shown: float, largest: float, floor: float) -> float:
     """Return the half height of a curve's axis so that it neither clips nor breathes with every sample.
 
-    It grows at once to the next step of 1, 2, 5 x 10^n above `largest` and shrinks only when less than a third of it
-    is used.
-
-    Parameters
-    ----------
-    shown : half height that is shown now, 0 at the start
-    largest : largest size on the screen, same unit
-    floor : smallest half height, same unit
+    It grows at once to the next step of 1, 2, 5 x 10^n above `largest`, what is on the screen, and shrinks only when less than
+    a third of it is used. `shown` is the half height now, 0 at the start, and `floor` the smallest, all in one unit.
     """
     wanted = max(floor, largest)
     if wanted <= shown and wanted > shown / 3.0:

@@ -16,8 +16,7 @@ import numpy as np
 from app.state.view_state import ViewState
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.geometry import FloatArray
-from skincal.guide.coaching import Coaching, Smoothed, coach, leeway, smooth
-from skincal.guide.guidance import Guidance, Target
+from skincal.guide.guidance import Coaching, Guidance, Smoothed, Target, coach, leeway, smooth
 from skincal.mesh.surface import Surface, skin_point
 
 STRAIGHT = float(np.radians(5.0))
@@ -43,12 +42,7 @@ SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
 
 
 class PressCoach:
-    """Follows a poke in progress beside the poke that is asked for.
-
-    Parameters
-    ----------
-    surface : of the part; None where the scene has none
-    """
+    """Follows a poke in progress beside the poke that is asked for."""
 
     def __init__(self, surface: Surface | None) -> None:
         self._surface = surface

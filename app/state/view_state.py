@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 from app.scene3d.camera import PLAIN, Eye
-from app.state.policies import Allowed, Offer, Running
+from app.state.policies import Allowed, Offer
+from app.state.running import Running
 from app.units import ChannelNames
-from skincal.guide.coaching import Coaching
-from skincal.guide.guidance import Guidance, Target
+from skincal.guide.guidance import Coaching, Guidance, Target
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
@@ -33,13 +33,7 @@ class LinkLook(Enum):
 
 
 def link_look(health: LinkHealth, now_ns: int, *, connected: bool = True) -> LinkLook:
-    """Return how a link is doing.
-
-    Parameters
-    ----------
-    now_ns : host's monotonic clock
-    connected : the program reads its devices
-    """
+    """Return how a link is doing, by the host's monotonic clock; `connected` where the program reads its devices."""
     if not connected:
         return LinkLook.AWAY
     if health.state in (LinkState.LOST, LinkState.FAILED):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from app.state.place_sets import Pair, PlaceOrigin, Source
 from app.text.outcomes import METHOD_NAMES
-from app.units import DASH, TIMES, ChannelNames, count, millimetres, number
+from app.units import TIMES, ChannelNames, count, millimetres, number
 from skincal.modules.health import LayoutMend
 from skincal.sentences import change_words, left_sentences, misfit_sentence
 from skincal.taxels.differences import ModuleDifference, Summary
@@ -36,12 +37,7 @@ def source_words(source: Source) -> str:
 
 
 def difference_words(summary: Summary | None, pair: Pair, names: ChannelNames, channels: Sequence[int]) -> str:
-    """Return one line on how far two sets lie apart: `"84 taxels, mean 2.1 mm, largest 6.3 mm (17-04)"`.
-
-    Parameters
-    ----------
-    channels : of the rows
-    """
+    """Return one line on how far two sets lie apart: `"84 taxels, mean 2.1 mm, largest 6.3 mm (17-04)"`."""
     if pair[0] == pair[1]:
         return "The same places twice: choose another set to compare with."
     if summary is None:
@@ -61,14 +57,7 @@ def listed_words(modules: int) -> str:
 
 
 def module_cells(module: ModuleDifference, number_of: int, taxels: int, spacing: float) -> tuple[str, ...]:
-    """Return the cells of `MODULE_HEADINGS` for one module.
-
-    Parameters
-    ----------
-    number_of : its id
-    taxels : that it has
-    spacing : of its neighbours over the layout's; NaN where unknown
-    """
+    """Return the cells of `MODULE_HEADINGS` for a module by its id, its taxels, and its spacing over the layout's, or NaN."""
     some = "" if module.known == taxels else f"  {module.known}/{taxels}"
     lengths = (module.mean, module.shift, module.shape)
     return (f"{number_of}{some}", *(millimetres(length) for length in lengths), number(spacing, 2))
@@ -80,12 +69,7 @@ def worst_words(channel: int, length: float, names: ChannelNames) -> str:
 
 
 def arrow_words(pair: Pair, scale: int, *, named: bool) -> str:
-    """Return what arrows show: `"arrows true to scale"`.
-
-    Parameters
-    ----------
-    named : also from where to where they lead
-    """
+    """Return what arrows show: `"arrows true to scale"`; where `named` also from where to where they lead."""
     ends = f" from {source_words(pair[0])} to {source_words(pair[1])}," if named else ""
     return f"arrows{ends} {'true to scale' if scale == 1 else f'{scale} times as long as the differences'}"
 
@@ -96,26 +80,15 @@ def scale_choice(scale: int) -> str:
 
 
 def spacing_words(ratios: Mapping[Method, float]) -> str:
-    """Return how far neighbouring taxels lie apart by each method; empty where none knows.
-
-    Parameters
-    ----------
-    ratios : over the layout's spacing; NaN where unknown
-    """
-    known = {method: number(ratio, 2) for method, ratio in ratios.items()}
-    parts = [f"{words} ({METHOD_NAMES[method]})" for method, words in known.items() if words != DASH]
+    """Return how far neighbouring taxels lie apart by each method over the layout's spacing; empty where all are NaN."""
+    parts = [f"{number(ratio, 2)} ({METHOD_NAMES[method]})" for method, ratio in ratios.items() if math.isfinite(ratio)]
     return f"Neighbours lie {', '.join(parts)} of the layout's spacing apart." if parts else ""
 
 
 def misfit_words(mend: LayoutMend, judged: int, method: Method) -> tuple[str, ...]:
     """Return what is said of modules that do not lie as planned, one sentence each; the first with the sign of a warning.
 
-    What cannot be put right by another layout follows.
-
-    Parameters
-    ----------
-    judged : modules of which enough is known to say it
-    method : whose estimates were judged
+    What cannot be put right by another layout follows. `judged` modules are known well enough by `method` to say it.
     """
     if mend.misfits:
         many = count(len(mend.misfits), "module")

@@ -6,23 +6,12 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from app.state.press_coach import (
-    ELSEWHERE,
-    STRAIGHT,
-    Ask,
-    CoachMemory,
-    Force,
-    Hint,
-    Lean,
-    beside,
-    lean_of,
-)
+from app.state.press_coach import ELSEWHERE, STRAIGHT, Ask, CoachMemory, Force, Hint, Lean, beside, lean_of
 from app.state.view_state import ViewState
 from app.text.outcomes import METHOD_NAMES
 from app.units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, newtons, number
 from skincal.contacts.outcome import Contact
-from skincal.guide.coaching import Coaching
-from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, Target
+from skincal.guide.guidance import Coaching, Guidance, GuidePhase, LandmarkTarget, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
@@ -54,11 +43,6 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
     return f"{poke}, tilt {degrees(target.tilt)}{side}"
 
 
-def landmark_poked_words(poke: int, name: str) -> str:
-    """Return that a poke was at a landmark."""
-    return f"poke {poke} at the landmark {name}"
-
-
 def landmark_words(landmark: LandmarkTarget) -> str:
     """Return which of how many landmark pokes it is."""
     return f"landmark {landmark.done + 1} of {landmark.wanted} in this arm pose"
@@ -87,11 +71,10 @@ def _reason(guidance: Guidance, target: Target) -> str:
     missing = guidance.needs[row]
     if Need.ACCURACY not in missing:
         return f"needs {missing[0].value}" if missing else "checks what is known"
+    what = WHAT[guidance.method]
     if not np.isfinite(guidance.rms[row]):
-        return f"{WHAT[guidance.method]} not known yet"
-    return (
-        f"{WHAT[guidance.method]} {number(in_millimetres(target.before), 1)} \N{RIGHTWARDS ARROW} {millimetres(target.after)}"
-    )
+        return f"{what} not known yet"
+    return f"{what} {number(in_millimetres(target.before), 1)} \N{RIGHTWARDS ARROW} {millimetres(target.after)}"
 
 
 def asked_words(contact: Contact, meant: int, names: ChannelNames) -> str:
@@ -116,16 +99,9 @@ def left_words(guidance: Guidance) -> str:
 
 
 def enough_words(guidance: Guidance, wanted: float, dead: Collection[int]) -> str:
-    """Return that it is enough: `"enough: 84 of 84 taxels meet 3 mm"`.
-
-    Parameters
-    ----------
-    wanted : m, the predicted error that was asked for
-    """
+    """Return that it is enough by the predicted error `wanted`, metres: `"enough: 84 of 84 taxels meet 3 mm"`."""
     done, total = _done(guidance, dead)
-    if not total:
-        return "no taxel is used"
-    return f"enough: {done} of {count(total, 'taxel')} meet {millimetres(wanted, 0)}"
+    return f"enough: {done} of {count(total, 'taxel')} meet {millimetres(wanted, 0)}" if total else "no taxel is used"
 
 
 def end_words(guidance: Guidance, dead: Collection[int]) -> str:

@@ -10,8 +10,9 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from app.state.policies import GOOD_RMS, Running, is_news, newest_outcome
+from app.state.policies import GOOD_RMS, is_news, newest_outcome
 from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
+from app.state.running import Running
 from app.state.view_state import LinkLook, ViewState
 from app.text.guidance_text import (
     BETWEEN,
@@ -21,7 +22,6 @@ from app.text.guidance_text import (
     enough_words,
     force_words,
     hint_words,
-    landmark_poked_words,
     newly_done,
     pressing_words,
     target_words,
@@ -30,8 +30,7 @@ from app.text.guidance_text import (
 from app.text.outcomes import counted_words, link_detail, peak_channel, verdict_detail, verdict_words
 from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
-from skincal.guide.coaching import PRESSING
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
 from skincal.session.snapshot import Snapshot
 
@@ -91,11 +90,12 @@ class NowMemory:
 def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
     """Return what is said now, and what has to be remembered.
 
-    Trouble goes before everything. A poke in progress is said at once; a
-    verdict stays `VERDICT_S`; a calm phase is said once it lasted `SETTLE_S`.
+    Trouble goes before everything. A poke in progress is said at once; a verdict stays `VERDICT_S`; a calm phase is said after
+    `SETTLE_S`.
     """
-    memory = _settle(_see_guidance(_see_outcome(memory, at), at), at)
-    memory = replace(memory, coach=follow_press(memory.coach, at))
+    asked = None if at.target is None else at.target.channel
+    memory = replace(_see_outcome(memory, at), asked=asked, guidance=at.guidance)
+    memory = replace(_settle(memory, at), coach=follow_press(memory.coach, at))
     trouble = _trouble(at)
     if trouble is not None:
         return trouble, memory
@@ -121,13 +121,6 @@ def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
         return replace(memory, outcome=newest, done=())
     # The same poke again, with the tare after it: that may be what a taxel lacked.
     return replace(memory, outcome=newest, done=tuple(sorted(grown.union(memory.done))))
-
-
-def _see_guidance(memory: NowMemory, at: ViewState) -> NowMemory:
-    asked = None if at.target is None else at.target.channel
-    if asked == memory.asked and at.guidance is memory.guidance:
-        return memory
-    return replace(memory, asked=asked, guidance=at.guidance)
 
 
 def _settle(memory: NowMemory, at: ViewState) -> NowMemory:
@@ -169,7 +162,7 @@ def _pressing(memory: NowMemory, at: ViewState) -> Now:
 def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
     name = at.snapshot.at_landmarks.get(outcome.poke)
     if name is not None:
-        return Now(Tone.GOOD, landmark_poked_words(outcome.poke, name), _next(at))
+        return Now(Tone.GOOD, f"poke {outcome.poke} at the landmark {name}", _next(at))
     detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
     if isinstance(outcome, Rejection):
         return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
@@ -188,11 +181,9 @@ def _calm(phase: PressPhase, at: ViewState) -> Now:
         return _no_data(at)
     if phase is PressPhase.TARING:
         following = _next(at)
-        taring = (
-            f"Taring.  {following}" if following else "Taring: the sensor's offset is taken while nothing touches the part."
-        )
-        return Now(Tone.WAIT, "keep hands off", taring)
-    return _guided(at) or _ready(at)
+        what = f".  {following}" if following else ": the sensor's offset is taken while nothing touches the part."
+        return Now(Tone.WAIT, "keep hands off", f"Taring{what}")
+    return _guided(at)
 
 
 def _next(at: ViewState) -> str:
@@ -204,19 +195,13 @@ def _next(at: ViewState) -> str:
     return f"Next: {target_words(at.guidance, at.target, at.names)}"
 
 
-def _guided(at: ViewState) -> Now | None:
+def _guided(at: ViewState) -> Now:
     guidance, dead = at.guidance, at.snapshot.dead
-    if guidance is None:
-        return None
-    if guidance.phase is GuidePhase.ENOUGH:
+    if guidance is not None and guidance.phase is GuidePhase.ENOUGH:
         first = "C uses the correction that is offered. " if at.offers else ""
         return Now(Tone.GOOD, enough_words(guidance, GOOD_RMS, dead), first + end_words(guidance, dead))
-    if at.target is None:
-        return None
-    return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))
-
-
-def _ready(at: ViewState) -> Now:
+    if guidance is not None and at.target is not None:
+        return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))
     limits = at.scene.contacts
     low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)
     return Now(Tone.GO, "ready: poke", f"Press {low} to {high} onto a taxel and hold {number(limits.still_s, 1)} s.")

@@ -77,7 +77,7 @@ def reason_words(rejection: Rejection) -> str:
     if reason is Reason.NOT_STILL and rejection.unit == "s":
         return f"held {quantity(value, 's')}, {bound} {quantity(limit, 's')}"
     if rejection.unit == "1":
-        return f"{reason.value}: {_percent(value)}, {bound} {_percent(limit)}"
+        return f"{reason.value}: {number(100.0 * value, 1)} %, {bound} {number(100.0 * limit, 1)} %"
     colon = "" if reason is Reason.SLID else ":"
     return f"{reason.value}{colon} {quantity(value, rejection.unit)}, {bound} {quantity(limit, rejection.unit)}"
 
@@ -85,10 +85,6 @@ def reason_words(rejection: Rejection) -> str:
 def _headline_reason(rejection: Rejection) -> str:
     words = reason_words(rejection)
     return words if len(words) <= REASON_LETTERS else rejection.reason.value
-
-
-def _percent(share: float) -> str:
-    return f"{number(share * 100.0, 1)} %"
 
 
 def peak_channel(outcome: Outcome) -> int | None:
@@ -104,15 +100,13 @@ def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
     """Return how a poke ended, verb first; the numbers of a long reason are left to `verdict_detail`."""
     if isinstance(outcome, Rejection):
         return f"rejected: {_headline_reason(outcome)}"
-    peak = peak_channel(outcome)
-    taxel = names.short(peak) if peak is not None else ""
-    return f"accepted {taxel}  {newtons(force_of(outcome))}"
+    return counted_words(outcome, names, "accepted")
 
 
-def counted_words(contact: Contact, names: ChannelNames) -> str:
+def counted_words(contact: Contact, names: ChannelNames, how: str = "counted for") -> str:
     """Return for which taxel a poke counts that was meant for another."""
     peak = peak_channel(contact)
-    return f"counted for {'' if peak is None else names.short(peak)}  {newtons(force_of(contact))}"
+    return f"{how} {'' if peak is None else names.short(peak)}  {newtons(force_of(contact))}"
 
 
 def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: ChannelNames) -> str:
@@ -148,16 +142,9 @@ def pitch_of(contact: Contact) -> float:
 
 
 def tilt_of(contact: Contact, estimates: Mapping[int, Estimate]) -> float | None:
-    """Return the angle between the push and the inward normal of the taxel that answered most, radians.
+    """Return the angle between the push and the inward normal of the taxel that answered most, rad; None where it is unknown.
 
-    Parameters
-    ----------
-    contact : with its force in the sensor frame
-    estimates : by channel; the normal of the peak taxel's is used
-
-    Returns
-    -------
-    None where no normal is known yet.
+    `estimates` are by channel.
     """
     peak = peak_channel(contact)
     estimate = None if peak is None else estimates.get(peak)
@@ -185,23 +172,18 @@ def error_words(estimates: Sequence[Estimate]) -> str:
 
 def rejections(snapshot: Snapshot) -> list[Rejection]:
     """Return the pokes that do not count by themselves; none that was at a landmark, where no taxel need answer."""
-    at = snapshot.at_landmarks
-    outcomes = (p.outcome for p in snapshot.pokes)
-    return [outcome for outcome in outcomes if isinstance(outcome, Rejection) and outcome.poke not in at]
+    outcomes = (record.outcome for record in snapshot.pokes)
+    return [each for each in outcomes if isinstance(each, Rejection) and each.poke not in snapshot.at_landmarks]
 
 
 def pokes_words(snapshot: Snapshot, why: str = "") -> str:
     """Return how many pokes there are and how many do not count; `why` is said of those rejected."""
     rejected = len(rejections(snapshot))
     excluded = sum(p.excluded for p in snapshot.pokes)
-    parts = [count(len(snapshot.pokes), "poke")]
-    if snapshot.at_landmarks:
-        parts.append(f"{len(snapshot.at_landmarks)} at landmarks")
-    if rejected:
-        parts.append(f"{rejected} rejected{why}")
-    if excluded:
-        parts.append(f"{excluded} excluded")
-    return ", ".join(parts)
+    some = {"at landmarks": len(snapshot.at_landmarks), f"rejected{why}": rejected, "excluded": excluded}
+    return ", ".join(
+        [count(len(snapshot.pokes), "poke"), *(f"{number_of} {what}" for what, number_of in some.items() if number_of)]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,30 +205,16 @@ class LinkWords:
 def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, connected: bool = True) -> LinkWords:
     """Return what is said of a link.
 
-    A silent link says when its last bytes came, not how long ago, so that nothing on the screen changes while nothing
-    streams.
-
-    Parameters
-    ----------
-    health : of the link
-    now_ns : host's monotonic clock
-    clock_offset : seconds to add to the monotonic clock for the time of day
-    connected : the program reads its devices
+    A silent link says when its last bytes came, not how long ago, so that nothing on the screen changes while nothing streams.
+    `now_ns` is the host's monotonic clock, and `clock_offset`, s, makes it the time of day; `connected` as for `link_look`.
     """
     look = link_look(health, now_ns, connected=connected)
-    quiet_s = (now_ns - health.last_host_ns) * 1e-9
-    last = age(quiet_s) if look is LinkLook.STREAMING else _last_words(health, clock_offset)
-    shown_rate = rate(health.rate) if look is LinkLook.STREAMING else look.value
+    shown_rate, last = look.value, _last_words(health, clock_offset)
+    if look is LinkLook.STREAMING:
+        shown_rate, last = rate(health.rate), age((now_ns - health.last_host_ns) * 1e-9)
     losses = sorted(((loss.value, n) for loss, n in health.losses.items() if n), key=lambda item: -item[1])
-    return LinkWords(
-        name=health.link,
-        look=look,
-        short=f"{health.link} {shown_rate}",
-        rate=shown_rate,
-        age=last,
-        detail=_link_detail(health, look, last),
-        losses=tuple(losses),
-    )
+    detail = _link_detail(health, look, last)
+    return LinkWords(health.link, look, f"{health.link} {shown_rate}", shown_rate, last, detail, tuple(losses))
 
 
 def link_lines(at: ViewState) -> tuple[LinkWords, ...]:

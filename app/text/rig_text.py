@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from app.state.policies import Offer
 from app.units import DASH, in_millimetres, millimetres, number
-from skincal.contacts.outcome import Outcome
 from skincal.model.actions import Correct
 from skincal.rig.correction import RIG
 from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
@@ -30,7 +29,8 @@ def offer_text(offer: Offer) -> str:
 def offer_words(offer: Offer) -> str:
     """Return what is said of a correction that could be used, with the misses."""
     if offer.frame is None:
-        return rig_words(offer.action.before, offer.action.after)
+        then, now = millimetres(offer.action.after), millimetres(offer.action.before)
+        return f"The rig can be corrected: held-out pokes then pass their landmarks at {then}, now at {now}."
     perhaps = "" if offer.frame.sure else " Another mistake would be nearly as likely: poke another landmark."
     return frame_sentence(offer.frame) + perhaps
 
@@ -45,26 +45,17 @@ def corrected_words(action: Correct) -> str:
     return f"{correction_sentence(used_of(action))} Backspace takes it back until the next poke, the Rig tab at any time."
 
 
-def rig_words(before: float, after: float) -> str:
-    """Return what a correction of the rig would do, with the misses of held-out pokes, metres."""
-    then, now = millimetres(after), millimetres(before)
-    return f"The rig can be corrected: held-out pokes then pass their landmarks at {then}, now at {now}."
-
-
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
     """Return how far a correction moves, or has moved, the taxels of a method; empty where nobody knows."""
     other = review.before.get(method, review.after.get(method))
     if other is None:
         return ""
     here = {estimate.channel: estimate.position for estimate in estimates}
-    pairs = [
-        (place, there)
-        for channel, place in zip(review.channels.tolist(), other, strict=True)
-        if (there := here.get(channel)) is not None and np.isfinite(place).all()
-    ]
-    if not pairs:
+    places = zip(review.channels.tolist(), other, strict=True)
+    lengths = [np.linalg.norm(place - there) for channel, place in places if (there := here.get(channel)) is not None]
+    apart = np.array(lengths)[np.isfinite(lengths)]
+    if not len(apart):
         return ""
-    apart = np.array([np.linalg.norm(first - second) for first, second in pairs])
     verb = "has moved" if method in review.before else "would move"
     return f"It {verb} the taxels by {millimetres(float(apart.mean()))} in the mean, {millimetres(float(apart.max()))} at most."
 
@@ -101,18 +92,16 @@ def landmark_rows(snapshot: Snapshot, review: Review | None) -> list[LandmarkRow
     of: dict[str, list[int]] = defaultdict(list)
     for poke in counting:
         of[snapshot.at_landmarks[poke]].append(poke)
-    return [_landmark_row(point.name, of[point.name], counting, snapshot.pose, review) for point in snapshot.landmarks]
+    rows: list[LandmarkRow] = []
+    for name in (point.name for point in snapshot.landmarks):
+        here = sum(counting[poke].pose == snapshot.pose for poke in of[name])
+        rows.append(LandmarkRow(name, here, len(of[name]), DASH if review is None else _off(of[name], review)))
+    return rows
 
 
-def _landmark_row(
-    name: str, pokes: Sequence[int], outcomes: Mapping[int, Outcome], pose: str, review: Review | None
-) -> LandmarkRow:
-    reported, found = ({}, {}) if review is None else (review.reported, review.rig.distances)
-    off = _off([reported[poke] for poke in pokes if poke in reported], [found[poke] for poke in pokes if poke in found])
-    return LandmarkRow(name, sum(outcomes[poke].pose == pose for poke in pokes), len(pokes), off)
-
-
-def _off(reported: Sequence[float], found: Sequence[float]) -> str:
+def _off(pokes: Sequence[int], review: Review) -> str:
+    reported = [review.reported[poke] for poke in pokes if poke in review.reported]
+    found = [review.rig.distances[poke] for poke in pokes if poke in review.rig.distances]
     if not reported:
         return DASH
     if not found:

@@ -61,12 +61,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 
 
 def done_words(method: Method, wanted: float) -> str:
-    """Return what makes a taxel done: `"a predicted error of 3 mm or less, and 4 pokes on its module"`.
-
-    Parameters
-    ----------
-    wanted : m, the predicted error that is asked for
-    """
+    """Return what makes a taxel done, `wanted` in metres: `"a predicted error of 3 mm or less, and 4 pokes on its module"`."""
     settings = GuideSettings()
     error = f"a predicted error of {millimetres(wanted, 0)} or less"
     if method is Method.MODULES:
@@ -117,14 +112,7 @@ def predicted_words(verdict: Verdict) -> str:
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
-    """Return what is known of the rig's own errors, which held-out pokes of the skin hardly show.
-
-    Parameters
-    ----------
-    offers : what could put the rig right
-    used : corrections in use
-    review : what pokes at landmarks tell; None while nothing does
-    """
+    """Return what is known of the rig's own errors, which held-out pokes of the skin hardly show."""
     if offers:
         return f"{offer_words(offers[0])} C uses that, the Rig tab says more."
     in_use = " ".join(correction_sentence(correction) for correction in used)

@@ -1,11 +1,8 @@
-"""A process for work that would hold the window even from a thread: the calculation of a rig's errors keeps Python's lock.
+"""A process for work that would hold the window even from a thread, and the review of landmark pokes that it does.
 
-It starts when it is first asked for something and ends with the window. No Qt here: the process imports this module, too.
-
-Has landmark pokes reviewed beside the window: what they say of the rig takes some tenths of a second to work out.
-
-A process is asked from the first poke at a landmark on, and sent what is new of the session since it was asked last. There is
-one review at a time, and its work gives way to a newer request.
+The calculation of a rig's errors keeps Python's lock for some tenths of a second. The process is asked from the first poke at a
+landmark on, and sent what is new of the session since it was asked last. There is one review at a time, and its work gives way
+to a newer request. The process ends with the window; it imports this module, too.
 """
 
 from __future__ import annotations

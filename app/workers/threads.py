@@ -86,6 +86,12 @@ class ThreadService:
         """Begin a new generation: answers to what was asked before come too late."""
         self._generation += 1
 
+    def wait(self) -> None:
+        """Wait until all that was asked for is done, however long that takes; from any thread."""
+        thread = self._thread
+        if thread is not None:
+            thread.join()
+
     def close(self, limit_s: float = STOP_S) -> None:
         """Take no more, and wait so long for what was asked; all its answers come too late."""
         self._closed = True

@@ -77,11 +77,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return result if isinstance(result, int) else 0
 
 
+_PLAIN_WORDS = (
+    ("Value error, ", ""),
+    ("Input should be greater", "expected a number greater"),
+    ("Input should be less", "expected a number less"),
+    ("Input should be a valid integer", "expected a whole number"),
+    ("Input should be a valid", "expected a"),
+    (", unable to parse string as a number", ""),
+    (", unable to parse string as an integer", ""),
+    ("Input should be", "expected"),
+)
+"""What pydantic, by which typer reads options, says to programmers, and what it is to an operator."""
+
+
+def _usage_sentence(message: str, command: str) -> str:
+    for theirs, plain in _PLAIN_WORDS:
+        message = message.replace(theirs, plain)
+    return f"skincal: {message.rstrip('.')}; `{command} --help` shows what is possible."
+
+
 def _other_failure(error: Exception) -> int:
     """Report a usage error of the command line as the user's, anything else as ours."""
-    show = getattr(error, "show", None)
-    if show is not None:  # a ClickException: typer carries its own copy of click, or uses the installed one
-        show()
+    # A ClickException, with its words: typer carries its own copy of click, or uses the installed one.
+    show, words = getattr(error, "show", None), getattr(error, "format_message", str)
+    if show is not None:
+        message, context = words(), getattr(error, "ctx", None)
+        if not message or "\n" in message:  # no command was named: the whole help
+            show()
+        else:
+            typer.echo(_usage_sentence(message, getattr(context, "command_path", "skincal")), err=True)
         return 2
     if isinstance(error, BrokenPipeError):
         return 0

@@ -29,10 +29,6 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Replay = Annotated[
     bool, typer.Option("--replay", help="Play the recorded bytes again instead of taking the pokes as they were judged.")
 ]
-Speed = Annotated[
-    float | None,
-    typer.Option(help="With --replay: times real time, 1 = as it happened; else as fast as it goes.", show_default=False),
-]
 Part = Annotated[
     str | None,
     typer.Option(help="Skin part named in the iCub file, such as r_forearm; else the one that the scene's link begins with."),
@@ -89,7 +85,6 @@ def solve(
     correct: Correct = False,
     part: Part = None,
     replay: Replay = False,
-    speed: Speed = None,
     as_json: Json = False,
 ) -> None:
     """Estimate every taxel of a session by each method of its scene."""
@@ -99,13 +94,12 @@ def solve(
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
-    pipeline = _opened(session, replay, speed, layout)
+    pipeline = _opened(session, replay, layout)
     if correct:
         _correct(pipeline.session)
     snapshot = pipeline.snapshot()
     counts = report.poke_counts(snapshot)
-    plan = pipeline.session.scene.skin.layout
-    methods = {method.value: report.method_summary(items, known, plan) for method, items in snapshot.estimates.items()}
+    methods = report.method_summaries(snapshot.estimates, known, pipeline.session.scene.skin.layout)
     if per_pose:
         methods |= _per_pose(pipeline, known)
     rig, rig_lines = _corrected(pipeline, known)
@@ -123,7 +117,7 @@ def solve(
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
-        "session": str(session),
+        "session": session,
         **counts,
         "methods": methods,
         **losses,
@@ -137,14 +131,10 @@ def solve(
     report.print_result({**result, "text": text}, as_json)
 
 
-def _opened(session: Path, from_bytes: bool, speed: float | None, layout: Path | None) -> Pipeline:
+def _opened(session: Path, from_bytes: bool, layout: Path | None) -> Pipeline:
     from skincal.session.replay import load, replay
 
-    if speed is not None and not from_bytes:
-        raise InputError("--speed needs --replay: without it nothing is played.")
-    if speed is not None and not 0 < speed < float("inf"):
-        raise InputError(f"--speed is {speed:g}; expected a number above 0, such as 1 for real time.")
-    return replay(session, speed, layout=layout) if from_bytes else load(session, layout)
+    return (replay if from_bytes else load)(session, layout)
 
 
 def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dict[str, Any]:
@@ -152,38 +142,26 @@ def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dic
     from skincal.methods import average_over_poses
 
     session = pipeline.session
-    summaries: dict[str, Any] = {}
-    for method in session.snapshot().estimates:
-        averaged = average_over_poses(
-            session.contacts, session.channels, method, session.scene.noise, session.surface, model=session.module_model
-        )
-        summaries[f"{method.value}-per-pose"] = report.method_summary(
-            tuple(averaged.values()), known, session.scene.skin.layout
-        )
-    return summaries
+    asked = session.contacts, session.channels
+    rest = session.scene.noise, session.surface
+    averaged = {
+        method: tuple(average_over_poses(*asked, method, *rest, model=session.module_model).values())
+        for method in session.methods
+    }
+    return report.method_summaries(averaged, known, session.scene.skin.layout, "-per-pose")
 
 
 def _layout_result(session: Session, used: Path | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Return what is wrong with the layout, as JSON and in lines; write the corrected one where that is wanted.
+    """Return what is wrong with the layout, as JSON and in lines; write the corrected one to `out` where that is wanted.
 
     Modules are judged by the estimates of the surface method where there is one, else by those of free.
-
-    Parameters
-    ----------
-    used : the layout's file where it is not the session's own
-    out : file for the corrected layout; None writes none
-
-    Raises
-    ------
-    InputError
-        There is no layout to correct, or the file cannot be written.
     """
     from skincal.files.layout_file import write_layout
     from skincal.modules.health import judged_modules, mend_modules
     from skincal.sentences import left_sentences, misfit_sentence
 
     lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
-    result: dict[str, Any] = {"misfits": [], "layout": {"used": _name(used), "changes": [], "left": [], "written": None}}
+    result: dict[str, Any] = {"misfits": [], "layout": {"used": used, "changes": [], "left": [], "written": None}}
     if session.module_model is None:
         if out is not None:
             raise InputError(
@@ -198,7 +176,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
         write_layout(session.module_model.layout, mend, written)
     misfits = [misfit_sentence(misfit) for misfit in mend.misfits]
     changes = [{"module": change.module, **change.keys} for change in mend.changes]
-    layout = {"used": _name(used), "changes": changes, "left": left_sentences(mend), "written": _name(written)}
+    layout = {"used": used, "changes": changes, "left": left_sentences(mend), "written": written}
     lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.module_model, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
 
@@ -219,10 +197,6 @@ def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
     return [*left, f"{out} is not written: {why}"]
 
 
-def _name(path: Path | None) -> str | None:
-    return None if path is None else str(path)
-
-
 def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
     from skincal.rig.correction_fit import correct_rig
     from skincal.rig.frame_check import diagnose
@@ -235,13 +209,7 @@ def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnsw
 
 
 def _correct(session: Session) -> None:
-    """Use the corrections that landmark pokes offer, the frame first; the recording stays as it is.
-
-    Raises
-    ------
-    InputError
-        They offer nothing that is certain.
-    """
+    """Use the corrections that landmark pokes offer, the frame first, or refuse; the recording stays as it is."""
     from skincal.rig.correction import FRAME
     from skincal.sentences import frame_sentence, rig_sentences
     from skincal.session.corrections import offered
@@ -294,13 +262,11 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         solved = estimate_taxels(
             contacts, session.channels, session.methods, noise, surface, session.dead, model=model, shared=shared
         )
-        rig["methods"] = {
-            f"{method.value}-corrected": report.method_summary(tuple(found.values()), known, session.scene.skin.layout)
-            for method, found in solved.items()
-        }
-    in_use = [correction_sentence(used) for used in session.corrections.values()]
-    found = rig_sentences(answer)[1 if RIG in session.corrections else 0 :]
-    return rig, [*(() if frame is None else (frame_sentence(frame),)), *in_use, *found]
+        found = {method: tuple(estimates.values()) for method, estimates in solved.items()}
+        rig["methods"] = report.method_summaries(found, known, session.scene.skin.layout, "-corrected")
+    lines = [] if frame is None else [frame_sentence(frame)]
+    lines += [correction_sentence(used) for used in session.corrections.values()]
+    return rig, [*lines, *rig_sentences(answer)[1 if RIG in session.corrections else 0 :]]
 
 
 def _unchecked(session: Session) -> tuple[float | None, list[str]]:
@@ -326,7 +292,7 @@ def _calibration(session: Session) -> Calibration:
     return replace(session.calibration(), landmark_check=landmark_check(correct_rig(session.rig_request())))
 
 
-def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[str], list[str]]:
+def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:
     """Write every format for every method the scene has; return the files and what was found."""
     from skincal.files.export import write_calibration
 
@@ -335,24 +301,15 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
     calibration = _calibration(pipeline.session)
-    files: list[str] = []
-    findings: list[str] = []
-
-    def write(format_: ExportFormat, name: str, method: Method) -> None:
-        path = folder / name
-        for sentence in write_calibration(calibration, format_.value, path, method, part):
-            # Several formats of the same calibration have the same faults.
-            if sentence not in findings:
-                findings.append(sentence)
-        files.append(str(path))
-
     methods = tuple(calibration.estimates)
-    write(ExportFormat.JSON, "calibration.json", methods[0])
-    write(ExportFormat.CSV, "calibration.csv", methods[0])
+    names = [("json", "calibration.json", methods[0]), ("csv", "calibration.csv", methods[0])]
     for method in methods:
-        write(ExportFormat.ICUB, f"positions-{method.value}.txt", method)
-        write(ExportFormat.PLY, f"taxels-{method.value}.ply", method)
-    return files, findings
+        names += [("icub", f"positions-{method.value}.txt", method), ("ply", f"taxels-{method.value}.ply", method)]
+    # Several formats of the same calibration have the same faults, which are said once.
+    findings: dict[str, None] = {}
+    for format_, name, method in names:
+        findings |= dict.fromkeys(write_calibration(calibration, format_, folder / name, method, part))
+    return [folder / name for _, name, _ in names], list(findings)
 
 
 def export(
@@ -374,7 +331,7 @@ def export(
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
-    pipeline = _opened(session, replay, None, layout)
+    pipeline = _opened(session, replay, layout)
     if correct:
         _correct(pipeline.session)
     calibration = _calibration(pipeline.session)
@@ -385,7 +342,7 @@ def export(
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
-    used = {} if layout is None else {"layout": str(layout)}
+    used = {} if layout is None else {"layout": layout}
     text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]
-    result = {"file": str(out), "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
+    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

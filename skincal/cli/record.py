@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import queue
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -16,6 +18,7 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
@@ -28,8 +31,7 @@ from skincal.model.scene import Scene, load_scene, scene_file
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.link_reader import Reader
-    from skincal.streams.links import LinkSpec
+    from skincal.streams.links import LinkSpec, Reader
 
 
 SceneOption = Annotated[
@@ -39,6 +41,8 @@ OutOption = Annotated[Path, typer.Option(help="Folder of the new session.")]
 LinkOption = Annotated[str, typer.Option(help="Port such as /dev/ttyUSB0@460800 or COM3, socket://HOST:PORT, or a file.")]
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
+OPENING_NS = 1_500_000_000
+"""ns. A link that says nothing for so long, such as a host whose name nobody answers, is reported as not open."""
 
 importing = typer.Typer(
     help="Make a session from another program's recording.",
@@ -70,29 +74,29 @@ class KeptError(InputError):
     """A recording is at fault, but something was recorded, and stays."""
 
 
-class Fresh:
-    """What became of the folder of a new session."""
-
-    made = False
-    """The session in it is this command's own: nobody else's is ever taken away."""
-
-
 @contextlib.contextmanager
-def new_folder(folder: Path) -> Generator[Fresh]:
-    """Let a session be made in `folder`; on an `InputError` take away what was made, unless it is a `KeptError`.
+def new_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Generator[Pipeline]:
+    """Make a session in `folder` and yield its pipeline; on an `InputError` but a `KeptError` take away what was made.
 
     What was there before stays, and what another program makes there meanwhile.
     """
-    from skincal.journal.scene_copy import SCENE_FOLDER
+    from skincal.journal.writer import SCENE_FOLDER, create_session
+    from skincal.session.part import load_scene_surface
+    from skincal.session.pipeline import Pipeline
 
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
-    fresh = Fresh()
+    journal = None
     try:
-        yield fresh
+        surface, findings = load_scene_surface(scene)
+        for finding in findings:
+            typer.echo(f"{scene.surface.path.name if scene.surface else ''}: {finding}", err=True)
+        journal = create_session(folder, scene, links)
+        yield Pipeline(scene, links, surface, journal)
     except KeptError:
         raise
     except InputError:
-        if fresh.made:
+        # Nobody else's session is ever taken away.
+        if journal is not None:
             shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
             for ending in ("mcap", "jsonl"):
                 for segment in folder.glob(f"segment-[0-9][0-9][0-9][0-9].{ending}"):
@@ -102,23 +106,6 @@ def new_folder(folder: Path) -> Generator[Fresh]:
             with contextlib.suppress(OSError):
                 place.rmdir()
         raise
-
-
-def _new_pipeline(scene: Scene, out: Path, links: Sequence[LinkSpec], fresh: Fresh) -> Pipeline:
-    """Open a new session's journal and the pipeline into it; the mesh is loaded where the scene has one."""
-    from skincal.journal.writer import create_session
-    from skincal.session.pipeline import Pipeline
-
-    surface = None
-    if scene.surface is not None:
-        from skincal.mesh.load import load_surface
-
-        surface, findings = load_surface(scene.surface)
-        for finding in findings:
-            typer.echo(f"{scene.surface.path.name}: {finding.sentence}", err=True)
-    journal = create_session(out, scene, links)
-    fresh.made = True
-    return Pipeline(scene, links, surface, journal)
 
 
 def record(
@@ -138,46 +125,46 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
     """
-    from skincal.streams.links import describe_links
+    from skincal.streams.links import Reader, describe_links
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
-    with new_folder(out) as fresh:
-        items: Items = queue.SimpleQueue()
+    items: Items = queue.SimpleQueue()
+    with stopping() as stop, new_session(out, loaded, links) as pipeline:
         if orders:
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
-        pipeline = _recorded(loaded, (out, fresh), links, pose, seconds, pokes, items)
+        readers = {link.name: Reader(link, items) for link in links}
+        try:
+            _choose_pose(pipeline, pose)
+            for reader in readers.values():
+                reader.start()
+            _loop(pipeline, items, readers, (seconds, pokes), stop)
+        finally:
+            for reader in readers.values():
+                reader.stop()
+            while not items.empty():
+                _take(pipeline, items.get())
+            pipeline.close()
+        if stop.is_set():
+            typer.echo("stopped", err=True)
         finish(pipeline, out, as_json)
 
 
-def _recorded(
-    scene: Scene,
-    into: tuple[Path, Fresh],
-    links: Sequence[LinkSpec],
-    pose: str | None,
-    seconds: float | None,
-    pokes: int | None,
-    items: Items,
-) -> Pipeline:
-    from skincal.streams.link_reader import Reader
+@contextlib.contextmanager
+def stopping() -> Generator[threading.Event]:
+    """Yield an event that Ctrl-C or a termination signal sets: an exception might strike while a file is written."""
+    stop = threading.Event()
 
-    pipeline = _new_pipeline(scene, into[0], links, into[1])
-    readers = {link.name: Reader(link, items) for link in links}
+    def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
+        stop.set()
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        _choose_pose(pipeline, pose)
-        for reader in readers.values():
-            reader.start()
-        _loop(pipeline, items, readers, seconds, pokes)
-    except KeyboardInterrupt:
-        typer.echo("stopped", err=True)
+        yield stop
     finally:
-        for reader in readers.values():
-            reader.stop()
-        while not items.empty():
-            _take(pipeline, items.get())
-        pipeline.close()
-    return pipeline
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,13 +218,20 @@ def _choose_pose(pipeline: Pipeline, pose: str | None) -> None:
         pipeline.act(SetPose(pose), time.monotonic_ns())
 
 
-def _loop(pipeline: Pipeline, items: Items, readers: Mapping[str, Reader], seconds: float | None, pokes: int | None) -> None:
-    """Take items until the time or the pokes are over, every link ended, or one is given up."""
-    end = None if seconds is None else time.monotonic() + seconds
+def _loop(
+    pipeline: Pipeline,
+    items: Items,
+    readers: Mapping[str, Reader],
+    until: tuple[float | None, int | None],
+    stop: threading.Event,
+) -> None:
+    """Take items until `stop`, the seconds or the pokes of `until` are over, every link ended, or one is given up."""
+    seconds, pokes = until
+    end = math.inf if seconds is None else time.monotonic() + seconds
     reported = 0
     states: dict[str, LinkState] = {}
-    silence = Silence()
-    while (end is None or time.monotonic() < end) and not pipeline.journal_failure:
+    silence = Silence(readers, time.monotonic_ns())
+    while not stop.is_set() and time.monotonic() < end and not pipeline.journal_failure:
         for sentence in silence.sentences(time.monotonic_ns()):
             typer.echo(sentence, err=True)
         try:
@@ -261,9 +255,15 @@ def _loop(pipeline: Pipeline, items: Items, readers: Mapping[str, Reader], secon
 
 
 class Silence:
-    """Says once that an open link sends nothing, and that it sends again."""
+    """Says once that a link takes long to open, that an open one sends nothing, and that it sends again.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    opening : names of the links that are being opened since `now_ns` of the host's monotonic clock
+    """
+
+    def __init__(self, opening: Iterable[str] = (), now_ns: int = 0) -> None:
+        self._opening_ns = dict.fromkeys(opening, now_ns)
         # Of each link that is open: when it opened or sent last.
         self._heard_ns: dict[str, int] = {}
         self._silent: set[str] = set()
@@ -271,6 +271,7 @@ class Silence:
 
     def hear(self, item: Chunk | LinkEvent) -> None:
         """Take the next item of the queue."""
+        self._opening_ns.pop(item.link, None)
         if isinstance(item, LinkEvent) and item.state is not LinkState.OPEN:
             self._heard_ns.pop(item.link, None)
             self._silent.discard(item.link)
@@ -283,6 +284,10 @@ class Silence:
     def sentences(self, now_ns: int) -> list[str]:
         """Return what is new at `now_ns` of the host's monotonic clock."""
         said, self._again = self._again, []
+        late = [name for name, since_ns in self._opening_ns.items() if now_ns - since_ns >= OPENING_NS]
+        for name in late:
+            del self._opening_ns[name]
+            said.append(f"{name}: is not open yet, and gives no reason; check its address and the network. Trying on.")
         for name, heard_ns in self._heard_ns.items():
             if name not in self._silent and is_silent(heard_ns * 1e-9, now_ns * 1e-9):
                 self._silent.add(name)
@@ -320,9 +325,7 @@ def finish(
 ) -> None:
     """Print what a recording came to; with `reference` also the error against it.
 
-    Parameters
-    ----------
-    imported : the readings are kept elsewhere, so that a session of no use need not be
+    Where it was `imported` the readings are kept elsewhere, and a session of no use need not be.
 
     Raises
     ------
@@ -337,8 +340,7 @@ def finish(
     counts = report.poke_counts(snapshot)
     live = pipeline.live(0)
     losses = report.loss_counts(live.links, live.losses_unpaired)
-    layout = pipeline.session.scene.skin.layout
-    methods = {method.value: report.method_summary(items, reference, layout) for method, items in snapshot.estimates.items()}
+    methods = report.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
     found = [*findings, *report.link_notes(live.links)]
     text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     silent = report.silent_links(live.links)
@@ -347,7 +349,7 @@ def finish(
     kept = bool(pipeline.journal_failure) or not useless
     text += [*report.loss_lines(losses), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {
-        "session": str(out) if kept else None,
+        "session": out if kept else None,
         **counts,
         "methods": methods,
         **losses,
@@ -400,8 +402,7 @@ def _import(
     recording: tuple[Sequence[LinkSpec], Iterable[Chunk], Sequence[str]],
 ) -> None:
     links, chunks, findings = recording
-    with new_folder(out) as fresh:
-        pipeline = _new_pipeline(scene, out, links, fresh)
+    with new_session(out, scene, links) as pipeline:
         try:
             _choose_pose(pipeline, pose)
             for chunk in chunks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,7 +26,8 @@ from skincal.taxels.shared_errors import predicted_error
 def print_result(result: Mapping[str, Any], as_json: bool) -> None:
     """Print a command's result on stdout: JSON, or the entries of `"text"`."""
     if as_json:
-        typer.echo(json.dumps({key: value for key, value in result.items() if key != "text"}, allow_nan=False))
+        wanted = {key: value for key, value in result.items() if key != "text"}
+        typer.echo(json.dumps(wanted, allow_nan=False, default=os.fspath))
     else:
         for line in result["text"]:
             typer.echo(line)
@@ -45,6 +47,16 @@ def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
         "at_landmarks": sum(r.outcome.poke in named and not r.excluded for r in records),
         "rejected": dict(sorted(reasons.items())),
     }
+
+
+def method_summaries(
+    estimates: Mapping[Method, tuple[Estimate, ...]],
+    reference: Mapping[int, FloatArray] | None,
+    layout: Layout | None,
+    kind: str = "",
+) -> dict[str, Any]:
+    """Summarise every method, by its name with `kind` after it."""
+    return {method.value + kind: method_summary(found, reference, layout) for method, found in estimates.items()}
 
 
 def method_summary(
@@ -87,17 +99,14 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
     return {"links": counts, "frames_without_wrench": unpaired}
 
 
-_BESIDE = {"excluded": "excluded", "at_landmarks": "at landmarks"}
-"""Counts that are named only where they are not 0, and in which words."""
-
-
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
     """Return the text for `poke_counts`."""
     rejected = ", ".join(f"{reason}: {count}" for reason, count in counts["rejected"].items())
     pokes = "1 poke" if counts["pokes"] == 1 else f"{counts['pokes']} pokes"
     line = f"{pokes}: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
     line += f" ({rejected})" if rejected else ""
-    return [line + "".join(f", {counts[key]} {words}" for key, words in _BESIDE.items() if counts[key])]
+    beside = {"excluded": counts["excluded"], "at landmarks": counts["at_landmarks"]}
+    return [line + "".join(f", {count} {words}" for words, count in beside.items() if count)]
 
 
 def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import threading
-from dataclasses import dataclass
+from contextlib import closing
 from enum import Enum
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from skincal.cli.calibrate import Json
-from skincal.cli.record import SceneOption, find_scene
+from skincal.cli.record import SceneOption, find_scene, finish, stopping
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from skincal.mesh.surface import Surface
-    from skincal.model.scene import Scene
-    from skincal.simulate.device import DeviceSettings
-    from skincal.simulate.faults import RigErrors
-    from skincal.simulate.operator import Guided, Habits, Told
+    import numpy as np
+
+    from skincal.simulate.operator import Auto, Guided, Habits, Told
     from skincal.simulate.serve import Server
+    from skincal.simulate.simulated_rig import Rig
 
 SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
@@ -44,14 +41,6 @@ class OperatorKind(Enum):
     AUTO = "auto"
     TOLD = "told"
     GUIDED = "guided"
-
-
-class Wire(Enum):
-    """What the simulated devices send."""
-
-    SKB = "skb"
-    SKT = "skt"
-    TEXT = "text"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -84,7 +73,6 @@ def simulate(
         typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
     ] = 1.0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
-    wire: Annotated[Wire, typer.Option(help="What the devices send: SKB/1, SKT/1 or plain text lines.")] = Wire.SKB,
     as_json: Json = False,
 ) -> None:
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
@@ -93,9 +81,16 @@ def simulate(
     target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame; - is a place, + a known point
     of the part), wait (nothing is to be poked), or any (nobody guides); until the first of them it pokes as auto does.
     """
-    from skincal.simulate.device import DeviceSettings
+    import numpy as np
+
+    from skincal.files.reference import TRUTH_NAME, read_reference
+    from skincal.session.part import load_scene_surface
+    from skincal.simulate.device import DeviceTimeline
     from skincal.simulate.faults import RigErrors
-    from skincal.simulate.operator import Habits
+    from skincal.simulate.operator import Guided, Habits, Told
+    from skincal.simulate.serve import Server
+    from skincal.simulate.simulated_rig import Rig
+    from skincal.simulate.virtual_session import simulate_session
 
     loaded = find_scene(scene)
     if serve == (out is not None):
@@ -103,89 +98,44 @@ def simulate(
     if not serve and (operator is not OperatorKind.AUTO or tcp):
         name = "--tcp" if operator is OperatorKind.AUTO else f"--operator {operator.value}"
         raise InputError(f"{name} is for --serve: a session is recorded at once, by an operator of its own.")
-    play = _Play(
-        scene=loaded,
-        surface=_surface(loaded),
-        pokes=pokes,
-        seed=seed,
-        errors={Errors.NONE: RigErrors.none, Errors.NOISE: RigErrors.noise, Errors.PAPER: RigErrors.paper}[errors](),
-        poses=tuple(name.strip() for name in poses.split(",") if name.strip()),
-        habits=(Habits.careful() if careful else Habits()).at_pace(pace),
-        settings=DeviceSettings(format=wire.value),
-    )
+    surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
+    names = tuple(name.strip() for name in poses.split(",") if name.strip())
+    habits = (Habits.careful() if careful else Habits()).at_pace(pace)
     if out is not None:
-        _record(play, out, as_json)
-    else:
-        _serve(play, operator, tcp, as_json)
+        pipeline = simulate_session(
+            loaded,
+            surface,
+            out,
+            pokes or SESSION_POKES,
+            seed,
+            wrong,
+            poses=names,
+            habits=habits,
+            progress=_show_progress if sys.stderr.isatty() else None,
+        )
+        finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
+        return
+    # Streams of their own: another operator meets the same rig and the same devices.
+    rig_rng, operator_rng, device_rng = np.random.default_rng(seed).spawn(3)
+    rig = Rig(loaded, surface, wrong, rig_rng)
+    hand = _hand(operator, rig, habits, operator_rng, (pokes, names))
+    with closing(Server(DeviceTimeline(rig, hand, device_rng), tcp=tcp)) as server:
+        _print_links(server, rig.truth() if as_json else {})
+        _run(server, hand if isinstance(hand, Told | Guided) else None)
 
 
-@dataclass(frozen=True, slots=True)
-class _Play:
-    """What is simulated."""
+def _hand(
+    kind: OperatorKind, rig: Rig, habits: Habits, rng: np.random.Generator, course: tuple[int | None, tuple[str, ...]]
+) -> Auto | Told:
+    from skincal.simulate.operator import Auto, Guided, Told
 
-    scene: Scene
-    surface: Surface | None
-    pokes: int | None
-    seed: int
-    errors: RigErrors
-    poses: tuple[str, ...]
-    habits: Habits
-    settings: DeviceSettings
-
-
-def _surface(scene: Scene) -> Surface | None:
-    if scene.surface is None:
-        return None
-    from skincal.mesh.load import load_surface
-
-    return load_surface(scene.surface)[0]
-
-
-def _record(play: _Play, out: Path, as_json: bool) -> None:
-    from skincal.cli.record import finish
-    from skincal.files.reference import TRUTH_NAME, read_reference
-    from skincal.simulate.virtual_session import simulate_session
-
-    pipeline = simulate_session(
-        play.scene,
-        play.surface,
-        out,
-        play.pokes or SESSION_POKES,
-        play.seed,
-        play.errors,
-        poses=play.poses,
-        habits=play.habits,
-        settings=play.settings,
-        progress=_show_progress if sys.stderr.isatty() else None,
-    )
-    finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
+    if kind is OperatorKind.TOLD:
+        return Told(rig, habits, rng)
+    return (Guided if kind is OperatorKind.GUIDED else Auto)(rig, habits, rng, *course)
 
 
 def _show_progress(pokes: int) -> None:
     typer.echo(f"\rpoke {pokes} ", err=True, nl=False)
-
-
-def _serve(play: _Play, operator: OperatorKind, tcp: bool, with_truth: bool) -> None:
-    import numpy as np
-
-    from skincal.simulate.device import DeviceTimeline
-    from skincal.simulate.operator import Auto, Guided, Told
-    from skincal.simulate.serve import Server
-    from skincal.simulate.simulated_rig import Rig
-    from skincal.simulate.virtual_session import truth
-
-    # Streams of their own: another operator meets the same rig and the same devices.
-    rig_rng, operator_rng, device_rng = np.random.default_rng(play.seed).spawn(3)
-    rig = Rig(play.scene, play.surface, play.errors, rig_rng)
-    if operator is OperatorKind.TOLD:
-        hand: Auto | Told = Told(rig, play.habits, operator_rng)
-    else:
-        kind = Guided if operator is OperatorKind.GUIDED else Auto
-        hand = kind(rig, play.habits, operator_rng, play.pokes, play.poses)
-    line = DeviceTimeline(rig, hand, device_rng, play.settings)
-    with Server(line, tcp=tcp) as server:
-        _print_links(server, truth(rig) if with_truth else {})
-        _run(server, hand if isinstance(hand, Told | Guided) else None)
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
@@ -200,23 +150,15 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
 
 def _run(server: Server, listener: Told | Guided | None) -> None:
     """Serve until stdin closes, Ctrl-C or a termination signal."""
-    stop = threading.Event()
-
-    def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
-        stop.set()
-
-    signal.signal(signal.SIGTERM, end)
-    # A daemon: it waits in a read that nothing can interrupt.
-    threading.Thread(target=_listen, args=(listener, stop), name="orders", daemon=True).start()
-    try:
+    with stopping() as stop:
+        # A daemon: it waits in a read that nothing can interrupt.
+        threading.Thread(target=_listen, args=(listener, stop), name="orders", daemon=True).start()
         server.run(stop)
-    except KeyboardInterrupt:
-        typer.echo("stopped", err=True)
 
 
 def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
-    from skincal.simulate.orders import read_order
+    from skincal.simulate.operator import read_order
 
     for line in sys.stdin:
         try:

@@ -1,10 +1,9 @@
-"""Which channels cannot be trusted: no number, stuck, or always on; each with a sentence.
+"""From samples to pokes: when one begins and ends, what it ends as, and which channels cannot be trusted.
 
-A channel is dead while the cause lasts: one that moves again, or gives numbers again, is used again.
+*Channels.* One that gives no number, is stuck or always on is dead while the cause lasts: one that moves again, or gives
+numbers again, is used again.
 
-From samples to pokes: when one begins and ends, and what it ends as.
-
-Theory of operation. The detector is in one of three situations.
+*Pokes.* The detector is in one of three situations.
 
 * *Untared*: it waits for a quiet window (phase TARING). No force is known, so no poke can begin.
 * *Idle*: tared, nothing presses (READY). Every quiet window renews the tare, so slow drift never builds up.
@@ -74,13 +73,9 @@ _NO_NUMBER, _STUCK, _ALWAYS_ON = "gives no number", "stuck", "always on"
 
 
 class ChannelHealth:
-    """Watches every frame and every poke.
+    """Watches every frame and every poke of the taxels `candidates` (c,).
 
-    Parameters
-    ----------
-    scene : layout, range and polarity are used
-    candidates : (c,) channels that are taxels; the others are ignored
-    known : what was found before a break, with the reason; it holds until the channel shows otherwise
+    What was `known` before a break, with the reason, holds until the channel shows otherwise.
     """
 
     def __init__(self, scene: Scene, candidates: IntArray, known: Mapping[int, str] = MappingProxyType({})) -> None:
@@ -240,13 +235,7 @@ class Known:
 
 
 class ContactDetector:
-    """The pokes of one session, or of what follows a break in one.
-
-    Parameters
-    ----------
-    scene : thresholds, layout, polarity and arm are used
-    known : what came before
-    """
+    """The pokes of one session, or of what follows a break in one."""
 
     def __init__(self, scene: Scene, known: Known | None = None) -> None:
         known = known or Known()
@@ -280,16 +269,9 @@ class ContactDetector:
         return 0.0 if self._last is None else self._last.host_s
 
     def feed(self, sample: Sample, link_from_sensor: FloatArray | None, pose: str) -> list[Outcome]:
-        """Take one sample.
+        """Take one sample; return the pokes that ended with it, and those that became final, in the order of their numbers.
 
-        Parameters
-        ----------
-        link_from_sensor : (4, 4) float, metres; None while the arm's pose is unknown
-        pose : name of the arm's pose
-
-        Returns
-        -------
-        The pokes that ended with this sample, and those that became final, in the order of their numbers.
+        `link_from_sensor` is (4, 4) float, metres, None while the arm's pose is unknown; `pose` is its name.
         """
         if not np.isfinite(sample.wrench).all():
             # NaN would spoil every mean; a saturated sample is counted, and its poke is rejected.
@@ -308,13 +290,9 @@ class ContactDetector:
         return outcomes + self._expire(sample.host_s)
 
     def reset(self, host_s: float | None = None) -> list[Outcome]:
-        """Begin anew after a break: a device vanished, or a recording is continued.
+        """Begin anew after a break at `host_s`, or at the last sample: a device vanished, or a recording is continued.
 
         A poke in progress ends as "readings lost", those that wait become final, and the tare is dropped. Numbers go on.
-
-        Parameters
-        ----------
-        host_s : time of the break, host clock; the last sample's where unknown
         """
         outcomes: list[Outcome] = []
         press = self._press
@@ -332,9 +310,7 @@ class ContactDetector:
     def use_all_but(self, channels: Set[int]) -> list[Outcome]:
         """Leave out the answers of `channels` from now on, instead of those found to be dead.
 
-        Returns
-        -------
-        Earlier pokes with too many or unconnected answers that are judged otherwise now.
+        Returns earlier pokes with too many or unconnected answers that are judged otherwise now.
         """
         if self._unused is not None and channels == self._unused:
             return []

@@ -1,7 +1,7 @@
-"""What a poke must pass to count, one gate a function, and how a finished press ends as a contact or a rejection.
+"""What a poke must pass to count, and how a finished press ends as a contact or a rejection.
 
-A gate returns None, or the objection with the number that decides. The gates stand in `GATES` in the order in which an operator
-wants to hear of them: what the devices did, then what the hand did, then what the skin answered.
+The gates stand in `_objections` in the order in which an operator wants to hear of them: what the devices did, then what the
+hand did, then what the skin answered.
 
 A press is summed up at its release (`finish`) and judged from that sum (`judge`), again whenever the tare after it or a dead
 channel becomes known. The gates see tared means of the still window alone; single samples are weighed in `press.py`.
@@ -9,7 +9,7 @@ channel becomes known. The gates see tared means of the still window alone; sing
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,22 +68,6 @@ class FinishedPress:
     """(k,) float, raw units above the baseline."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GatedPoke:
-    """A finished press as the gates see it: tared, without the answers of unused channels."""
-
-    press: FinishedPress
-    scene: Scene
-    force: FloatArray | None
-    """(3,) float, N, tared mean of the still window; None without one."""
-    moment: FloatArray | None
-    """(3,) float, N m."""
-    tare_change: float
-    """N, difference of the tares before and after; NaN while unknown."""
-    channels: IntArray
-    """(k,) channels that answered and are used."""
-
-
 @dataclass(frozen=True, slots=True)
 class Objection:
     """Why a poke does not count: the number that decided, the limit it met and their unit."""
@@ -103,124 +87,49 @@ def _at_least(reason: Reason, value: float, limit: float, unit: str) -> Objectio
     return Objection(reason, value, limit, unit) if value < limit else None
 
 
-def not_saturated(poke: GatedPoke) -> Objection | None:
-    """Demand that every reading is within the sensor's range."""
-    return _at_most(Reason.SATURATED, poke.press.saturated, 0, "")
-
-
-def no_gap(poke: GatedPoke) -> Objection | None:
-    """Demand that no reading is missing."""
-    return _at_most(Reason.READINGS_LOST, poke.press.gap_s, GAP_PERIODS * poke.press.period_s, "s")
-
-
-def tare_fresh(poke: GatedPoke) -> Objection | None:
-    """Demand that the tare before the poke is young enough."""
-    still = poke.press.still
-    age = (poke.press.end_s if still is None else still.time_s) - poke.press.before.end_s
-    return _at_most(Reason.NO_TARE, age, TARE_AGE_MAX_S, "s")
-
-
-def pose_known(poke: GatedPoke) -> Objection | None:
-    """Demand that the arm's pose is known: 0 of 1 where it is not."""
-    still = poke.press.still
-    return _at_least(Reason.NO_POSE, int(still is None or still.link_from_sensor is not None), 1, "")
-
-
-def arm_still(poke: GatedPoke) -> Objection | None:
-    """Demand that the arm keeps its pose."""
-    arm = poke.scene.arm
-    return _at_most(Reason.ARM_MOVED, poke.press.moved, 0.0 if arm is None else arm.tolerance, "rad")
-
-
-def hard_enough(poke: GatedPoke) -> Objection | None:
-    """Demand that the force reaches the force window, and stays there for the still window."""
-    force = poke.press.peak if poke.force is None else float(np.linalg.norm(poke.force))
-    return _at_least(Reason.TOO_SOFT, force, poke.scene.contacts.force_min, "N")
-
-
-def held_long_enough(poke: GatedPoke) -> Objection | None:
-    """Demand that the press lasts for a still window."""
-    if poke.force is not None:
-        return None
-    return Objection(Reason.NOT_STILL, poke.press.end_s - poke.press.start_s, poke.scene.contacts.still_s, "s")
-
-
-def soft_enough(poke: GatedPoke) -> Objection | None:
-    """Demand that the force stays below the upper end of the force window."""
-    if poke.force is None:
-        return None
-    return _at_most(Reason.TOO_HARD, float(np.linalg.norm(poke.force)), poke.scene.contacts.force_max, "N")
-
-
-def still(poke: GatedPoke) -> Objection | None:
-    """Demand that the force keeps its size."""
-    mean = poke.press.still
-    return None if mean is None else _at_most(Reason.NOT_STILL, mean.spread, poke.scene.contacts.still_change, "1")
-
-
-def not_slid(poke: GatedPoke) -> Objection | None:
-    """Demand that the force axis keeps its place."""
-    mean = poke.press.still
-    return None if mean is None else _at_most(Reason.SLID, mean.travel, poke.scene.contacts.slide_max, "m")
-
-
-def single_contact(poke: GatedPoke) -> Objection | None:
-    """Demand one contact without a torque: |f . m|/|f|^2 is small (eq. 3)."""
-    if poke.force is None or poke.moment is None:
-        return None
-    return _at_most(Reason.TWO_CONTACTS, abs(float(pitch(poke.force, poke.moment))), poke.scene.contacts.pitch_max, "m")
-
-
-def some_taxel(poke: GatedPoke) -> Objection | None:
-    """Demand that at least one taxel answered."""
-    return _at_least(Reason.NO_TAXEL, len(poke.channels), 1, "")
-
-
-def few_taxels(poke: GatedPoke) -> Objection | None:
-    """Demand that no more taxels answered than one tip can press."""
-    return _at_most(Reason.TOO_MANY_TAXELS, len(poke.channels), poke.scene.contacts.taxels_max, "")
-
-
-def connected(poke: GatedPoke) -> Objection | None:
-    """Demand that the taxels that answered are one group of neighbours; without a layout there is nothing to say."""
-    layout = poke.scene.skin.layout
-    if layout is None or len(poke.channels) < 2:
-        return None
-    limit = poke.scene.contacts.gap_factor * layout.spacing
-    return _at_most(Reason.NOT_CONNECTED, widest_gap(layout.places[poke.channels]), limit, "m")
-
-
-def tare_kept(poke: GatedPoke) -> Objection | None:
-    """Demand that the sensor stands where it stood before the poke."""
-    return _at_most(Reason.TARE_CHANGED, poke.tare_change, poke.scene.contacts.tare_change_max, "N")
-
-
-GATES: tuple[Callable[[GatedPoke], Objection | None], ...] = (
-    not_saturated,
-    no_gap,
-    tare_fresh,
-    pose_known,
-    arm_still,
-    hard_enough,
-    held_long_enough,
-    soft_enough,
-    still,
-    not_slid,
-    single_contact,
-    some_taxel,
-    few_taxels,
-    connected,
-    tare_kept,
-)
-
-
-def widest_gap(places: FloatArray) -> float:
-    """Return the longest step of the shortest tree that joins all places: the widest gap between two groups.
+def _objections(
+    press: FinishedPress, scene: Scene, wrench: FloatArray | None, channels: IntArray, tare_change: float
+) -> Iterator[Objection | None]:
+    """Yield what each gate has against a press, None where it passes; a gate is tried only where all before it are passed.
 
     Parameters
     ----------
-    places : (k, 2) float, metres, k >= 1
+    wrench : (6,) float, N and N m, tared mean of the still window; None without one
+    channels : (k,) those that answered and are used
+    tare_change : N; NaN while unknown
     """
+    mean, contacts, arm, layout = press.still, scene.contacts, scene.arm, scene.skin.layout
+    size = press.peak if wrench is None else float(np.linalg.norm(wrench[:3]))
+    # What the devices did.
+    yield _at_most(Reason.SATURATED, press.saturated, 0, "")
+    yield _at_most(Reason.READINGS_LOST, press.gap_s, GAP_PERIODS * press.period_s, "s")
+    tare_age = (press.end_s if mean is None else mean.time_s) - press.before.end_s
+    yield _at_most(Reason.NO_TARE, tare_age, TARE_AGE_MAX_S, "s")
+    # 0 of 1 where the arm's pose is unknown.
+    yield _at_least(Reason.NO_POSE, int(mean is None or mean.link_from_sensor is not None), 1, "")
+    # What the hand did.
+    yield _at_most(Reason.ARM_MOVED, press.moved, 0.0 if arm is None else arm.tolerance, "rad")
+    yield _at_least(Reason.TOO_SOFT, size, contacts.force_min, "N")
+    if mean is None or wrench is None:
+        # The press was shorter than a still window, and nothing more is known of it.
+        yield Objection(Reason.NOT_STILL, press.end_s - press.start_s, contacts.still_s, "s")
+        return
+    yield _at_most(Reason.TOO_HARD, size, contacts.force_max, "N")
+    yield _at_most(Reason.NOT_STILL, mean.spread, contacts.still_change, "1")
+    yield _at_most(Reason.SLID, mean.travel, contacts.slide_max, "m")
+    # One contact without a torque has a small |f . m|/|f|^2 (eq. 3).
+    yield _at_most(Reason.TWO_CONTACTS, abs(float(pitch(wrench[:3], wrench[3:]))), contacts.pitch_max, "m")
+    # What the skin answered.
+    yield _at_least(Reason.NO_TAXEL, len(channels), 1, "")
+    yield _at_most(Reason.TOO_MANY_TAXELS, len(channels), contacts.taxels_max, "")
+    if layout is not None and len(channels) >= 2:
+        gap = widest_gap(layout.places[channels])
+        yield _at_most(Reason.NOT_CONNECTED, gap, contacts.gap_factor * layout.spacing, "m")
+    yield _at_most(Reason.TARE_CHANGED, tare_change, contacts.tare_change_max, "N")
+
+
+def widest_gap(places: FloatArray) -> float:
+    """Return the longest step of the shortest tree that joins all places (k, 2), metres: the widest gap between two groups."""
     # Prim's algorithm: the place nearest to the tree joins it, and brings its own distances.
     distance = np.linalg.norm(places[0] - places, axis=1)
     inside = np.zeros(len(places), dtype=bool)
@@ -237,11 +146,7 @@ def widest_gap(places: FloatArray) -> float:
 def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise: FloatArray, period_s: float) -> FinishedPress:
     """Sum up a press at its release.
 
-    Parameters
-    ----------
-    number : the poke's number
-    candidates : (c,) channels that are taxels
-    noise : (channels,) float, raw units, sd of each channel at rest
+    `candidates` are the (c,) channels that are taxels; `noise` is (channels,), raw units, the sd of each channel at rest.
     """
     best = press.best
     channels, responses = np.empty(0, dtype=np.int64), np.empty(0)
@@ -304,54 +209,45 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, u
     unused : channels whose answers do not count
     """
     used = np.array([int(channel) not in unused for channel in press.channels], dtype=bool)
-    force, moment = _tared(press, after)
-    poke = GatedPoke(press, scene, force, moment, force_change(press.before, after), press.channels[used])
-    objection = next((found for gate in GATES if (found := gate(poke)) is not None), None)
+    mean, channels, tare_change = press.still, press.channels[used], force_change(press.before, after)
+    wrench = None if mean is None else mean.wrench - wrench_baseline(press.before, after, mean.time_s)
+    objections = _objections(press, scene, wrench, channels, tare_change)
+    objection = next((found for found in objections if found is not None), None)
+    pose = None if mean is None else mean.link_from_sensor
+    # Without a pose the force has no place in the link frame.
+    force, moment = (None, None) if wrench is None or pose is None else (wrench[:3], wrench[3:])
+    start_s, end_s = (press.start_s, press.end_s) if mean is None else (mean.start_s, mean.end_s)
+    name = "" if mean is None else mean.pose
     if objection is not None:
-        return _rejected(poke, objection, final)
+        return Rejection(
+            poke=press.number,
+            start_s=start_s,
+            end_s=end_s,
+            reason=objection.reason,
+            value=float(objection.value),
+            limit=float(objection.limit),
+            unit=objection.unit,
+            channels=channels,
+            final=final,
+            force=force,
+            moment=moment,
+            link_from_sensor=pose,
+            pose=name,
+        )
     # What passes every gate has a still window and a known pose.
-    assert press.still is not None
-    assert press.still.link_from_sensor is not None
     assert force is not None
     assert moment is not None
+    assert pose is not None
     return Contact(
         poke=press.number,
-        start_s=press.still.start_s,
-        end_s=press.still.end_s,
+        start_s=start_s,
+        end_s=end_s,
         force=force,
         moment=moment,
-        channels=poke.channels,
+        channels=channels,
         responses=press.responses[used],
-        link_from_sensor=press.still.link_from_sensor,
-        pose=press.still.pose,
-        tare_change=poke.tare_change,
-        final=final,
-    )
-
-
-def _tared(press: FinishedPress, after: Tare | None) -> tuple[FloatArray | None, FloatArray | None]:
-    if press.still is None:
-        return None, None
-    wrench = press.still.wrench - wrench_baseline(press.before, after, press.still.time_s)
-    return wrench[:3], wrench[3:]
-
-
-def _rejected(poke: GatedPoke, objection: Objection, final: bool) -> Rejection:
-    press, mean = poke.press, poke.press.still
-    pose = None if mean is None else mean.link_from_sensor
-    return Rejection(
-        poke=press.number,
-        start_s=press.start_s if mean is None else mean.start_s,
-        end_s=press.end_s if mean is None else mean.end_s,
-        reason=objection.reason,
-        value=float(objection.value),
-        limit=float(objection.limit),
-        unit=objection.unit,
-        channels=poke.channels,
-        final=final,
-        # Without a pose the force has no place in the link frame.
-        force=None if pose is None else poke.force,
-        moment=None if pose is None else poke.moment,
         link_from_sensor=pose,
-        pose="" if mean is None else mean.pose,
+        pose=name,
+        tare_change=tare_change,
+        final=final,
     )

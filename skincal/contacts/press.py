@@ -58,16 +58,7 @@ _SURE = 2.0
 
 
 def force_spread(force: FloatArray) -> float:
-    """Return the relative spread sd(|f|)/mean(|f|).
-
-    Parameters
-    ----------
-    force : (n, 3) float, N, tared
-
-    Returns
-    -------
-    float, 1; infinite where the mean force is zero
-    """
+    """Return the relative spread sd(|f|)/mean(|f|) of `force` (n, 3), N, tared; infinite where the mean is zero."""
     size = np.sqrt(np.einsum("ni,ni->n", force, force))
     mean = float(size.mean())
     return float(size.std()) / mean if mean > 0.0 else float("inf")
@@ -76,10 +67,7 @@ def force_spread(force: FloatArray) -> float:
 def still_share(force: FloatArray, limit: float) -> int:
     """Return the largest k so that the last k samples, and any fewer of them, have a spread of at most `limit`.
 
-    Parameters
-    ----------
-    force : (n, 3) float, N, tared
-    limit : relative spread, 1
+    Force is (n, 3), N, tared; the limit is relative, as for `force_spread`.
     """
     size = np.sqrt(np.einsum("ni,ni->n", force, force))[::-1]
     counts = np.arange(1, len(size) + 1)
@@ -90,21 +78,12 @@ def still_share(force: FloatArray, limit: float) -> int:
 
 
 def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> float:
-    """Return how far the force axis travels, straight and beyond the noise, where the contact is.
+    """Return how far the force axis travels, metres, straight and beyond the noise, where the contact is.
 
     The axis of sample i passes the point c(lambda) of the mean axis at the distance d_i = f_i x (f_i x c + m_i)/|f_i|^2. A
     hand that only tilts turns the axis about the contact, so lambda is taken where the d_i are smallest, within
     `CONTACT_REACH` of the point nearest to the sensor. The travel is the straight line through the d_i over the window,
-    less two standard errors.
-
-    Parameters
-    ----------
-    force, moment : (n, 3) float, N and N m, tared, sensor frame; n >= 3
-    times_s : (n,) float, s
-
-    Returns
-    -------
-    float, m
+    less two standard errors. Force and moment are (n, 3), N and N m, tared, sensor frame; n >= 3; `times_s` is (n,), s.
     """
     mean_force = force.mean(axis=0)
     along = mean_force / np.linalg.norm(mean_force)
@@ -153,13 +132,7 @@ class StillWindow:
 class Press:
     """A poke from its touch to its release.
 
-    Parameters
-    ----------
-    settings : thresholds
-    tare : the tare before the touch
-    start : the first sample above `touch_force`
-    pose : the arm's pose there
-    period_s : s, time between samples
+    `start` is the first sample above `touch_force`, and `pose` the arm's there; samples are `period_s` apart.
     """
 
     def __init__(self, settings: ContactSettings, tare: Tare, start: Sample, pose: ArmPose, period_s: float) -> None:

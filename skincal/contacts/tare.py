@@ -55,11 +55,9 @@ class Tare:
 
 
 def wrench_baseline(before: Tare, after: Tare | None, time_s: float) -> FloatArray:
-    """Return the wrench of no touch at `time_s`, linear in time between two tares.
+    """Return the wrench of no touch at `time_s`, (6,) float, N and N m, linear in time between two tares.
 
-    Returns
-    -------
-    (6,) float, N and N m; the first tare's where there is no second.
+    Without a second one it is that of the first.
     """
     if after is None or after.time_s <= before.time_s:
         return before.wrench
@@ -73,15 +71,9 @@ def force_change(before: Tare, after: Tare | None) -> float:
 
 
 def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the median and a robust standard deviation of each column, NaN left out.
+    """Return the median and a robust standard deviation of each column of (n, channels), NaN left out; NaN without a number.
 
-    Parameters
-    ----------
-    values : (n, channels) float
-
-    Returns
-    -------
-    median, sd : (channels,) float, NaN where a column has no number; the sd is the interquartile range over 1.349
+    The standard deviation is the interquartile range over 1.349.
     """
     ordered = np.sort(values, axis=0)  # NaN sort to the end
     count = values.shape[0] - np.isnan(values).sum(axis=0)
@@ -100,12 +92,7 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def is_quiet(window: FloatArray, following: FloatArray) -> bool:
-    """Return whether the force rests through a window and straight after it.
-
-    Parameters
-    ----------
-    window, following : (n, 3) and (m, 3) float, N, successive samples
-    """
+    """Return whether the force, N, rests through a `window` (n, 3) and through the samples straight after it (m, 3)."""
     spread = float(np.sqrt(window.var(axis=0).sum()))
     half = len(window) // 2
     mean = window.mean(axis=0)
@@ -122,13 +109,7 @@ def window_length(seconds: float, period_s: float) -> int:
 
 
 class TareKeeper:
-    """Watches the time between pokes for quiet windows and keeps the newest tares.
-
-    Parameters
-    ----------
-    settings : `quiet_s` is used
-    channels : width of a skin frame
-    """
+    """Watches the time between pokes for quiet windows and keeps the newest tares; a skin frame has `channels` values."""
 
     def __init__(self, settings: ContactSettings, channels: int) -> None:
         self._quiet_s = settings.quiet_s

@@ -14,10 +14,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
     The bytes are on the disk before the name changes, so `path` is at every moment the old file or the new one.
 
-    Raises
-    ------
-    InputError
-        The folder is missing, the path is a folder, or the disk refuses; an older file is as it was.
+    Raises InputError: the folder is missing, the path is a folder, or the disk refuses; an older file is as it was.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected the name of a file to write.")

@@ -66,10 +66,7 @@ class Calibration:
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
 
-        Raises
-        ------
-        InputError
-            The session has no such estimates.
+        Raises InputError: the session has no such estimates.
         """
         if method not in self.estimates:
             known = ", ".join(m.value for m in self.estimates)

@@ -1,41 +1,42 @@
-"""Checks on a calibration before it is written; each exists because a published position file had that fault.
+"""Write a calibration in one of four formats, and say what is wrong with it and what it leaves out.
 
+JSON holds everything that is needed to compute the calibration again. CSV has a row for each channel and method, PLY is a point
+cloud for MeshLab, CloudCompare and ParaView; `icub.py` makes the robot's position file.
+
+Each check (`lint`) exists because a published position file had that fault; a fault is reported and does not stop the writing.
 Sources: the history of icub-main `app/skinGui/conf/positions` (a typo of 10 cm in the torso 29cc1b07e, a mirrored
 patch c89409d3a, swapped patches 60dcc37a5, a wrong column ab19cf6a9), and the statistics of the files themselves:
 copies of a neighbour's position, normals of length 0.6 to 1, taxels missing in a module.
-
-Write a calibration in one of four formats, and say what is wrong with it and what it leaves out.
-
-CSV (a row for each channel and method) and PLY (a point cloud for MeshLab, CloudCompare and ParaView) are made here; `icub.py`
-and `json_file.py` make the other two. A fault that `lint.py` finds is reported and does not stop the writing.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, parse_icub, skin_part
-from skincal.files.json_file import json_text
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.lay import LaidSkin, lay
 from skincal.mesh.load import Finding, load_surface
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural
-from skincal.model.scene import SurfaceSpec
+from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
 from skincal.model.skin import Layout, Module
-from skincal.sentences import correction_words
+from skincal.rig.correction import UsedCorrection
+from skincal.sentences import correction_words, state_sentence
 from skincal.taxels.result import Estimate, Method, State
 
 BOX_MARGIN = 0.020
@@ -73,76 +74,65 @@ def lint(calibration: Calibration, method: Method, reference: LintReference | No
     if not len(taxels.channels):
         return (f"{name}: no taxel has a position; poke some more before you load such a file.",)
     finite = np.asarray(np.isfinite(np.hstack([taxels.positions, taxels.normals])).all(axis=1))
-    sentences = _bad_numbers(taxels, finite)
     good = PlacedTaxels(taxels.channels[finite], taxels.positions[finite], taxels.normals[finite], taxels.sd[finite])
-    sentences += [*_at_origin(good), *_same_place(good), *_normal_lengths(good)]
+    faults = [(taxels.channels[~finite], "NaN or infinite position or normal: channels {}."), *_own_faults(good)]
     if reference is not None:
-        sentences += _outside(good, reference)
-        if reference.normals is not None:
-            sentences += _inward(good, reference.normals[finite], reference.what)
+        outward = None if reference.normals is None else reference.normals[finite]
+        faults += _faults_beside(good, reference, outward)
     layout = calibration.scene.skin.layout
     if layout is not None:
-        sentences += [
-            *_wrong_channels(good, layout),
-            *_mirrored(good, layout),
-            *_spacing(good, layout),
-            *_centres(good, layout),
-        ]
-    return tuple(f"{name}: {sentence}" for sentence in sentences)
+        faults += _layout_faults(good, layout)
+    return tuple(f"{name}: {words.format(list_channels(where))}" for where, words in faults if len(where))
 
 
-def _bad_numbers(taxels: PlacedTaxels, finite: NDArray[np.bool_]) -> list[str]:
-    bad = taxels.channels[~finite]
-    return [f"NaN or infinite position or normal: channels {list_channels(bad)}."] if len(bad) else []
+Fault: TypeAlias = tuple[IntArray | list[int], str]
+"""The channels or modules that have a fault, and the sentence on it with a gap for their numbers."""
 
 
-def _at_origin(taxels: PlacedTaxels) -> list[str]:
-    zero = taxels.channels[np.abs(taxels.positions).max(axis=1, initial=0.0) <= ORIGIN_RADIUS]
-    return [f"at 0 0 0, which readers take as no taxel: channels {list_channels(zero)}."] if len(zero) else []
-
-
-def _same_place(taxels: PlacedTaxels) -> list[str]:
+def _own_faults(taxels: PlacedTaxels) -> Iterator[Fault]:
+    at_origin = np.abs(taxels.positions).max(axis=1, initial=0.0) <= ORIGIN_RADIUS
+    yield taxels.channels[at_origin], "at 0 0 0, which readers take as no taxel: channels {}."
     # Neighbouring cells are not compared: copies agree in every digit.
     cells = np.round(taxels.positions / SAME_PLACE).astype(np.int64)
     _, group, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     shared = taxels.channels[count[group.ravel()] > 1]
-    if not len(shared):
-        return []
-    return [f"the same position for several taxels, so at most one is right: channels {list_channels(shared)}."]
-
-
-def _normal_lengths(taxels: PlacedTaxels) -> list[str]:
+    yield shared, "the same position for several taxels, so at most one is right: channels {}."
     lengths = np.linalg.norm(taxels.normals, axis=1)
     off = taxels.channels[(lengths > 0) & (np.abs(lengths - 1.0) > UNIT_TOLERANCE)]
-    without = taxels.channels[lengths == 0]
-    sentences = [f"a normal that is not unit: channels {list_channels(off)}."] if len(off) else []
-    if len(without):
-        sentences.append(f"no normal, written as 0 0 0: channels {list_channels(without)}.")
-    return sentences
+    yield off, "a normal that is not unit: channels {}."
+    yield taxels.channels[lengths == 0], "no normal, written as 0 0 0: channels {}."
 
 
-def _outside(taxels: PlacedTaxels, reference: LintReference) -> list[str]:
+def _faults_beside(taxels: PlacedTaxels, reference: LintReference, outward: FloatArray | None) -> Iterator[Fault]:
     low, high = reference.points.min(axis=0) - BOX_MARGIN, reference.points.max(axis=0) + BOX_MARGIN
     beyond = np.maximum(low - taxels.positions, taxels.positions - high).max(axis=1)
-    out = beyond > 0
-    if not out.any():
-        return []
-    return [
+    yield (
+        taxels.channels[beyond > 0],
         f"more than {BOX_MARGIN * 1e3:.0f} mm outside the box of {reference.what}, by up to "
-        f"{beyond.max() * 1e3:.0f} mm more: channels {list_channels(taxels.channels[out])}; check units, frame and arm pose."
-    ]
+        f"{beyond.max(initial=0.0) * 1e3:.0f} mm more: channels {{}}; check units, frame and arm pose.",
+    )
+    if outward is not None:
+        inward = taxels.channels[np.sum(taxels.normals * outward, axis=1) < 0]
+        words = f"a normal that points into the part, against {reference.what}: channels {{}}; check the wrench's sign."
+        yield inward, words
 
 
-def _inward(taxels: PlacedTaxels, outward: FloatArray, what: str) -> list[str]:
-    inward = taxels.channels[np.sum(taxels.normals * outward, axis=1) < 0]
-    if not len(inward):
-        return []
-    return [f"a normal that points into the part, against {what}: channels {list_channels(inward)}; check the wrench's sign."]
-
-
-def _wrong_channels(taxels: PlacedTaxels, layout: Layout) -> list[str]:
+def _layout_faults(taxels: PlacedTaxels, layout: Layout) -> Iterator[Fault]:
     wrong = np.setdiff1d(taxels.channels, layout.channels)
-    return [f"a position where the layout has no taxel: channels {list_channels(wrong)}."] if len(wrong) else []
+    yield wrong, "a position where the layout has no taxel: channels {}."
+    mirrored = [module.id for module in layout.modules if _is_mirrored(module, taxels)]
+    yield mirrored, "mirrored against the layout, seen from outside: modules {}; check mirror and channel order."
+    ratios = np.array([ratio for module in layout.modules for ratio in _stretches(module, taxels, layout.spacing)])
+    ratio = float(np.median(ratios)) if len(ratios) else 1.0
+    if not SPACING_RATIOS[0] <= ratio <= SPACING_RATIOS[1]:
+        yield (
+            taxels.channels,
+            f"neighbours lie {ratio:.2f} times as far apart as in the layout (median of {plural(len(ratios), 'pair')}); "
+            f"expected {SPACING_RATIOS[0]} to {SPACING_RATIOS[1]}: poke more from other sides, or check the layout's unit.",
+        )
+    placed = set(taxels.channels.tolist())
+    lacking = [m.id for m in layout.modules if m.centre_channel not in placed and not placed.isdisjoint(m.channels.tolist())]
+    yield lacking, "no position for the centre taxel, which stands for the module in taxel2Repr: modules {}."
 
 
 def _pads_of(module: Module, taxels: PlacedTaxels) -> tuple[IntArray, IntArray]:
@@ -151,24 +141,14 @@ def _pads_of(module: Module, taxels: PlacedTaxels) -> tuple[IntArray, IntArray]:
     return own, placed
 
 
-def _mirrored(taxels: PlacedTaxels, layout: Layout) -> list[str]:
-    mirrored: list[int] = []
-    for module in layout.modules:
-        own, placed = _pads_of(module, taxels)
-        normal = taxels.normals[placed].sum(axis=0)
-        if len(own) >= CHIRALITY_TAXELS and np.linalg.norm(normal) > 0 and _looks_mirrored(
-            module.pads[own], taxels.positions[placed], normal / np.linalg.norm(normal)
-        ):  # fmt: skip
-            mirrored.append(module.id)
-    if not mirrored:
-        return []
-    return [
-        f"mirrored against the layout, seen from outside: modules {list_channels(mirrored)}; check mirror and channel order."
-    ]
-
-
-def _looks_mirrored(pads: FloatArray, positions: FloatArray, normal: FloatArray) -> bool:
-    """Return whether the mirror image of `pads` (k, 2) fits `positions` (k, 3), seen against `normal`, clearly better."""
+def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
+    """Return whether the mirror image of a module's plan fits its taxels, seen from outside, clearly better."""
+    own, placed = _pads_of(module, taxels)
+    normal = taxels.normals[placed].sum(axis=0)
+    length = np.linalg.norm(normal)
+    if len(own) < CHIRALITY_TAXELS or length == 0:
+        return False
+    pads, positions, normal = module.pads[own], taxels.positions[placed], normal / length
     # Two directions across the normal: the plane in which the pads are compared.
     turn = cross_matrix(normal)
     across = turn @ np.eye(3)[np.abs(normal).argmin()]
@@ -187,34 +167,16 @@ def _misfit(pads: FloatArray, flat: FloatArray) -> float:
     return max(least, 0.0) ** 0.5
 
 
-def _spacing(taxels: PlacedTaxels, layout: Layout) -> list[str]:
-    ratios: list[float] = []
-    for module in layout.modules:
-        own, placed = _pads_of(module, taxels)
-        # Every pair of the module's taxels once.
-        first, second = np.triu_indices(len(own), 1)
-        pads, positions = module.pads[own], taxels.positions[placed]
-        planned = np.linalg.norm(pads[first] - pads[second], axis=1)
-        near = planned < NEIGHBOUR_SPACINGS * layout.spacing
-        distances = np.linalg.norm(positions[first[near]] - positions[second[near]], axis=1)
-        ratios += (distances / planned[near]).tolist()
-    if not ratios:
-        return []
-    ratio = float(np.median(ratios))
-    if SPACING_RATIOS[0] <= ratio <= SPACING_RATIOS[1]:
-        return []
-    return [
-        f"neighbours lie {ratio:.2f} times as far apart as in the layout (median of {plural(len(ratios), 'pair')}); expected "
-        f"{SPACING_RATIOS[0]} to {SPACING_RATIOS[1]}: poke more from other sides, or check the layout's unit."
-    ]
-
-
-def _centres(taxels: PlacedTaxels, layout: Layout) -> list[str]:
-    placed = set(taxels.channels.tolist())
-    lacking = [m.id for m in layout.modules if m.centre_channel not in placed and not placed.isdisjoint(m.channels.tolist())]
-    if not lacking:
-        return []
-    return [f"no position for the centre taxel, which stands for the module in taxel2Repr: modules {list_channels(lacking)}."]
+def _stretches(module: Module, taxels: PlacedTaxels, spacing: float) -> list[float]:
+    """Return how many times as far apart as planned the neighbours of a module lie, for each pair of them."""
+    own, placed = _pads_of(module, taxels)
+    # Every pair of the module's taxels once.
+    first, second = np.triu_indices(len(own), 1)
+    pads, positions = module.pads[own], taxels.positions[placed]
+    planned = np.linalg.norm(pads[first] - pads[second], axis=1)
+    near = planned < NEIGHBOUR_SPACINGS * spacing
+    distances = np.linalg.norm(positions[first[near]] - positions[second[near]], axis=1)
+    return (distances / planned[near]).tolist()
 
 
 COLUMNS = ("channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm")
@@ -229,33 +191,20 @@ def csv_text(calibration: Calibration) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for estimates in calibration.estimates.values():
-        for estimate in estimates:
-            writer.writerow(_csv_row(calibration, estimate))
+    for estimate in (each for estimates in calibration.estimates.values() for each in estimates):
+        channel, module = estimate.channel, calibration.module_id(estimate.channel)
+        words = (estimate.method.value, estimate.state.value)
+        writer.writerow([channel, module, *words, estimate.contacts, *_csv_numbers(estimate)])
     return out.getvalue()
 
 
-def _csv_row(calibration: Calibration, estimate: Estimate) -> list[str]:
-    module = calibration.module_id(estimate.channel)
-    sd = None if estimate.sd is None or estimate.position is None else estimate.sd * 1e3
-    return [
-        str(estimate.channel),
-        "" if module is None else str(module),
-        estimate.method.value,
-        estimate.state.value,
-        str(estimate.contacts),
-        *_vector(estimate.position),
-        *_vector(estimate.normal if estimate.position is not None else None),
-        _number(sd),
-    ]
-
-
-def _vector(vector: FloatArray | None) -> list[str]:
-    return ["", "", ""] if vector is None else [_number(value) for value in vector.tolist()]
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None or not math.isfinite(value) else repr(float(value))
+def _csv_numbers(estimate: Estimate) -> list[float | None]:
+    """Return position, normal and `sd_mm`; None, which is written as an empty field, for what is not known."""
+    if estimate.position is None:
+        return [None] * 7
+    normal = [np.nan] * 3 if estimate.normal is None else estimate.normal.tolist()
+    sd = np.nan if estimate.sd is None else float(estimate.sd) * 1e3
+    return [number if math.isfinite(number) else None for number in (*estimate.position.tolist(), *normal, sd)]
 
 
 METHOD_CODE = {Method.FREE: 0, Method.SURFACE: 1, Method.MODULES: 2}
@@ -268,11 +217,11 @@ def ply_text(calibration: Calibration, method: Method) -> str:
     Properties: `x y z`, unit normal `nx ny nz` (0 0 0 where unknown), `channel`, `method` (0 free, 1 surface, 2 modules),
     `sd_mm` (-1 where it is not determined).
     """
-    taxels = placed_taxels(calibration.of(method))
+    taxels, frame = placed_taxels(calibration.of(method)), " ".join(calibration.scene.link.split())
     header = [
         "ply",
         "format ascii 1.0",
-        f"comment skincal {calibration.version}, {method.value} method, metres, frame {_one_line(calibration.scene.link)}",
+        f"comment skincal {calibration.version}, {method.value} method, metres, frame {frame}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
         *(f"comment {correction_words(used)}" for used in calibration.corrections),
         f"element vertex {len(taxels.channels)}",
@@ -283,23 +232,162 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "end_header",
     ]
     rows = [
-        f"{_ply_row(position)} {_ply_row(normal)} {channel} {METHOD_CODE[method]} {sd * 1e3 if math.isfinite(sd) else -1.0:.6g}"
-        for channel, position, normal, sd in zip(
-            taxels.channels.tolist(), taxels.positions.tolist(), taxels.normals.tolist(), taxels.sd.tolist(), strict=True
+        f"{' '.join(f'{length:.9g}' for length in place)} {channel} {METHOD_CODE[method]} "
+        f"{sd * 1e3 if math.isfinite(sd) else -1.0:.6g}"
+        for place, channel, sd in zip(
+            np.hstack([taxels.positions, taxels.normals]).tolist(), taxels.channels.tolist(), taxels.sd.tolist(), strict=True
         )
     ]
     return "\n".join([*header, *rows]) + "\n"
 
 
-def _ply_row(vector: list[float]) -> str:
-    return " ".join(f"{value:.9g}" for value in vector)
+JSON_FORMAT = "skincal-calibration/3"
+CONTACT_UNITS = {
+    "force_min": "N", "force_max": "N", "touch_force": "N", "release_force": "N", "still_s": "", "still_change": "",
+    "slide_max": "m", "pitch_max": "m", "taxels_max": "", "response_min": "raw", "response_noises": "", "quiet_s": "",
+    "tare_change_max": "N", "gap_factor": "",
+}  # fmt: skip
+"""Unit after the name of each setting; empty for a plain number or where the name has it."""
+NOISE_UNITS = {
+    "force": "N", "moment": "Nm", "contact": "m", "reach": "m", "radius": "m", "skin": "m",
+    "pose_turn": "rad", "pose_shift": "m",
+}  # fmt: skip
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+CONTACT_KEYS = {
+    "poke": "poke", "start_s": "start_s", "end_s": "end_s", "force": "force_sensor_N", "moment": "moment_sensor_Nm",
+    "channels": "channels", "responses": "responses_raw", "link_from_sensor": "link_from_sensor_m", "pose": "pose",
+    "tare_change": "tare_change_N", "final": "final",
+}  # fmt: skip
+"""Of each field that is written as it is, its key in the file."""
+LANDMARK_KEYS = {
+    "poke": "poke", "name": "landmark", "place": "landmark_place_m", "force": "force_sensor_N", "moment": "moment_sensor_Nm",
+    "link_from_sensor": "link_from_sensor_m", "pose": "pose",
+}  # fmt: skip
+CHECK_KEYS = {"pokes": "landmark_pokes", "before": "miss_before_m", "after": "miss_after_m", "worth_using": "worth_using"}
+ESTIMATE_KEYS = {
+    "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "covariance": "covariance_m2",
+    "weakest": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
+}  # fmt: skip
 
 
-FORMATS = ("icub", "json", "csv", "ply")
+def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> str:
+    """Return the JSON text of every method; `mesh_findings` are sentences on the mesh."""
+    scene = calibration.scene
+    layout = scene.skin.layout
+    check = calibration.landmark_check
+    document = {
+        "format": JSON_FORMAT,
+        "skincal_version": calibration.version,
+        "frame": scene.link,
+        "scene": {
+            "name": scene.name,
+            "file": scene.path.name,
+            "text": scene.text,
+            "modules_text": None if layout is None else layout.text or None,
+        },
+        "mesh": None
+        if scene.surface is None
+        else {"file": scene.surface.path.name, "sha256": calibration.mesh_sha256, "findings": list(mesh_findings)},
+        "contact_settings": _settings(scene.contacts, CONTACT_UNITS),
+        "noise": _settings(scene.noise, NOISE_UNITS),
+        "channels": [int(channel) for channel in calibration.channels],
+        "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
+        "corrections": [_correction(used) for used in calibration.corrections],
+        "landmark_check": None if check is None else _written(check, CHECK_KEYS),
+        "landmark_pokes": [_written(poke, LANDMARK_KEYS) for poke in calibration.landmark_pokes],
+        "excluded_pokes": [int(poke) for poke in calibration.excluded],
+        "contacts": [_written(contact, CONTACT_KEYS) for contact in calibration.contacts],
+        "estimates": {
+            method.value: [_estimate(calibration, estimate) for estimate in estimates]
+            for method, estimates in calibration.estimates.items()
+        },
+    }
+    return _dump(document)
+
+
+def _dump(document: dict[str, Any]) -> str:
+    """Return JSON with one line a contact and an estimate: readable, and a third of the length of `indent=1`."""
+    contacts: list[Any] = document["contacts"]
+    groups: dict[str, list[Any]] = document["estimates"]
+    plain = {key: value for key, value in document.items() if key not in ("contacts", "estimates")}
+    estimates = ",\n".join(f"  {_compact(name)}: {_lines(items)}" for name, items in groups.items())
+    entries = [f" {_compact(key)}: {_compact(value)}" for key, value in plain.items()]
+    entries += [f' "contacts": {_lines(contacts)}', f' "estimates": {{\n{estimates}\n }}']
+    return "{\n" + ",\n".join(entries) + "\n}\n"
+
+
+def _lines(items: list[Any]) -> str:
+    return "[" + ",".join(f"\n   {_compact(item)}" for item in items) + "]"
+
+
+def _compact(value: object) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def _settings(settings: ContactSettings | NoiseSettings, units: Mapping[str, str]) -> dict[str, float]:
+    return {_with_unit(item.name, units): getattr(settings, item.name) for item in fields(settings)}
+
+
+def _with_unit(name: str, units: Mapping[str, str]) -> str:
+    return f"{name}_{units[name]}" if units[name] else name
+
+
+def _written(value: object, keys: Mapping[str, str]) -> dict[str, Any]:
+    return {key: _plain(getattr(value, name)) for name, key in keys.items()}
+
+
+def _plain(value: object) -> Any:
+    """Return a field as JSON has it: arrays as nested lists, with null for a number that is not finite."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list):
+        return [_plain(item) for item in cast("list[object]", value)]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.generic):
+        return cast("np.generic[Any]", value).item()
+    return value.value if isinstance(value, State) else value
+
+
+def _correction(used: UsedCorrection) -> dict[str, Any]:
+    found = used.correction
+    return {
+        "of": used.of,
+        "landmark_pokes": int(used.pokes),
+        "miss_before_m": float(used.before),
+        "miss_after_m": float(used.after),
+        "miss_over_predicted": _plain(used.ratio),
+        "wrench_matrix": _plain(found.matrix),
+        "sensor_motion_m": _plain(found.everywhere),
+        "pose_motions_m": {name: _plain(motion) for name, motion in sorted(found.motions.items())},
+        "wrench_quadratic": _plain(found.quadratic),
+        "uncertainty_root": _plain(found.root),
+    }
+
+
+def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
+    rival = estimate.rival
+    return {
+        "channel": int(estimate.channel),
+        "module": calibration.module_id(estimate.channel),
+        **_written(estimate, ESTIMATE_KEYS),
+        "reason": state_sentence(estimate.reason),
+        "foot_m": _plain(estimate.foot),
+        "rival": None if rival is None else {
+            "position_m": _plain(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
+        },
+        "doubted": {str(poke): trust for poke, trust in sorted(estimate.doubted.items())},
+    }  # fmt: skip
+
+
+FORMATS = {
+    "icub": "rows of six zeros, which readers take as no position",
+    "json": "written without a position",
+    "csv": "written with an empty position",
+    "ply": "left out",
+}
+"""Each format, and what becomes of taxels without a position in it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -333,10 +421,7 @@ def write_calibration(
     -------
     Sentences: faults found (`skincal.files.export`) and what is left out. They do not stop the writing.
 
-    Raises
-    ------
-    InputError
-        The format or method is unknown, or the file cannot be written.
+    Raises InputError: the format or method is unknown, or the file cannot be written.
     """
     if format not in FORMATS:
         raise InputError(f"the format is {format!r}; expected one of {', '.join(FORMATS)}.")
@@ -348,7 +433,7 @@ def write_calibration(
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
-        sentences += _left_out(calibration.of(each), each, format)
+        sentences += _left_out(calibration.of(each), each)
     if format == "icub":
         sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, text)]
     write_atomically(path, text.encode("utf-8"))
@@ -372,7 +457,9 @@ def _part(calibration: Calibration) -> _Part:
         if scene.surface is None:
             laid = None if scene.skin.layout is None else lay(scene.skin.layout, scene.skin.anchor, None)
             return _Part(None, laid)
-        surface, found = _load(scene.surface, _changed_ns(scene.surface.path))
+        path = scene.surface.path
+        # A file that is missing has no time; `load_surface` says so.
+        surface, found = _load(scene.surface, path.stat().st_mtime_ns if path.exists() else 0)
     except InputError as error:
         return _Part(None, None, troubles=(f"the positions were not compared with the part's shape: {error}",))
     same = surface.sha256 == calibration.mesh_sha256
@@ -384,14 +471,6 @@ def _part(calibration: Calibration) -> _Part:
 def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[Finding, ...]]:
     """Load a mesh once for the files of one calibration, which are written one after another."""
     return load_surface(spec)
-
-
-def _changed_ns(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        # `load_surface` says what is wrong with it.
-        return 0
 
 
 def _reference(calibration: Calibration, method: Method, shape: _Part) -> LintReference | None:
@@ -413,19 +492,14 @@ def _reference(calibration: Calibration, method: Method, shape: _Part) -> LintRe
     return LintReference(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
 
 
-def _left_out(estimates: tuple[Estimate, ...], method: Method, format_: str) -> list[str]:
+def _left_out(estimates: tuple[Estimate, ...], method: Method) -> list[str]:
     without = [estimate.state for estimate in estimates if estimate.position is None]
     if not without:
         return []
     counts = Counter(without)
     states = ", ".join(f"{counts[state]} {state.value}" for state in State if counts[state])
-    how = {
-        "icub": "rows of six zeros, which readers take as no position",
-        "json": "written without a position",
-        "csv": "written with an empty position",
-        "ply": "left out",
-    }[format_]
-    return [f"{method.value}: {len(without)} of {len(estimates)} taxels have no position ({states}): {how}."]
+    # The same for every format, so that who writes several of them reads it once.
+    return [f"{method.value}: {len(without)} of {len(estimates)} taxels have no position ({states})."]
 
 
 def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> list[str]:
@@ -447,9 +521,7 @@ def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> l
 
 
 def _read_back(calibration: Calibration, method: Method, text: str) -> list[str]:
-    """Return what a reader finds in the text that was meant otherwise."""
-    file = parse_icub(text, "the file as written")
-    taxels = placed_taxels(calibration.of(method))
-    placed = set(np.flatnonzero(file.positions.any(axis=1)).tolist())
-    lost = set(taxels.channels.tolist()) - placed
-    return [f"the file as written has no position for channel {channel}." for channel in sorted(lost)]
+    """Return which positions a reader does not find in the text."""
+    placed = np.flatnonzero(parse_icub(text, "the file as written")[:, :3].any(axis=1))
+    lost = np.setdiff1d(placed_taxels(calibration.of(method)).channels, placed).tolist()
+    return [f"the file as written has no position for channel {channel}." for channel in lost]

@@ -27,7 +27,6 @@ Positions and normals have `DECIMALS` decimals: a micrometre, a thousandth of th
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,8 +41,6 @@ from skincal.taxels.result import Estimate, Method, State
 DECIMALS = 6
 NO_TAXEL = -1
 THERMAL_PAD = -2
-UNIT_TOLERANCE = 1e-3
-"""Normals of files with four decimals are unit to within it."""
 ORIGIN_RADIUS = 0.5 * 10.0**-DECIMALS
 """m. A position nearer to the origin is written as zeros, which readers take as no taxel."""
 SKIN_PARTS = (
@@ -51,25 +48,6 @@ SKIN_PARTS = (
     "l_upper_leg", "l_lower_leg", "l_foot", "r_upper_leg", "r_lower_leg", "r_foot",
 )  # fmt: skip
 """Names that the robot's programs know (`SkinPart_s`, skinDynLib)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IcubFile:
-    """What a position file says."""
-
-    name: str
-    """Skin part; empty where the file has none."""
-    frame: str
-    """Frame of the positions; empty where the file does not say, as most do not."""
-    spatial_sampling: str
-    taxel2repr: IntArray
-    """(n,) as in the file; may have another length than `positions`; empty where the file has none."""
-    positions: FloatArray
-    """(n, 3) float, metres; zeros: no position."""
-    normals: FloatArray
-    """(n, 3) float, unit; zeros: not known."""
-    findings: tuple[str, ...]
-    """Sentences on what the file has that it should not."""
 
 
 def skin_part(calibration: Calibration, part: str | None = None) -> str:
@@ -107,24 +85,17 @@ def representatives(layout: Layout | None, width: int, placed: IntArray) -> IntA
     return mapping
 
 
-def icub_text(calibration: Calibration, method: Method, part: str | None = None, frame: bool = True) -> str:
-    """Return the position file of one method, a row for every channel of the skin.
-
-    Parameters
-    ----------
-    part : see `skin_part`
-    frame : write the `frame` key with the scene's link
-    """
+def icub_text(calibration: Calibration, method: Method, part: str | None = None) -> str:
+    """Return the position file of one method, a row for every channel of the skin; `part` as for `skin_part`."""
     width = calibration.scene.skin.channels
     estimates = calibration.of(method)
     taxels = placed_taxels(estimates)
     rows = np.zeros((width, 6))
     rows[taxels.channels] = np.hstack([taxels.positions, taxels.normals])
     mapping = representatives(calibration.scene.skin.layout, width, taxels.channels)
-    lines = [f"name               {skin_part(calibration, part)}"]
-    if frame:
-        lines.append(f"frame              {_word(calibration.scene.link)}")
-    lines += [
+    lines = [
+        f"name               {skin_part(calibration, part)}",
+        f"frame              {_word(calibration.scene.link)}",
         "spatial_sampling   taxel",
         f"taxel2Repr         ({' '.join(map(str, mapping.tolist()))})",
         "[calibration]",
@@ -153,15 +124,10 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
     return lines
 
 
-def read_icub(path: Path) -> IcubFile:
-    """Read a position file in the current grammar or the old one (bare rows of six numbers).
+def read_icub(path: Path) -> FloatArray:
+    """Read a position file in the current grammar or the old one (bare rows); returns (n, 6) float, metres and normals.
 
-    Normals that are not unit are made so, and said.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, has no rows, or a row is not six finite numbers; names the line.
+    Raises InputError: the file cannot be read, has no rows, or a row is not six finite numbers; names the line.
     """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
@@ -170,59 +136,16 @@ def read_icub(path: Path) -> IcubFile:
     return parse_icub(text, str(path))
 
 
-def parse_icub(text: str, where: str) -> IcubFile:
+def parse_icub(text: str, where: str) -> FloatArray:
     """Read the text of a position file; `where` names it in sentences. See `read_icub`."""
-    lines = _content_lines(text)
-    start = next((i for i, (_, line) in enumerate(lines) if line.startswith("[calibration]")), None)
-    keys: dict[str, str] = {}
-    for number, line in lines[:start] if start is not None else []:
-        key, _, value = line.partition(" ")
-        if key in keys:
-            raise InputError(f"{where}: line {number}: {key} appears twice; expected each key once.")
-        keys[key] = value.strip()
-    rows = _read_rows(lines if start is None else lines[start + 1 :], where)
-    findings = [] if start is not None else ["no [calibration] group: read as the old format, bare rows of six numbers."]
-    mapping = _read_mapping(keys.get("taxel2Repr"), where)
-    normals, sentences = _unit_normals(rows)
-    findings += sentences
-    if start is not None:
-        findings += _mapping_findings(mapping, rows)
-    findings += _duplicate_findings(rows[:, :3])
-    return IcubFile(
-        name=keys.get("name", ""),
-        frame=keys.get("frame", ""),
-        spatial_sampling=keys.get("spatial_sampling", "taxel"),
-        taxel2repr=mapping,
-        positions=rows[:, :3],
-        normals=normals,
-        findings=tuple(findings),
-    )
-
-
-def _content_lines(text: str) -> list[tuple[int, str]]:
-    """Return (line number, text) without comments and empty lines, with single spaces, lists joined over line ends."""
-    out: list[tuple[int, str]] = []
-    pending = ""
-    first = 0
-    for number, raw in enumerate(text.splitlines(), start=1):
-        line = re.sub(r"//.*|(^|\s)#.*", "", raw)
-        line = " ".join(f"{pending} {line}".split())
-        # A list over several lines is named by the first of them.
-        first = first if pending else number
-        if line.count("(") > line.count(")"):
-            pending = line
-            continue
-        pending = ""
-        if line:
-            out.append((first, line))
-    return [*out, (first, pending)] if pending else out
-
-
-def _read_rows(lines: list[tuple[int, str]], where: str) -> FloatArray:
+    lines = [re.sub(r"//.*|(^|\s)#.*", "", raw).strip() for raw in text.splitlines()]
+    start = next((i for i, line in enumerate(lines) if line.startswith("[calibration]")), -1)
     rows: list[list[float]] = []
-    for number, line in lines:
+    for number, line in enumerate(lines[start + 1 :], start=start + 2):
         if line.startswith("["):
             break
+        if not line:
+            continue
         try:
             row = [float(word) for word in line.strip("()").split()]
         except ValueError:
@@ -233,58 +156,3 @@ def _read_rows(lines: list[tuple[int, str]], where: str) -> FloatArray:
     if not rows:
         raise InputError(f"{where}: no rows were found; expected an iCub position file with one row x y z nx ny nz a channel.")
     return np.array(rows)
-
-
-def _read_mapping(text: str | None, where: str) -> IntArray:
-    if text is None:
-        return np.empty(0, dtype=np.int64)
-    try:
-        return np.array([int(word) for word in text.strip("() ").split()], dtype=np.int64)
-    except ValueError:
-        raise InputError(f"{where}: taxel2Repr holds something else than whole numbers; expected ( 3 3 ... -1 ).") from None
-
-
-def _unit_normals(rows: FloatArray) -> tuple[FloatArray, list[str]]:
-    # Published files have normals of length 0.6 to 1.
-    lengths = np.linalg.norm(rows[:, 3:], axis=1)
-    known = lengths > 0
-    off = known & (np.abs(lengths - 1.0) > UNIT_TOLERANCE)
-    findings: list[str] = []
-    if off.any():
-        findings.append(
-            f"normals not of unit length: {off.sum()}, from {lengths[off].min():.3f} to {lengths[off].max():.3f}; made unit."
-        )
-    without = np.flatnonzero(~known & rows[:, :3].any(axis=1))
-    if len(without):
-        findings.append(f"positions without a normal: {len(without)}.")
-    normals = np.zeros((len(rows), 3))
-    normals[known] = rows[known, 3:] / lengths[known, None]
-    return normals, findings
-
-
-def _mapping_findings(mapping: IntArray, rows: FloatArray) -> list[str]:
-    if not len(mapping):
-        return ["taxel2Repr is missing: the robot's skinPart reader refuses such a file."]
-    findings: list[str] = []
-    if len(mapping) != len(rows):
-        findings.append(f"taxel2Repr has {len(mapping)} entries for {len(rows)} rows; expected one a row.")
-    shared = min(len(mapping), len(rows))
-    placed = rows[:shared, :3].any(axis=1)
-    taxel = mapping[:shared] >= 0
-    if (placed & ~taxel).any():
-        findings.append(
-            f"a position where taxel2Repr says no taxel: channels {list_channels(np.flatnonzero(placed & ~taxel))}."
-        )
-    if (taxel & ~placed).any():
-        findings.append(f"no position where taxel2Repr says taxel: channels {list_channels(np.flatnonzero(taxel & ~placed))}.")
-    return findings
-
-
-def _duplicate_findings(positions: FloatArray) -> list[str]:
-    placed = positions[positions.any(axis=1)]
-    distinct = len(np.unique(placed, axis=0))
-    if distinct == len(placed):
-        return []
-    return [
-        f"{len(placed)} channels share {distinct} different positions; copies of another taxel's position are no measurement."
-    ]

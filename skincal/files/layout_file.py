@@ -22,19 +22,10 @@ SAME = 1e-7
 
 
 def write_layout(given: Layout, mend: LayoutMend, path: Path) -> None:
-    """Write the corrected layout to a file; an older one there is kept with `.bak` after its name.
+    """Write the corrected layout to another file than was read; an older one there is kept with `.bak` after its name.
 
-    Parameters
-    ----------
-    given : as it was read from its file
-    mend : of this layout, with at least one change
-    path : another file than the one that was read
-
-    Raises
-    ------
-    InputError
-        It is the file that was read, the layout is of no file, or the file cannot be written or would say something else;
-        the file that was read is as it was.
+    Raises InputError: it is the file that was read, the layout is of no file, or the file cannot be written or would say
+    something else; the file that was read is as it was.
     """
     if given.path is None:
         raise InputError(f"{path}: the layout was read from no file, so there is none to correct; expected one that was.")
@@ -51,10 +42,7 @@ def write_layout(given: Layout, mend: LayoutMend, path: Path) -> None:
 def corrected_text(text: str, changes: Sequence[ModuleChange]) -> str:
     """Return the text of a layout's file with some modules changed, and all else as it was.
 
-    Raises
-    ------
-    InputError
-        It is written in a way that can be read, but not changed.
+    Raises InputError: it is written in a way that can be read, but not changed.
     """
     # Imported here: a layout is corrected once, and nothing else needs tomlkit.
     import tomlkit

@@ -54,32 +54,17 @@ class ErrorSummary:
 
 
 def read_reference(path: Path) -> dict[int, FloatArray]:
-    """Read known taxel places from a `truth.json` or an iCub position file.
+    """Read known taxel places, (3,) float in metres by channel, from a `truth.json` or an iCub position file.
 
-    Returns
-    -------
-    Channel to (3,) float, metres, link frame of the file.
-
-    Raises
-    ------
-    InputError
-        The file is missing or is neither of the two.
+    Raises InputError: the file is missing or is neither of the two.
     """
     return _read(path)[1]
 
 
 def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> Reference:
-    """Read known taxel places and check that they are of this part.
+    """Read known taxel places and check that they are of the scene's `link` and `channels`.
 
-    Parameters
-    ----------
-    path : as for `read_reference`
-    link, channels : of the scene
-
-    Raises
-    ------
-    InputError
-        As for `read_reference`; also if the file is of another link or knows none of the channels.
+    Raises InputError: as for `read_reference`; also if the file is of another link or knows none of the channels.
     """
     named, places = _read(path)
     # An iCub file names no link; the operator answers for it.
@@ -93,22 +78,16 @@ def load_reference(path: Path, link: str, channels: Collection[int], origin: Ori
 def find_truth(folder: Path, link: str, channels: Collection[int]) -> Reference | None:
     """Return the truth that lies in a session's folder; None where there is none.
 
-    Raises
-    ------
-    InputError
-        As for `load_reference`.
+    Raises InputError: as for `load_reference`.
     """
     path = folder / TRUTH_NAME
     return load_reference(path, link, channels, Origin.TRUTH) if path.is_file() else None
 
 
 def plan_reference(name: str, places: FloatArray) -> Reference | None:
-    """Return a laid layout as a reference; None where it places no taxel.
+    """Return a scene's laid layout as a reference; None where it places no taxel.
 
-    Parameters
-    ----------
-    name : of the scene
-    places : (width, 3) float, metres, link frame; NaN where a channel is no taxel or has no place
+    `places` are (width, 3) float, metres, link frame; NaN where a channel is no taxel or has no place.
     """
     known = {int(channel): places[channel] for channel in np.flatnonzero(np.isfinite(places).all(axis=1))}
     return Reference(Origin.PLAN, name, known) if known else None
@@ -119,7 +98,7 @@ def _read(path: Path) -> tuple[str, dict[int, FloatArray]]:
     if path.suffix.lower() != ".json":
         from skincal.files.icub import read_icub
 
-        return "", {channel: place for channel, place in enumerate(read_icub(path).positions) if np.any(place != 0.0)}
+        return "", {channel: place for channel, place in enumerate(read_icub(path)[:, :3]) if np.any(place != 0.0)}
     try:
         document: Any = json.loads(path.read_text(encoding="utf-8"))
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}

@@ -23,7 +23,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.guide.knowledge import offset_square, row_precision
 from skincal.guide.poke_history import PokeAxis
 from skincal.mesh.search import nearest_to_rows
-from skincal.mesh.surface import Surface
+from skincal.mesh.surface import Surface, near_pairs
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import across
 
@@ -36,8 +36,6 @@ TRIES = 1 + AZIMUTHS * len(TILTS)
 REACHED = 1.35
 """Neighbours within this many times the usual spacing may answer: measured on the simulated forearm, nine in ten of those
 that do are nearer."""
-MOST_CUBES = 2.0**20
-"""Of the grid in which neighbours are looked for, along each side: their numbers fit into 64 bits."""
 # Least weight of a neighbour: it hardly counts.
 _HARDLY = 1e-3
 FORCE = 9.0
@@ -55,16 +53,13 @@ class AnsweringTaxels:
 
 
 def find_answering(places: FloatArray, spacing: float, noise: NoiseSettings, most: int = 6) -> AnsweringTaxels:
-    """Find the taxels around each of `places` (n, 3), metres.
-
-    Parameters
-    ----------
-    spacing : m, usual distance of neighbours
-    """
+    """Find the taxels around each of `places` (n, 3), metres; neighbours are usually `spacing` apart."""
     count = len(places)
     rows, weights = np.tile(np.arange(count)[:, None], (1, most + 1)), np.zeros((count, most + 1))
     weights[:, 0] = 1.0
-    near, far, apart = _pairs(places, REACHED * spacing)
+    known = np.flatnonzero(np.isfinite(places).all(axis=1))
+    near, far = known[near_pairs(places[known], REACHED * spacing)].T
+    apart = np.sqrt(np.sum((places[far] - places[near]) ** 2, axis=1))
     taxel, other, apart = np.concatenate([near, far]), np.concatenate([far, near]), np.concatenate([apart, apart])
     order = np.lexsort((other, apart, taxel))
     taxel, other, apart = taxel[order], other[order], apart[order]
@@ -81,38 +76,6 @@ def pulls(places: FloatArray, neighbours: AnsweringTaxels) -> FloatArray:
     off = np.nan_to_num(places[neighbours.rows] - places[:, None])
     shares = neighbours.weights[:, :, None]
     return np.asarray(np.sum(shares * off, axis=1) / np.sum(shares, axis=1), dtype=np.float64)
-
-
-def _pairs(places: FloatArray, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return all pairs of `places` (n, 3) within `reach`, metres, each once, and how far they are apart.
-
-    Each is compared with those of its own cube of a grid and of half of the cubes around it; the other half finds it in turn.
-    All pairs of 4,200 taxels would take 400 MB, and scipy's tree half a second to import.
-    """
-    known = np.flatnonzero(np.isfinite(places).all(axis=1))
-    if not len(known):
-        return known, known, np.empty(0)
-    low, high = places[known].min(axis=0), places[known].max(axis=0)
-    # A little wider than the reach, so that rounding puts no pair two cubes apart.
-    side = max(reach * (1.0 + 1e-9), float((high - low).max()) / MOST_CUBES, np.finfo(float).tiny)
-    cubes = ((places[known] - low) / side).astype(np.int64)
-    # Numbered so that the last coordinate runs fastest, with a gap so that no cube neighbours the next row's.
-    wide, deep = int(cubes[:, 1].max()) + 3, int(cubes[:, 2].max()) + 3
-    keys = (cubes[:, 0] * wide + cubes[:, 1]) * deep + cubes[:, 2]
-    order = np.argsort(keys, kind="stable")
-    known, keys = known[order], keys[order]
-    rows = np.arange(len(known))
-    found: list[tuple[IntArray, IntArray]] = []
-    for step in (0, deep, (wide - 1) * deep, wide * deep, (wide + 1) * deep):
-        # Three cubes in a row hold one run of the sorted places; of its own row, those after it.
-        first = rows + 1 if step == 0 else keys.searchsorted(keys + (step - 1), side="left")
-        each = keys.searchsorted(keys + (step + 1), side="right") - first
-        start = np.repeat(rows, each)
-        found.append((known[start], known[np.arange(len(start)) + (first - np.cumsum(each) + each)[start]]))
-    start, other = (np.concatenate(part) for part in zip(*found, strict=True))
-    apart = np.sqrt(np.sum((places[other] - places[start]) ** 2, axis=1))
-    near = apart <= reach
-    return start[near], other[near], apart[near]
 
 
 def directions(normals: FloatArray, usable: float) -> FloatArray:
@@ -182,9 +145,7 @@ def predicted(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> 
 def gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: float) -> FloatArray:
     """Return (m, d) by how much each push at the taxels `rows` (m,) lowers the sum of the predicted rms errors, metres.
 
-    Parameters
-    ----------
-    others : 0 to 1, how far the neighbours count beside the taxel itself
+    The neighbours count `others`, 0 to 1, beside the taxel itself.
     """
     touched, weights = state.neighbours.rows[rows], state.neighbours.weights[rows]
     before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
@@ -231,12 +192,7 @@ ASTRAY = 0.025
 
 
 class Cover:
-    """Places spread evenly over a surface, and which of them are still to be poked.
-
-    Parameters
-    ----------
-    surface : of the part
-    """
+    """Places spread evenly over a part's surface, and which of them are still to be poked."""
 
     def __init__(self, surface: Surface) -> None:
         self._surface = surface
@@ -279,12 +235,7 @@ class Cover:
         self._left_out[index] = True
 
     def next(self, hand: FloatArray | None) -> int | None:
-        """Return which place to poke; None where all are covered.
-
-        Parameters
-        ----------
-        hand : (3,) float, metres, where the last poke was
-        """
+        """Return which place to poke, the last poke having been at `hand` (3,), metres; None where all are covered."""
         waiting = (self._poked > SPACING) & ~self._left_out
         near = np.flatnonzero(waiting & (self._answered <= AROUND))
         if near.size:
@@ -301,13 +252,7 @@ class Cover:
 
 
 def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
-    """Return places spread over a surface, none nearer than `APART` of `spacing` to another, and their triangles.
-
-    Returns
-    -------
-    places : (n, 3) float, metres
-    triangles : (n,) int
-    """
+    """Return (n, 3) places over a surface, none nearer than `APART` of `spacing` to another, and their triangles (n,)."""
     corners = surface.corners
     longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
     # Pieces of at most half the spacing; what lies too near together is thinned out afterwards.

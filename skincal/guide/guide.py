@@ -16,8 +16,7 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide import candidates
 from skincal.guide.guidance import Guidance, GuidePhase, Target
-from skincal.guide.knowledge import Knowledge
-from skincal.guide.places import PlannedPlaces, believed
+from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed
 from skincal.guide.poke_history import PokeHistory, axis_of
 from skincal.guide.progress import (
     AxisDiversity,
@@ -66,8 +65,6 @@ class Guide:
     Parameters
     ----------
     plan : where the layout puts the taxels, if there is one
-    noise : the rig's
-    method : the solver whose needs count
     spacing : m, usual distance of neighbours
     cover : places to poke while it is unknown where the taxels are; None with a layout
     on_surface : whether a mesh gives the depth; modules that lie free in space need tilted pushes for it
@@ -125,13 +122,9 @@ class Guide:
     ) -> Guidance:
         """Follow the session to where it stands now, and say what is to be done.
 
-        Parameters
-        ----------
-        contacts : those that count, by the number of their poke
-        estimates : of each method, one a taxel in the plan's order
-        evidence : gives what the contacts say of some channels
-        rejections : pokes that do not count, by their number
-        rig : m, sd of what the rig's errors move all estimates by, each direction; 0 where nothing is known of it
+        Contacts are those that count and rejections those that do not, by the number of their poke; estimates stand in the
+        plan's order; `evidence` gives what the contacts say of some channels; `rig` is the sd of what the rig's errors move all
+        estimates by in each direction, metres, 0 where nothing is known of it.
         """
         dirty = self._follow(contacts, estimates, rejections, rig)
         if dirty:
@@ -448,9 +441,7 @@ class Guide:
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return from where a taxel was poked, and what each further push is worth; None for an unknown taxel or place.
 
-        Parameters
-        ----------
-        evidence : as in `update`, which was called before
+        `update` was called before; `evidence` is as there.
         """
         state, row = self._state, self._knowledge.row(channel) if self._knowledge.has(channel) else -1
         if state is None or row < 0 or not np.isfinite(self._places[row]).all():

@@ -62,13 +62,7 @@ class Felt:
 
 
 class PokeHistory:
-    """Follows the outcomes of a session.
-
-    Parameters
-    ----------
-    channels : (n,) ascending
-    settings : what counts as missed
-    """
+    """Follows the outcomes of a session on the taxels `channels` (n,), ascending."""
 
     def __init__(self, channels: IntArray, settings: GuideSettings) -> None:
         self.channels = channels

@@ -190,10 +190,7 @@ def pokes_left(
 def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings) -> int:
     """Return how many pokes it takes until no module is open, by the modules method.
 
-    Parameters
-    ----------
-    modules : (n,) of each taxel
-    own : (n,) pokes of its module
+    `modules` is (n,) of each taxel, `own` (n,) the pokes of its module; the rest is as in `pokes_left`.
     """
     count = 0
     for module in np.unique(modules[open_]).tolist():
@@ -218,9 +215,7 @@ def _settling(settings: GuideSettings) -> FloatArray:
 def pace(times: FloatArray) -> float | None:
     """Return the seconds between two pokes, the median of the last ones without pauses; None before the third poke.
 
-    Parameters
-    ----------
-    times : (n,) float, seconds, ascending: when each poke began
+    `times` is (n,), seconds, ascending: when each poke began.
     """
     steps = np.diff(times[-RECENT - 1 :])
     steps = steps[steps <= PAUSE_S]

@@ -289,7 +289,7 @@ class Verdict:
 
     @property
     def believed(self) -> bool:
-        """Whether what was held out speaks for them: pokes on the skin, and landmarks, which alone show a shift of the whole."""
+        """Whether what was held out speaks for them: pokes on the skin, and landmarks, which alone show a common shift."""
         tried = self.check.tells and self.check.agrees
         return tried and self.landmarks is not None and self.landmarks.agrees
 

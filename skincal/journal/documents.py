@@ -7,12 +7,22 @@ decimals; NaN is null, and what is infinite is a word.
 Bytes and decoded readings are messages in CDR, little-endian, made by hand. Each begins with four bytes that say how it is
 encoded; every number is aligned to its size, counted from behind these four bytes. Source: OMG DDS-XTypes 1.3, 7.4.3 (plain
 CDR), and ROS 2's message definitions, which travel in the file.
+
+The small file beside each segment holds its events and notes, one checked line each. Opening a session reads nothing else.
+
+A line is a JSON array `["CHECKSUM", ITEMS, KEY, DOCUMENT]`. ITEMS is how many items of the segment lie in its MCAP file for
+sure: that file is written first. KEY names the poke that the document is about; right behind a line of the same key, it takes
+that line's place. A line without KEY and DOCUMENT says only how many items there are, and one with the word "closed" that no
+more come. CHECKSUM is the CRC-32, in hexadecimal, of what follows it in the line and of all lines before, so that no line can
+be changed, lost or moved unseen.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import struct
+import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -32,6 +42,10 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
 from skincal.streams.links import LinkSpec
 
+_END = b"]\n"
+_HEAD = 12
+"""Bytes before what the checksum covers: `["`, eight digits, `",`."""
+_TOTALS, _NO_KEY, _CLOSED = b'"totals"', b'""', b'"closed"'
 FORMAT = 3
 """Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments."""
 FORMAT_WITH_NOTES = 2
@@ -139,17 +153,22 @@ def event_to_json(event: LinkEvent | Stamped | Ending) -> dict[str, Any]:
 
 def note_to_json(note: Note) -> dict[str, Any]:
     """Return a note as a JSON object."""
-    if isinstance(note, Taken):
-        return {"type": "taken", **taken_to_json(note)}
-    return {"type": "totals", **totals_to_json(note)}
+    if isinstance(note, Totals):
+        counts = {
+            link.link: {
+                "format": link.format,
+                "readings": link.readings,
+                "lost": {loss.name: count for loss, count in link.losses.items() if count},
+            }
+            for link in note.links
+        }
+        return {"type": "totals", "links": counts, "unpaired": note.unpaired}
+    dead = {} if note.dead is None else {"dead": {str(channel): why for channel, why in note.dead.items()}}
+    return {"type": "taken", "outcomes": [_outcome_to_json(outcome, doubt) for outcome, doubt in note.outcomes], **dead}
 
 
 def from_document(document: Mapping[str, Any], path: Path) -> SessionEvent | Note:
-    """Return the event or the note of a JSON object.
-
-    Parameters
-    ----------
-    path : of the file that it is from, for messages
+    """Return the event or the note of a JSON object from the file `path`.
 
     Raises
     ------
@@ -182,7 +201,10 @@ def _mark(host_ns: int, body: Mapping[str, Any], path: Path) -> SegmentMark:
     return SegmentMark(
         number=int(body["segment"]),
         host_ns=host_ns,
-        links=tuple(map(_link_from_json, body["links"])),
+        links=tuple(
+            LinkSpec(str(link["name"]), str(link["address"]), tuple(map(Stream, link["carries"])), str(link["format"]))
+            for link in body["links"]
+        ),
         format=int(body["format"]),
         scene=body["scene"],
         digest=body.get("scene_digest"),
@@ -196,27 +218,7 @@ def link_to_json(link: LinkSpec) -> dict[str, Any]:
     return {"name": link.name, "address": link.address, "carries": carries, "format": link.format}
 
 
-def _link_from_json(link: Mapping[str, Any]) -> LinkSpec:
-    carries = tuple(Stream(value) for value in link["carries"])
-    return LinkSpec(str(link["name"]), str(link["address"]), carries, str(link["format"]))
-
-
-def taken_to_json(taken: Taken) -> dict[str, Any]:
-    """Return it as a JSON object."""
-    document: dict[str, Any] = {"outcomes": [_outcome_to_json(outcome, doubt) for outcome, doubt in taken.outcomes]}
-    if taken.dead is not None:
-        document["dead"] = {str(channel): why for channel, why in taken.dead.items()}
-    return document
-
-
-def taken_from_json(document: Mapping[str, Any]) -> Taken:
-    """Return what `taken_to_json` was given.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        It is not one that skincal wrote.
-    """
+def _taken_from_json(document: Mapping[str, Any]) -> Taken:
     dead = document.get("dead")
     return Taken(
         outcomes=[_outcome_from_json(entry) for entry in document["outcomes"]],
@@ -315,37 +317,15 @@ def _value(key: str, value: Any) -> Any:
     return value
 
 
-def totals_to_json(totals: Totals) -> dict[str, Any]:
-    """Return totals as a JSON object."""
-    links = {
-        link.link: {
-            "format": link.format,
-            "readings": link.readings,
-            "lost": {loss.name: count for loss, count in link.losses.items() if count},
-        }
-        for link in totals.links
-    }
-    return {"links": links, "unpaired": totals.unpaired}
+def _totals_from_json(document: Mapping[str, Any]) -> Totals:
+    def read(name: str, link: Mapping[str, Any]) -> LinkTotals:
+        losses = {Loss[loss]: int(count) for loss, count in link["lost"].items()}
+        return LinkTotals(name, str(link["format"]), int(link["readings"]), losses)
+
+    return Totals(tuple(read(name, link) for name, link in document["links"].items()), int(document["unpaired"]))
 
 
-def totals_from_json(document: Mapping[str, Any]) -> Totals:
-    """Return what `totals_to_json` was given.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        It is not one that skincal wrote.
-    """
-    links = tuple(
-        LinkTotals(
-            str(name), str(link["format"]), int(link["readings"]), {Loss[loss]: int(n) for loss, n in link["lost"].items()}
-        )
-        for name, link in document["links"].items()
-    )
-    return Totals(links, int(document["unpaired"]))
-
-
-_NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": taken_from_json, "totals": totals_from_json}
+_NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": _taken_from_json, "totals": _totals_from_json}
 
 
 def encode_chunk(host_ns: int, data: bytes) -> bytes:
@@ -354,13 +334,7 @@ def encode_chunk(host_ns: int, data: bytes) -> bytes:
 
 
 def decode_chunk(message: bytes) -> tuple[int, bytes]:
-    """Return arrival (ns) and bytes of a `skincal_msgs/msg/Chunk`.
-
-    Raises
-    ------
-    InputError
-        It is not one.
-    """
+    """Return arrival (ns) and bytes of a `skincal_msgs/msg/Chunk`; InputError where it is none."""
     if len(message) < 16 or message[:4] != _PREFIX:
         raise InputError("A chunk in the session is not encoded as expected; the session was written by another program.")
     host_ns, size = struct.unpack_from("<QI", message, 4)
@@ -404,3 +378,111 @@ def _stamped(unix_ns: int, frame: str) -> bytes:
 def _text(text: str) -> bytes:
     raw = text.encode() + b"\x00"
     return struct.pack("<I", len(raw)) + raw
+
+
+def lines_path(segment: Path) -> Path:
+    """Return the file of lines beside a segment's MCAP file."""
+    return segment.with_suffix(".jsonl")
+
+
+def key_of(note: Note | None) -> str:
+    """Return what a note may replace or be replaced by; empty where every one counts.
+
+    The outcome of one poke replaces an earlier one of the same kind: a session that takes both is as if it had taken the
+    second alone. What was a contact and is none any more leaves the steps of undo, so both are kept. Of counts the last count.
+    """
+    if isinstance(note, Totals):
+        return "totals"
+    if not isinstance(note, Taken) or note.dead is not None or len(note.outcomes) != 1:
+        return ""
+    outcome = note.outcomes[0][0]
+    return f"{'contact' if isinstance(outcome, Contact) else 'rejection'} {outcome.poke}"
+
+
+class LineWriter:
+    """Appends lines to a file.
+
+    Parameters
+    ----------
+    path : a file that does not exist yet, or the whole part of one that was read
+    read : of that file
+    """
+
+    def __init__(self, path: Path, read: Lines | None = None) -> None:
+        self._file = path.open("xb" if read is None else "r+b")
+        self._sum = 0 if read is None else read.checksum
+        self._file.seek(0, os.SEEK_END)
+
+    def add(self, items: int, key: str, document: bytes) -> None:
+        """Append a document, JSON."""
+        self._add(b'%d,"%s",%s' % (items, key.encode(), document))
+
+    def vouch(self, items: int) -> None:
+        """Say that so many items lie in the MCAP file."""
+        self._add(b"%d" % items)
+
+    def flush(self, *, sync: bool = False) -> None:
+        """Hand everything to the system; with `sync` to the medium."""
+        self._file.flush()
+        if sync:
+            os.fsync(self._file.fileno())
+
+    def close(self, items: int) -> None:
+        """Say that no more come, and close the file."""
+        self._add(b"%d,%s" % (items, _CLOSED))
+        self.flush(sync=True)
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is; `OSError` where the disk refuses what is buffered."""
+        self._file.close()
+
+    def _add(self, body: bytes) -> None:
+        body += _END
+        self._sum = zlib.crc32(body, self._sum)
+        self._file.write(b'["%08x",%s' % (self._sum, body))
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """What a file of lines says, up to its first damage."""
+
+    documents: tuple[bytes, ...]
+    """JSON; without those that others replaced, and counts last."""
+    items: int
+    """How many items lie in the MCAP file for sure."""
+    closed: bool
+    """All that was written is here."""
+    checksum: int
+    size: int
+    """Bytes of the part without damage."""
+    lost: int
+    """Bytes behind it."""
+
+
+def read_lines(segment: Path) -> Lines | None:
+    """Return the lines beside a segment; None where there are none, as in older sessions."""
+    data = lines_path(segment).read_bytes() if lines_path(segment).exists() else b""
+    kept: list[bytes] = []
+    totals: list[bytes] = []
+    body, last_key, checksum, size = b"0]\n", b"", 0, 0
+    for line in data.splitlines(keepends=True):
+        found = zlib.crc32(line[_HEAD:], checksum)
+        if line[:_HEAD] != b'["%08x",' % found:
+            break
+        body, checksum = line[_HEAD:], found
+        size += len(line)
+        _, *rest = body.split(b",", 2)
+        if len(rest) < 2:
+            continue
+        key, document = rest
+        if key == _TOTALS:
+            totals = [document]
+            continue
+        if key == last_key != _NO_KEY:
+            kept.pop()
+        kept.append(document)
+        last_key = key
+    documents = tuple(document[: -len(_END)] for document in kept + totals)
+    items = int(body.split(b",")[0].removesuffix(_END))
+    return Lines(documents, items, body.endswith(_CLOSED + _END), checksum, size, len(data) - size) if data else None

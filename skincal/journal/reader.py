@@ -28,11 +28,22 @@ from mcap.writer import Writer
 
 from skincal import __version__
 from skincal.journal import documents
-from skincal.journal.documents import FORMAT_WITH_NOTES, Ending, Note, SegmentMark, SessionEvent, Taken, Totals, from_document
-from skincal.journal.lines import Lines, LineWriter, lines_path, read_lines
+from skincal.journal.documents import (
+    FORMAT_WITH_NOTES,
+    Ending,
+    Lines,
+    LineWriter,
+    Note,
+    SegmentMark,
+    SessionEvent,
+    Taken,
+    Totals,
+    from_document,
+    lines_path,
+    read_lines,
+)
 from skincal.journal.lock import writer_of
-from skincal.journal.scene_copy import SCENE_FILE, SCENE_FOLDER, scene_digest
-from skincal.journal.writer import EVENT_TOPIC, NOTE_TOPIC, RAW_TOPIC
+from skincal.journal.writer import EVENT_TOPIC, NOTE_TOPIC, RAW_TOPIC, SCENE_FILE, SCENE_FOLDER, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Scene, load_scene
@@ -54,16 +65,10 @@ DAMAGE = (
     MemoryError,
 )
 """What the MCAP library raises on damaged bytes."""
-_NO_SENSE = "its bytes make no sense"
 
 
 class SessionLog:
-    """A session's folder, open for reading; nothing in it is changed.
-
-    Parameters
-    ----------
-    folder : of the session
-    own : the reader holds the folder's lock itself
+    """A session's folder, open for reading; nothing in it is changed. With `own` the reader holds the folder's lock itself.
 
     Raises
     ------
@@ -152,16 +157,11 @@ class SessionLog:
 
 
 def find_segments(folder: Path) -> list[Path]:
-    """Return a session's segments in their order.
-
-    Raises
-    ------
-    InputError
-        The folder holds none, or one is missing.
-    """
+    """Return a session's segments in their order; InputError where the folder holds none, or one is missing."""
     paths = sorted(folder.glob("segment-*.mcap"))
     if not paths:
-        what = "there is no such folder" if not folder.is_dir() else "no segment-0001.mcap in it"
+        no_folder = "it is no folder" if folder.exists() else "there is no such folder"
+        what = "no segment-0001.mcap in it" if folder.is_dir() else no_folder
         raise InputError(f"{folder}: not a session ({what}); expected a folder that skincal recorded.")
     for number, path in enumerate(paths, start=1):
         if path.name != f"segment-{number:04d}.mcap":
@@ -170,13 +170,7 @@ def find_segments(folder: Path) -> list[Path]:
 
 
 class Segment:
-    """One segment, read once by one of its methods.
-
-    Parameters
-    ----------
-    path : of its MCAP file
-    last : no other one follows, so that it may end anywhere
-    """
+    """One segment, read once by one of its methods; the `last` one may end anywhere."""
 
     def __init__(self, path: Path, *, last: bool) -> None:
         self.path = path
@@ -217,7 +211,8 @@ class Segment:
         count, first_ns, last_ns, why = 0, 0, 0, ""
         try:
             for topic, message in self._mcap.messages():
-                if count == due or not is_item(topic):
+                # What lies behind the last item that is vouched for led to something that was not written any more.
+                if count == due or not _is_item(topic):
                     continue
                 if topic != EVENT_TOPIC:
                     first_ns, last_ns = first_ns or message.log_time, message.log_time
@@ -249,16 +244,12 @@ class DamagedError(Exception):
 
 
 class McapFile:
-    """A segment's MCAP file, read by the library up to the first damage.
-
-    The methods raise `DamagedError` there.
-    """
+    """A segment's MCAP file, read by the library up to the first damage, where its methods raise `DamagedError`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._good_bytes = self._items = 0
-        self.topics: dict[int, str] = {}
-        """Of the channels that were read, by their number."""
+        self._topics: dict[int, str] = {}
         self.complete = False
         """All data was read, though the index behind it may be damaged."""
 
@@ -278,7 +269,7 @@ class McapFile:
                         count += 1
                         self._demand_next(record)
                     elif isinstance(record, Channel):
-                        self.topics[record.id] = record.topic
+                        self._topics[record.id] = record.topic
                     elif isinstance(record, Statistics) and record.message_count != count:
                         self.complete = False
                         raise DamagedError(f"{record.message_count - count} messages are missing")
@@ -290,14 +281,14 @@ class McapFile:
                 raise DamagedError(_words_of(error)) from None
 
     def _demand_next(self, message: Message) -> None:
-        if is_item(self.topics[message.channel_id]):
+        if _is_item(self._topics[message.channel_id]):
             if message.sequence != self._items:
                 raise DamagedError(f"item {self._items} is missing")
             self._items += 1
 
     def messages(self) -> Iterator[tuple[str, Message]]:
         """Yield each message with its topic."""
-        return ((self.topics[record.channel_id], record) for record in self.records() if isinstance(record, Message))
+        return ((self._topics[record.channel_id], record) for record in self.records() if isinstance(record, Message))
 
     def documents(self) -> Iterator[dict[str, Any]]:
         """Yield events and notes."""
@@ -319,8 +310,7 @@ class McapFile:
         yield from found or (message for topic, message in self.messages() if topic in topics)
 
 
-def is_item(topic: str) -> bool:
-    """Return whether the messages of a topic are items, which are numbered."""
+def _is_item(topic: str) -> bool:
     return topic == EVENT_TOPIC or topic.startswith(RAW_TOPIC)
 
 
@@ -345,9 +335,7 @@ def _words_of(error: Exception) -> str:
     """Say what is wrong with bytes that raised one of `DAMAGE`."""
     if "EndOfFile" in type(error).__name__ or isinstance(error, EOFError | struct.error):
         return "it ends in the middle of a record"
-    if "CRC" in type(error).__name__:
-        return "a checksum does not fit"
-    return _NO_SENSE
+    return "a checksum does not fit" if "CRC" in type(error).__name__ else "its bytes make no sense"
 
 
 def _without_paths(text: str) -> str:
@@ -361,14 +349,7 @@ def recover_session(folder: Path) -> tuple[str, ...]:
     A file that is written anew up to its damage is kept beside as `*.damaged`. Where it is not known any more what happened at
     a segment's end, the segments after it are put aside as `*.after-damage`.
 
-    Returns
-    -------
-    Sentences on what was done; empty where everything was whole.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written.
+    Returns sentences on what was done; empty where everything was whole. InputError where the folder cannot be written.
     """
     said: list[str] = []
     broken = ""
@@ -399,7 +380,7 @@ def _recover(path: Path) -> tuple[list[str], bool]:
             said.append(f"{name}: has no end; put aside as {aside}, the MCAP file is read in its place.")
             lines = None
         else:
-            said += _end_lines(path, lines)
+            said += _end_lines(lines_path(path), lines)
     if is_closed(path) and lines is not None:
         return said, not ended
     if tells_all(path):
@@ -408,15 +389,14 @@ def _recover(path: Path) -> tuple[list[str], bool]:
     return [sentence, *said], not (ended or (lines is None and complete))
 
 
-def _end_lines(path: Path, lines: Lines) -> list[str]:
+def _end_lines(file: Path, lines: Lines) -> list[str]:
     """Give a segment's lines an end behind the last one that is whole."""
     said: list[str] = []
-    file = lines_path(path)
     if lines.lost:
         kept = _free_name(file, "damaged")
         shutil.copyfile(file, kept)
         os.truncate(file, lines.size)
-        said.append(f"{file.name}: {lines.lost} bytes were lost; the file as it was is {kept.name}.")
+        said = [f"{file.name}: {lines.lost} bytes were lost; the file as it was is {kept.name}."]
     LineWriter(file, lines).close(lines.items)
     return said
 
@@ -449,8 +429,7 @@ def _copy(source: McapFile, target: BinaryIO) -> tuple[int, str]:
     """Copy what can be read to an open file; return the number of messages, and why there are no more."""
     writer = Writer(target)
     writer.start(profile="ros2", library=f"skincal {__version__}")
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
+    schemas, channels = dict[int, int](), dict[int, int]()
     count, why = 0, ""
     try:
         for record in source.records():

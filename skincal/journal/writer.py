@@ -7,7 +7,7 @@ and little has to be written anew after a kill.
 The MCAP file holds everything, for replay and for other programs: chunks of bytes as read (`/raw/LINK`) and events (`/events`,
 JSON), which are the segment's *items*, numbered from 0 in MCAP's `sequence` in the order in which they were taken; notes on
 what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrench`, `/taxels`,
-`/joints`), which skincal does not read back. The other file holds events and notes alone, a line each: see `lines`.
+`/joints`), which skincal does not read back. The other file holds events and notes alone, a line each: see `documents`.
 
 Every half second, and at every event and note, what is buffered becomes a chunk with a checksum in the MCAP file, and then is
 vouched for in the lines; at every contact both are forced onto the medium. So a kill costs half a second of bytes, and whatever
@@ -17,13 +17,17 @@ the lines say, the bytes of it are there.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
+import shutil
 import time
+import tomllib
 from collections.abc import Callable, Sequence
+from functools import wraps
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, NoReturn, ParamSpec
 
 import numpy as np
 from mcap.writer import Writer
@@ -31,13 +35,22 @@ from mcap.writer import Writer
 from skincal import __version__
 from skincal.geometry import FloatArray
 from skincal.journal import documents
-from skincal.journal.documents import FORMAT, Ending, Item, Note, event_to_json, link_to_json, note_to_json
-from skincal.journal.lines import LineWriter, key_of, lines_path
+from skincal.journal.documents import (
+    FORMAT,
+    Ending,
+    Item,
+    LineWriter,
+    Note,
+    event_to_json,
+    key_of,
+    lines_path,
+    link_to_json,
+    note_to_json,
+)
 from skincal.journal.lock import SessionLock, writer_of
-from skincal.journal.scene_copy import SCENE_FOLDER, copy_scene, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, Sample
-from skincal.model.scene import Scene
+from skincal.model.scene import Scene, load_scene
 from skincal.streams.links import LinkSpec
 
 FLUSH_NS = 500_000_000
@@ -46,6 +59,9 @@ SEGMENT_NS = 300_000_000_000
 """ns. A segment that is so long is followed by another. While it is open the library holds its index, 2 kB a second; after a
 kill it is written anew, which takes 1 s for each minute at 1 kHz."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
+SCENE_FILE = "scene.toml"
+SCENE_FOLDER = "scene"
+"""The folder in a session's folder that holds copies of the scene's files, so that it opens on another machine."""
 RAW_TOPIC = "/raw/"
 EVENT_TOPIC = "/events"
 NOTE_TOPIC = "/session"
@@ -70,8 +86,7 @@ def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Jou
     InputError
         The folder holds a session already, or cannot be made, or the scene's files cannot be copied.
     """
-    who = writer_of(folder)
-    if who:
+    if who := writer_of(folder):
         raise InputError(f"{folder}: is being recorded by {who}; name another folder.")
     _demand_empty(folder)
     try:
@@ -111,13 +126,30 @@ def open_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: Se
         raise InputError(f"{path}: cannot be written ({why}); check the folder's rights and the space on the disk.") from None
 
 
+P = ParamSpec("P")
+
+
+def _guarded(work: Callable[Concatenate[JournalWriter, P], None]) -> Callable[Concatenate[JournalWriter, P], None]:
+    """Let a method end the journal with a `JournalFailure` the first time that the disk refuses, and do nothing after that."""
+
+    @wraps(work)
+    def guarded(self: JournalWriter, /, *args: P.args, **options: P.kwargs) -> None:
+        if self.failed:
+            return
+        try:
+            work(self, *args, **options)
+        except OSError as error:
+            self.fail(error)
+
+    return guarded
+
+
 class JournalWriter:
-    """A session, open for writing.
+    """A session, open for writing; the session lives on in memory where the disk refuses: see `_guarded`.
 
     Parameters
     ----------
-    path : of the first segment, a file that does not exist yet
-    number : of that segment, from 1
+    path, number : of the first segment, a file that does not exist yet, from 1
     scene, links : written at the start of each segment
     lock : of the session's folder, let go at the end
 
@@ -141,47 +173,72 @@ class JournalWriter:
         self._holds_lock = True
         self._open_segment(self._monotonic_ns, continues=False)
 
+    @_guarded
     def write(self, item: Item, notes: Sequence[Note] = ()) -> None:
-        """Append one item and what it led to.
+        """Append one item and what it led to."""
+        if self._begun_ns is None:
+            self._begun_ns = item.host_ns
+        # An ending belongs to what it ends; its successor may be open already.
+        if item.host_ns - self._begun_ns >= SEGMENT_NS and not isinstance(item, Ending):
+            self._follow(item.host_ns)
+        if isinstance(item, Chunk):
+            data = documents.encode_chunk(item.host_ns, item.data)
+            self._add(RAW_TOPIC + item.link, self.unix_ns(item.host_ns), data, self._items)
+            self._items += 1
+        else:
+            self._add_event(event_to_json(item))
+        for note in notes:
+            self._add_document(NOTE_TOPIC, item.host_ns, note_to_json(note), self._items - 1, key_of(note))
+        if self._lines_due:
+            self._flush()
+        self.tick(item.host_ns)
 
-        Raises
-        ------
-        JournalFailure
-            The first time that the disk refuses; later items are dropped silently, the session lives on in memory.
-        """
-        self._guarded(lambda: self._write(item, notes))
-
+    @_guarded
     def write_sample(self, sample: Sample) -> None:
         """Append a skin frame, and the joint angles with it, decoded, for other programs."""
-        self._guarded(lambda: self._write_sample(sample))
+        at, frame = self.unix_ns(round(sample.host_s * 1e9)), self._scene.link
+        self._add("/taxels", at, documents.encode_taxels(at, frame, self._frames, 0, sample.skin))
+        self._frames += 1
+        if sample.angles is not None:
+            names = tuple(f"joint{k}" for k in range(len(sample.angles)))
+            self._add("/joints", at, documents.encode_joints(at, frame, names, sample.angles))
 
+    @_guarded
     def write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
-        """Append decoded wrenches, for other programs.
+        """Append decoded wrenches, for other programs: (n,) s of the host's monotonic clock, (n, 6) N and N m, sensor frame."""
+        for host_s, wrench in zip(times_s.tolist(), wrenches, strict=True):
+            at = self.unix_ns(round(host_s * 1e9))
+            self._add("/wrench", at, documents.encode_wrench(at, "ft_sensor", wrench))
 
-        Parameters
-        ----------
-        times_s : (n,) float, s, host's monotonic clock
-        wrenches : (n, 6) float, N and N m, sensor frame
-        """
-        self._guarded(lambda: self._write_wrenches(times_s, wrenches))
-
+    @_guarded
     def tick(self, now_ns: int) -> None:
         """Write what is buffered if half a second passed since the last time; call it in any rhythm."""
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
         if self._buffered and now_ns - self._flushed_ns >= FLUSH_NS:
             self._flushed_ns = now_ns
-            self._guarded(self._flush)
+            self._flush()
 
+    @_guarded
     def sync(self) -> None:
         """Force everything onto the medium."""
-        self._guarded(lambda: self._flush(sync=True))
+        self._flush(sync=True)
 
     def close(self) -> None:
         """Finish the segment, with its index, and let others write."""
         if not self._file.closed:
-            self._guarded(self._close_segment)
+            self._close_segment()
         self._let_go()
+
+    def fail(self, error: OSError) -> NoReturn:
+        """End the journal, since the disk refused: nothing is written any more, and others may write."""
+        self.failed = (
+            f"{self.path}: cannot be written any more ({error.strerror}). Pokes from here on are kept in memory only: "
+            "export the calibration now, make space, and open the session again to record on."
+        )
+        self._abandon()
+        self._let_go()
+        raise JournalFailure(self.failed) from error
 
     def open_next(self, scene: Scene, links: Sequence[LinkSpec]) -> JournalWriter:
         """Open the segment that follows, which keeps the lock; this one stays open until `close`.
@@ -189,8 +246,10 @@ class JournalWriter:
         Raises
         ------
         InputError
-            It cannot be opened; this one goes on as if nothing had happened.
+            It cannot be opened; this one goes on as if nothing had happened. Or this one failed, and its lock is let go.
         """
+        if self.failed:
+            raise InputError(self.failed)
         following = open_segment(self.path.parent, scene, links, self._lock)
         self._holds_lock = False
         return following
@@ -242,26 +301,6 @@ class JournalWriter:
         self._add_event({"host_ns": host_ns, "type": "segment", **about})
         self._flush(sync=True)
 
-    def _write(self, item: Item, notes: Sequence[Note]) -> None:
-        if self._begun_ns is None:
-            self._begun_ns = item.host_ns
-        # An ending belongs to what it ends; its successor may be open already.
-        if item.host_ns - self._begun_ns >= SEGMENT_NS and not isinstance(item, Ending):
-            self._follow(item.host_ns)
-        if isinstance(item, Chunk):
-            at = self.unix_ns(item.host_ns)
-            data = documents.encode_chunk(item.host_ns, item.data)
-            self._mcap.add_message(self._channels[RAW_TOPIC + item.link], at, data, at, sequence=self._items)
-            self._items += 1
-            self._buffered = True
-        else:
-            self._add_event(event_to_json(item))
-        for note in notes:
-            self._add_document(NOTE_TOPIC, item.host_ns, note_to_json(note), self._items - 1, key_of(note))
-        if self._lines_due:
-            self._flush()
-        self.tick(item.host_ns)
-
     def _follow(self, host_ns: int) -> None:
         """Go on in another segment."""
         self._close_segment()
@@ -270,21 +309,8 @@ class JournalWriter:
         self._open_segment(host_ns, continues=True)
         self._begun_ns = host_ns
 
-    def _write_sample(self, sample: Sample) -> None:
-        at = self.unix_ns(round(sample.host_s * 1e9))
-        frame = self._scene.link
-        values = documents.encode_taxels(at, frame, self._frames, 0, sample.skin)
-        self._frames += 1
-        self._mcap.add_message(self._channels["/taxels"], at, values, at)
-        if sample.angles is not None:
-            names = tuple(f"joint{k}" for k in range(len(sample.angles)))
-            self._mcap.add_message(self._channels["/joints"], at, documents.encode_joints(at, frame, names, sample.angles), at)
-        self._buffered = True
-
-    def _write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
-        for host_s, wrench in zip(times_s.tolist(), wrenches, strict=True):
-            at = self.unix_ns(round(host_s * 1e9))
-            self._mcap.add_message(self._channels["/wrench"], at, documents.encode_wrench(at, "ft_sensor", wrench), at)
+    def _add(self, topic: str, unix_ns: int, data: bytes, sequence: int = 0) -> None:
+        self._mcap.add_message(self._channels[topic], unix_ns, data, unix_ns, sequence=sequence)
         self._buffered = True
 
     def _add_event(self, event: dict[str, Any]) -> None:
@@ -292,12 +318,10 @@ class JournalWriter:
         self._add_document(EVENT_TOPIC, event["host_ns"], event, self._items - 1)
 
     def _add_document(self, topic: str, host_ns: int, document: dict[str, Any], sequence: int, key: str = "") -> None:
-        at = self.unix_ns(host_ns)
         data = json.dumps({"n": self._documents, **document}, allow_nan=False).encode()
-        self._mcap.add_message(self._channels[topic], at, data, at, sequence=sequence)
+        self._add(topic, self.unix_ns(host_ns), data, sequence)
         self._documents += 1
         self._lines_due.append((self._items, key, data))
-        self._buffered = True
 
     def _flush(self, *, sync: bool = False) -> None:
         self._mcap.flush()  # a chunk without messages is not written
@@ -314,6 +338,7 @@ class JournalWriter:
         self._lines.flush(sync=sync)
         self._buffered = False
 
+    @_guarded
     def _close_segment(self) -> None:
         self._flush()
         self._mcap.finish()
@@ -333,17 +358,52 @@ class JournalWriter:
         if self._holds_lock:
             self._lock.release()
 
-    def _guarded(self, work: Callable[[], None]) -> None:
-        """Do work on the files; a refusal of the disk ends the journal, once."""
-        if self.failed:
-            return
-        try:
-            work()
-        except OSError as error:
-            self.failed = (
-                f"{self.path}: cannot be written any more ({error.strerror}). Pokes from here on are kept in memory only: "
-                "export the calibration now, make space, and open the session again to record on."
-            )
-            self._abandon()
-            self._let_go()
-            raise JournalFailure(self.failed) from error
+
+def copy_scene(scene: Scene, folder: Path) -> Path:
+    """Copy the scene file and the files it names into `folder`, and return the copy's path.
+
+    The copy names its files by their bare names; all else in it stays as it was, word for word.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or the copy does not read as the same scene.
+    """
+    text = scene.text or scene.path.read_text(encoding="utf-8")
+    document = tomllib.loads(text)
+    try:
+        folder.mkdir(parents=True)
+        for table, key in (("skin", "modules"), ("surface", "mesh")):
+            named = document.get(table, {}).get(key)
+            if named is not None:
+                text = _copy_named(text, str(named), scene.path.parent, folder)
+        target = folder / SCENE_FILE
+        target.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        why = error.strerror
+        raise InputError(f"{folder}: the scene cannot be copied ({why}); check {scene.path} and the space.") from None
+    load_scene(target)
+    return target
+
+
+def _copy_named(text: str, named: str, source: Path, folder: Path) -> str:
+    """Copy the file `named` in a scene and return the scene's text with its bare name."""
+    bare = Path(named).name
+    while (folder / bare).exists():
+        bare = f"_{bare}"
+    shutil.copyfile(source / named, folder / bare)
+    if bare == named:
+        return text
+    for quote in ('"', "'"):
+        text = text.replace(f"{quote}{named}{quote}", f"{quote}{bare}{quote}")
+    return text
+
+
+def scene_digest(folder: Path) -> str:
+    """Return a checksum of a scene folder's own files, layout included; it changes when somebody edits one."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("*.toml")):
+        text = path.read_bytes()
+        digest.update(f"{path.name} {len(text)}\n".encode())
+        digest.update(text)
+    return digest.hexdigest()

@@ -15,7 +15,6 @@ from math import inf
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface, neighbours, once_for_each
@@ -49,23 +48,8 @@ class Footing:
         return Footing(self.triangles[rows], self.points[rows], self.x[rows])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Walked:
-    """Where n walks end."""
-
-    end: Footing
-    """x is the direction that was the start's x, carried along."""
-    past: NDArray[np.bool_]
-    """(n,) whether a walk ends past the rim."""
-
-
 class Geodesics:
-    """A surface, ready to be walked on.
-
-    Parameters
-    ----------
-    surface : its triangles have an area
-    """
+    """A surface whose triangles have an area, ready to be walked on."""
 
     def __init__(self, surface: Surface) -> None:
         # Not the surface itself: what is kept for each must not hold it.
@@ -114,13 +98,10 @@ class Geodesics:
         own = points - self._corners[:, :1]
         return np.stack([_dot(own, e1[:, None]), _dot(own, e2[:, None])], axis=2)
 
-    def walk(self, start: Footing, ways: FloatArray) -> Walked:
-        """Walk straight from each start.
+    def walk(self, start: Footing, ways: FloatArray) -> Footing:
+        """Return where straight walks from each of n places end; x there is the start's x, carried along.
 
-        Parameters
-        ----------
-        start : n places
-        ways : (n, 2) float, metres: how far along the start's x, and along normal x x
+        `ways` are (n, 2) float, metres: how far along the start's x, and along normal x x.
         """
         at = start.triangles.copy()
         e1, e2 = (axes[at] for axes in self._frames)
@@ -132,14 +113,13 @@ class Geodesics:
         walks = np.stack(
             [_dot(own, e1), _dot(own, e2), c * share[:, 0] - s * share[:, 1], s * share[:, 0] + c * share[:, 1], left]
         )
-        past = np.zeros(len(at), dtype=bool)
         for i in np.flatnonzero(far).tolist():
-            ended, at[i], past[i] = self._gone(tuple(walks[:, i].tolist()), int(at[i]))
+            ended, at[i] = self._gone(tuple(walks[:, i].tolist()), int(at[i]))
             walks[:4, i] = ended
-        return Walked(self._raised(walks, at, share), past)
+        return self._raised(walks, at, share)
 
-    def _gone(self, walk: _Walk, at: int) -> tuple[tuple[float, float, float, float], int, bool]:
-        """Return where a walk ends in its last triangle, and which way it looks; that triangle; whether it is past the rim."""
+    def _gone(self, walk: _Walk, at: int) -> tuple[tuple[float, float, float, float], int]:
+        """Return where a walk ends in its last triangle, and which way it looks; and that triangle."""
         x, y, ahead_x, ahead_y, left = walk
         pulled = -1
         for _ in range(_CROSSINGS_MAX):
@@ -158,14 +138,14 @@ class Geodesics:
             way = max(way, 0.0)
             over = side[7]
             if way >= left or over < 0:
-                return (x + left * ahead_x, y + left * ahead_y, ahead_x, ahead_y), at, way < left
+                return (x + left * ahead_x, y + left * ahead_y, ahead_x, ahead_y), at
             x, y = x + way * ahead_x, y + way * ahead_y
             _, _, _, cosine, sine, shift_x, shift_y, _ = side
             x, y = cosine * x - sine * y + shift_x, sine * x + cosine * y + shift_y
             ahead_x, ahead_y = cosine * ahead_x - sine * ahead_y, sine * ahead_x + cosine * ahead_y
             left -= way
             at = int(over)
-        return (x, y, ahead_x, ahead_y), at, False
+        return (x, y, ahead_x, ahead_y), at
 
     def _learnt(self, at: int) -> _Triangle:
         """Return a triangle's numbers as plain ones, and keep them: few of them are ever walked over."""

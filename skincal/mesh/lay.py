@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray
 from skincal.mesh.geodesics import Footing, geodesics_of
-from skincal.mesh.search import nearest_in_metric
+from skincal.mesh.search import nearest_to_rows
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout
@@ -35,23 +34,17 @@ class LaidSkin:
     """(width, 3) float, unit, outward; NaN likewise."""
     outlines: tuple[FloatArray, ...]
     """For each module (v, 3) float, closed: the last point joins the first; no rows where it has no anchor."""
-    off_surface: IntArray
-    """Channels that lie past the rim of the surface, ascending."""
 
 
 def lay(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> LaidSkin | None:
     """Lay each module from its own anchor, or else from the layout's; None where there is no anchor at all.
 
-    Raises
-    ------
-    InputError
-        An anchor is farther than `ANCHOR_GAP_MAX` from the surface, or its normal points into the part.
+    Raises InputError: an anchor is farther than `ANCHOR_GAP_MAX` from the surface, or its normal points into the part.
     """
     anchors = [module.anchor or anchor for module in layout.modules]
     if all(own is None for own in anchors):
         return None
     places, normals = np.full((layout.width, 3), np.nan), np.full((layout.width, 3), np.nan)
-    beyond = np.zeros(layout.width, dtype=bool)
     outlines: list[FloatArray] = []
     for module, own in zip(layout.modules, anchors, strict=True):
         if own is None:
@@ -60,12 +53,11 @@ def lay(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> LaidS
         outline = subdivided(module.outline)
         flat = np.concatenate([module.pads, outline]) - own.at
         name = f"the anchor of module {module.id}"
-        points, sides, past = _on_plane(flat, own) if surface is None else _on_surface(flat, own, surface, name)
+        points, sides = _on_plane(flat, own) if surface is None else _on_surface(flat, own, surface, name)
         count = len(module.channels)
         places[module.channels], normals[module.channels] = points[:count], sides[:count]
-        beyond[module.channels] = past[:count]
         outlines.append(points[count:])
-    return LaidSkin(places, normals, tuple(outlines), np.flatnonzero(beyond))
+    return LaidSkin(places, normals, tuple(outlines))
 
 
 def subdivided(outline: FloatArray) -> FloatArray:
@@ -77,15 +69,11 @@ def subdivided(outline: FloatArray) -> FloatArray:
     return np.concatenate(pieces)
 
 
-Laid = tuple[FloatArray, FloatArray, NDArray[np.bool_]]
-"""Points (n, 3), unit normals (n, 3), and whether each lies past the rim (n,)."""
-
-
-def _on_plane(flat: FloatArray, anchor: Anchor) -> Laid:
+def _on_plane(flat: FloatArray, anchor: Anchor) -> tuple[FloatArray, FloatArray]:
     normal = anchor.normal / np.linalg.norm(anchor.normal)
     x, y = _tangents(anchor.x, normal)
     points = anchor.point + flat[:, :1] * x + flat[:, 1:] * y
-    return points, np.broadcast_to(normal, points.shape).copy(), np.zeros(len(points), dtype=bool)
+    return points, np.broadcast_to(normal, points.shape).copy()
 
 
 def _tangents(x: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -95,28 +83,25 @@ def _tangents(x: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray
     return x, np.cross(normal, x)
 
 
-def _on_surface(flat: FloatArray, anchor: Anchor, surface: Surface, name: str) -> Laid:
+def _on_surface(flat: FloatArray, anchor: Anchor, surface: Surface, name: str) -> tuple[FloatArray, FloatArray]:
     start = stand(surface, anchor, name).take(np.zeros(len(flat), dtype=np.int64))
     walked = geodesics_of(surface).walk(start, flat)
-    return walked.end.points, surface.normals[walked.end.triangles], walked.past
+    return walked.points, surface.normals[walked.triangles]
 
 
 def stand(surface: Surface, anchor: Anchor, name: str) -> Footing:
     """Return where an anchor stands on a surface, one place.
 
-    Raises
-    ------
-    InputError
-        As for `lay`.
+    Raises InputError: as for `lay`.
     """
-    found = nearest_in_metric(surface, np.eye(3), anchor.point, -anchor.normal)
-    if found is None:
+    found = nearest_to_rows(surface, np.eye(3)[None], anchor.point[None], -anchor.normal[None])
+    if found.triangles[0] < 0:
         raise InputError(f"{name}: no triangle of the surface faces its normal {anchor.normal.tolist()}; correct the normal.")
-    gap = float(np.sqrt(found.value))
+    gap = float(np.sqrt(found.values[0]))
     if gap > ANCHOR_GAP_MAX:
         raise InputError(
             f"{name} lies {gap * 1e3:.1f} mm from the surface; at most {ANCHOR_GAP_MAX * 1e3:.0f} mm was expected: "
             "check point_mm, the mesh's unit and its pose."
         )
-    x, _ = _tangents(anchor.x, surface.normals[found.triangle])
-    return Footing(np.array([found.triangle]), found.point[None], x[None])
+    x, _ = _tangents(anchor.x, surface.normals[found.triangles[0]])
+    return Footing(found.triangles, found.points, x[None])

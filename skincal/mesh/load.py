@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import solver_copy
-from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, heights, make_surface
+from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, heights, make_surface, near_pairs
 from skincal.model.errors import InputError
 from skincal.model.scene import UNITS, SurfaceSpec
 
@@ -55,22 +55,11 @@ _FACE_LISTS = ("vertex_indices", "vertex_index")
 
 
 def read_mesh(path: Path, data: bytes) -> Mesh:
-    """Read the vertices and triangles in a mesh file's bytes.
+    """Read vertices (nv, 3), in the file's unit, and triangles (nt, 3), indices in range, in a mesh file's bytes.
 
-    Parameters
-    ----------
-    path : the file's name; its suffix names the format
-    data : the file's content
+    The suffix of `path` names the format.
 
-    Returns
-    -------
-    vertices : (nv, 3) float, the file's unit
-    triangles : (nt, 3) int, indices in range
-
-    Raises
-    ------
-    InputError
-        The suffix is not known, or the content is not of that format.
+    Raises InputError: the suffix is not known, or the content is not of that format.
     """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
@@ -89,16 +78,9 @@ def read_mesh(path: Path, data: bytes) -> Mesh:
 
 
 def fan(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
-    """Cut polygons into fans of triangles.
+    """Cut polygons into fans of triangles, (nt, 3) int, in their order.
 
-    Parameters
-    ----------
-    corners : the vertices of all polygons, one after the other
-    sizes : number of vertices of each polygon
-
-    Returns
-    -------
-    (nt, 3) int, in the order of the polygons
+    `corners` holds the vertices of all polygons, one after the other, `sizes` how many each of them has.
     """
     flat, size = np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)
     if size.min(initial=3) < 3:
@@ -184,13 +166,6 @@ def _read_off(data: bytes) -> Mesh:
     return _vertices(points), fan(corners, sizes)
 
 
-def _read_ply_mesh(data: bytes) -> Mesh:
-    vertices, polygons = _read_ply(data)
-    if isinstance(polygons, np.ndarray):
-        return vertices, polygons
-    return vertices, fan([corner for polygon in polygons for corner in polygon], [len(polygon) for polygon in polygons])
-
-
 @dataclass(frozen=True, slots=True)
 class _Property:
     name: str
@@ -207,98 +182,63 @@ class _Element:
     properties: list[_Property]
 
 
-def _read_ply(data: bytes) -> tuple[FloatArray, IntArray | list[list[int]]]:
-    """Read vertices (nv, 3) and faces: (nt, 3) where all are triangles, else a list of polygons.
-
-    Raises
-    ------
-    ValueError, KeyError, IndexError
-        The content is not a PLY file of polygons.
-    """
+def _read_ply(data: bytes) -> Mesh:
     if not data:
         return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-    order, elements, body = _read_header(data)
-    cursor = _Words(body) if order == "" else _Bytes(body, order)
-    vertices, faces = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-    polygons: IntArray | list[list[int]] = faces
+    elements, body = _read_header(data)
+    vertices, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
     for element in elements:
         if element.name == "vertex":
-            vertices = _ply_vertices(element, cursor)
+            records = body.table(element)
+            if records is None:
+                raise ValueError(f"the file ends before its {element.count} vertices")
+            vertices = np.stack([records[axis][:, 0] for axis in "xyz"]).astype(float).T
         elif element.name == "face":
-            polygons = _ply_faces(element, cursor)
+            triangles = _ply_faces(element, body)
         else:
             for _ in range(element.count):
-                cursor.row(element)
-    return vertices, polygons
+                body.row(element)
+    return vertices, triangles
 
 
-def _read_header(data: bytes) -> tuple[str, list[_Element], bytes]:
+def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
     head, mark, body = data.partition(b"end_header")
     lines = [line.split() for line in head.decode("latin-1").splitlines()]
     if not mark or not lines or lines[0] != ["ply"]:
         raise ValueError("no PLY header")
-    order, elements = "", list[_Element]()
+    order, types, elements = "", dict.fromkeys(_TYPES, "f8"), list[_Element]()
     for words in lines[1:]:
         match words:
             case ["format", name, _]:
                 order = _ORDERS[name]
+                types = _TYPES if order else types
             case ["element", name, count]:
                 elements.append(_Element(name, int(count), []))
             case ["property", "list", count_kind, kind, name]:
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count_kind]))
+                elements[-1].properties.append(_Property(name, types[kind], types[count_kind]))
             case ["property", kind, name]:
-                elements[-1].properties.append(_Property(name, _TYPES[kind], ""))
+                elements[-1].properties.append(_Property(name, types[kind], ""))
             case _:
                 continue
-    return order, elements, body[2:] if body[:2] == b"\r\n" else body[1:]
+    if order:
+        return elements, _Body(body[2:] if body[:2] == b"\r\n" else body[1:], order)
+    # Words become doubles, whatever their type, so that both kinds of body are read alike.
+    return elements, _Body(np.array(body.split(), dtype="S").astype("<f8").tobytes(), "<")
 
 
-class _Words:
-    """Reads an ASCII body word by word."""
+class _Body:
+    """Reads a PLY body record by record, or an element at once where its records have one size."""
 
-    def __init__(self, body: bytes) -> None:
-        self.words = body.split()
-        self.at = 0
-
-    def row(self, element: _Element) -> list[list[float]]:
-        """Return the next record: for each property its numbers."""
-        record: list[list[float]] = []
-        for item in element.properties:
-            count = 1
-            if item.count_kind:
-                count = int(self.words[self.at])
-                self.at += 1
-            record.append([float(word) for word in self.words[self.at : self.at + count]])
-            if count < 0 or len(record[-1]) < count:
-                raise ValueError("the file ends early")
-            self.at += count
-        return record
-
-    def table(self, element: _Element, dtype: np.dtype[np.void]) -> FloatArray | None:
-        """Return `element` as (count, numbers) where each record has as many words as `dtype` has numbers, else None."""
-        width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
-        words = self.words[self.at : self.at + element.count * width]
-        if len(words) < element.count * width:
-            return None
-        table = np.array(words, dtype="S").astype(float).reshape(element.count, width)
-        if not _lengths_fit(element, dtype, table):
-            return None
-        self.at += element.count * width
-        return table
-
-
-class _Bytes:
-    """Reads a binary body record by record, or an element at once where its records have one size."""
-
-    def __init__(self, body: bytes, order: str) -> None:
-        self.body = body
-        self.order = order
-        self.at = 0
+    def __init__(self, data: bytes, order: str) -> None:
+        self._data, self._order = data, order
+        self._at = 0
 
     def _take(self, kind: str, count: int) -> list[float]:
-        numbers = np.frombuffer(self.body, self.order + kind, count, self.at)
-        self.at += numbers.nbytes
-        return [float(number) for number in numbers]
+        if count < 0:
+            raise ValueError(f"a list of {count} numbers")
+        numbers = np.frombuffer(self._data, self._order + kind, count, self._at)
+        self._at += numbers.nbytes
+        return numbers.astype(float).tolist()
 
     def row(self, element: _Element) -> list[list[float]]:
         """Return the next record: for each property its numbers."""
@@ -308,69 +248,39 @@ class _Bytes:
             record.append(self._take(item.kind, count))
         return record
 
-    def table(self, element: _Element, dtype: np.dtype[np.void]) -> FloatArray | None:
-        """Return `element` as (count, numbers) where each record has the size of `dtype`, else None."""
-        dtype = dtype.newbyteorder("<" if self.order == "<" else ">")
-        if len(self.body) - self.at < element.count * dtype.itemsize:
+    def table(self, element: _Element) -> NDArray[np.void] | None:
+        """Return all records of `element` where every list in them has three numbers, else None."""
+        parts: list[tuple[str, str, tuple[int, ...]]] = []
+        for item in element.properties:
+            if item.count_kind:
+                parts.append((f"{item.name} length", self._order + item.count_kind, (1,)))
+            parts.append((item.name, self._order + item.kind, (3 if item.count_kind else 1,)))
+        dtype = np.dtype(parts)
+        if element.count < 0 or len(self._data) - self._at < element.count * dtype.itemsize:
             return None
-        records = np.frombuffer(self.body, dtype, element.count, self.at)
-        columns = [records[name].astype(float).reshape(element.count, -1) for name in dtype.names or ()]
-        table = np.concatenate(columns, axis=1)
-        if not _lengths_fit(element, dtype, table):
+        records = np.frombuffer(self._data, dtype, element.count, self._at)
+        if not all((records[name] == 3).all() for name, _, _ in parts if name.endswith(" length")):
             return None
-        self.at += element.count * dtype.itemsize
-        return table
+        self._at += records.nbytes
+        return records
 
 
-def _triangle_dtype(element: _Element) -> np.dtype[np.void]:
-    """Return the record of `element` if every list in it has three numbers."""
-    parts: list[tuple[str, str, tuple[int, ...]]] = []
-    for item in element.properties:
-        if item.count_kind:
-            parts.append((f"{item.name} length", item.count_kind, (1,)))
-        parts.append((item.name, item.kind, (3,) if item.count_kind else (1,)))
-    return np.dtype(parts)
-
-
-def _column(element: _Element, name: str) -> int:
-    """Return the first column of property `name` in the table of `element` with lists of three."""
-    at = 0
-    for item in element.properties:
-        at += 1 if item.count_kind else 0
-        if item.name == name:
-            return at
-        at += 3 if item.count_kind else 1
-    raise ValueError(f"no property {name}")
-
-
-def _lengths_fit(element: _Element, dtype: np.dtype[np.void], table: FloatArray) -> bool:
-    lists = [item.name for item in element.properties if item.count_kind]
-    return all(bool((table[:, _column(element, name) - 1] == 3).all()) for name in lists) and dtype.names is not None
-
-
-def _ply_vertices(element: _Element, cursor: _Words | _Bytes) -> FloatArray:
-    table = cursor.table(element, _triangle_dtype(element))
-    if table is None:
-        raise ValueError(f"the file ends before its {element.count} vertices")
-    return table[:, [_column(element, axis) for axis in "xyz"]]
-
-
-def _ply_faces(element: _Element, cursor: _Words | _Bytes) -> IntArray | list[list[int]]:
-    named = [item.name for item in element.properties if item.name in _FACE_LISTS and item.count_kind]
-    if not named:
+def _ply_faces(element: _Element, body: _Body) -> IntArray:
+    names = [item.name if item.count_kind else "" for item in element.properties]
+    named = next((name for name in names if name in _FACE_LISTS), None)
+    if named is None:
         raise ValueError("faces without vertex_indices; triangle strips are not read")
-    table = cursor.table(element, _triangle_dtype(element))
-    if table is not None:
-        at = _column(element, named[0])
-        return table[:, at : at + 3].astype(np.int64)
-    place = [item.name for item in element.properties].index(named[0])
-    return [[int(index) for index in cursor.row(element)[place]] for _ in range(element.count)]
+    records = body.table(element)
+    if records is not None:
+        return records[named].astype(np.int64)
+    polygons = [[int(index) for index in body.row(element)[names.index(named)]] for _ in range(element.count)]
+    return fan([corner for polygon in polygons for corner in polygon], [len(polygon) for polygon in polygons])
 
 
 _READERS: dict[str, Callable[[bytes], Mesh]] = {
     ".stl": _read_stl,
     ".obj": _read_obj,
-    ".ply": _read_ply_mesh,
+    ".ply": _read_ply,
     ".off": _read_off,
 }
 
@@ -386,27 +296,25 @@ SIDE_MIN = 0.1
 """Smallest |s| that separates inside from outside: chance reaches it on a rough flat sheet of 100 triangles."""
 FLAT_HEIGHT = 1e-6
 """m. A component whose heights are below this (rms) is flat: it is the distance at which vertices are one."""
-_SWEEP = np.array([0.4472135954999579, 0.5773502691896258, 0.6831300510639733])
-"""A unit direction along which no CAD grid lines up, so that few vertices fall together when projected on it."""
 _WALLS = 32
 """Largest components that are looked at as outer walls."""
 
 
 class FindingKind(Enum):
-    """What is said about a mesh; the value is its short name."""
+    """What is found in a mesh; the value is the sentence on it, with a gap for how many there are."""
 
-    SIZE = "size"
-    MERGED = "merged vertices"
-    ZERO_AREA = "zero-area triangles"
-    DUPLICATES = "duplicate triangles"
-    SLIVERS = "slivers"
-    OPEN_EDGES = "open edges"
-    NON_MANIFOLD = "non-manifold edges"
-    COMPONENTS = "components"
-    WINDING = "inconsistent winding"
-    TURNED = "turned normals"
-    ONE_SIDED = "one-sided"
-    FLAT = "flat"
+    SIZE = "The part is {}."
+    MERGED = f"Vertices within {MERGE_DISTANCE * 1e6:.0f} um of another, merged: {{}}."
+    ZERO_AREA = f"Triangles without area (flatter than {ZERO_HEIGHT * 1e9:.0f} nm), dropped: {{}}."
+    DUPLICATES = "Triangles that were there twice, dropped: {}."
+    SLIVERS = f"Slivers (over {SLIVER_RATIO:.0f} times as long as high), used as they are: {{}}."
+    OPEN_EDGES = "The mesh has open rims, as covers have ({} edges); it is used as it is."
+    NON_MANIFOLD = "Edges shared by three or more triangles, across which no pad is laid: {}."
+    COMPONENTS = "Pieces that share no edge: {}."
+    WINDING = "Triangles wound against their neighbours, turned: {}."
+    TURNED = "Triangles that pointed inward, by the shape of the part, turned: {}."
+    ONE_SIDED = "Pieces with one side only, normals as in the file: {}."
+    FLAT = "Pieces whose shape does not tell inside from outside, normals as in the file: {}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -421,11 +329,8 @@ class Finding:
 def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[Finding, ...]]:
     """Read a mesh into the link frame with outward normals, and say what was found.
 
-    Raises
-    ------
-    InputError
-        The file is missing, unreadable, of an unknown format, empty, has vertices that are not finite, or is a
-        thousand times too large or too small; the message says what was seen and what to do.
+    Raises InputError: the file is missing, unreadable, of an unknown format, empty, has vertices that are not finite, or is a
+    thousand times too large or too small; the message says what was seen and what to do.
     """
     data = _read_bytes(spec.path)
     vertices, triangles = read_mesh(spec.path, data)
@@ -436,12 +341,21 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[Finding, ...]]:
     vertices = vertices * spec.scale @ spec.link_from_mesh[:3, :3].T + spec.link_from_mesh[:3, 3]
     vertices, triangles, merged = merge_vertices(vertices, triangles)
     triangles, dropped = _drop(spec.path, vertices, triangles)
-    winding = wind_outward(vertices, triangles)
-    surface = make_surface(vertices, winding.triangles, hashlib.sha256(data).hexdigest())
+    triangles, wound = wind_outward(vertices, triangles)
+    surface = make_surface(vertices, triangles, hashlib.sha256(data).hexdigest())
     # Now, so that the first poke does not wait for it.
     solver_copy(surface)
-    findings = [size, *_merge_findings(merged), *dropped, *_shape_findings(surface), *_winding_findings(winding)]
-    return surface, tuple(findings)
+    edges = find_edges(triangles)
+    counts = {
+        FindingKind.MERGED: merged,
+        **dropped,
+        FindingKind.SLIVERS: int(surface.slim.sum()),
+        FindingKind.OPEN_EDGES: len(edges.open),
+        FindingKind.NON_MANIFOLD: edges.non_manifold,
+        **wound,
+    }
+    found = [Finding(kind, count, kind.value.format(count)) for kind, count in counts.items() if count]
+    return surface, (size, *found)
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -473,8 +387,8 @@ def _check_size(spec: SurfaceSpec, corners: FloatArray) -> Finding:
     diagonal = raw * spec.scale
     if SIZE_MIN <= diagonal <= SIZE_MAX:
         sides = " x ".join(f"{side * spec.scale * 1e3:.4g}" for side in box)
-        sentence = f"The part is {sides} mm (diagonal {_length(diagonal)}, unit {unit}); check that it is so."
-        return Finding(FindingKind.SIZE, 0, sentence)
+        words = f"{sides} mm (diagonal {_length(diagonal)}, unit {unit}); check that it is so"
+        return Finding(FindingKind.SIZE, 0, FindingKind.SIZE.value.format(words))
     fitting = {name: raw * scale for name, scale in UNITS.items() if SIZE_MIN <= raw * scale <= SIZE_MAX}
     likely = "; ".join(f"unit {name} would give {_length(size)}" for name, size in fitting.items())
     raise InputError(
@@ -483,70 +397,21 @@ def _check_size(spec: SurfaceSpec, corners: FloatArray) -> Finding:
     )
 
 
-def _drop(path: Path, vertices: FloatArray, triangles: IntArray) -> tuple[IntArray, list[Finding]]:
-    findings: list[Finding] = []
-    height, longest = heights(vertices[triangles])
-    flat = height < ZERO_HEIGHT
-    if flat.any():
-        sentence = f"Triangles without area (flatter than {ZERO_HEIGHT * 1e9:.0f} nm), dropped: {int(flat.sum())}."
-        findings.append(Finding(FindingKind.ZERO_AREA, int(flat.sum()), sentence))
-        triangles, height, longest = triangles[~flat], height[~flat], longest[~flat]
+def _drop(path: Path, vertices: FloatArray, triangles: IntArray) -> tuple[IntArray, dict[FindingKind, int]]:
+    """Drop triangles without area and those that are there twice; return how many of each."""
+    flat = heights(vertices[triangles])[0] < ZERO_HEIGHT
+    triangles = triangles[~flat]
     again = duplicate_triangles(triangles)
-    if again.any():
-        sentence = f"Triangles that were there twice, dropped: {int(again.sum())}."
-        findings.append(Finding(FindingKind.DUPLICATES, int(again.sum()), sentence))
-        triangles, height, longest = triangles[~again], height[~again], longest[~again]
+    triangles = triangles[~again]
     if len(triangles) == 0:
         raise InputError(f"{path}: no triangle of the mesh has an area; a surface was expected: export the part again.")
-    slivers = int((longest > SLIVER_RATIO * height).sum())
-    if slivers:
-        sentence = f"Slivers (over {SLIVER_RATIO:.0f} times as long as high), used as they are: {slivers}."
-        findings.append(Finding(FindingKind.SLIVERS, slivers, sentence))
-    return triangles, findings
-
-
-def _merge_findings(merged: int) -> list[Finding]:
-    if merged == 0:
-        return []
-    sentence = f"Vertices within {MERGE_DISTANCE * 1e6:.0f} um of another, merged: {merged}."
-    return [Finding(FindingKind.MERGED, merged, sentence)]
-
-
-def _shape_findings(surface: Surface) -> list[Finding]:
-    edges = find_edges(surface.triangles)
-    findings: list[Finding] = []
-    if len(edges.open):
-        sentence = f"The mesh has open rims, as covers have ({len(edges.open)} edges); it is used as it is."
-        findings.append(Finding(FindingKind.OPEN_EDGES, len(edges.open), sentence))
-    if edges.non_manifold:
-        sentence = f"Edges shared by three or more triangles, across which no pad is laid: {edges.non_manifold}."
-        findings.append(Finding(FindingKind.NON_MANIFOLD, edges.non_manifold, sentence))
-    return findings
-
-
-def _winding_findings(winding: Winding) -> list[Finding]:
-    said = [
-        (FindingKind.COMPONENTS, winding.components, "Pieces that share no edge: {}.", 1),
-        (FindingKind.WINDING, winding.against, "Triangles wound against their neighbours, turned: {}.", 0),
-        (FindingKind.TURNED, winding.turned, "Triangles that pointed inward, by the shape of the part, turned: {}.", 0),
-        (FindingKind.ONE_SIDED, winding.one_sided, "Pieces with one side only, normals as in the file: {}.", 0),
-        (
-            FindingKind.FLAT,
-            winding.undecided,
-            "Pieces whose shape does not tell inside from outside, normals as in the file: {}.",
-            0,
-        ),
-    ]
-    return [Finding(kind, count, sentence.format(count)) for kind, count, sentence, usual in said if count > usual]
+    return triangles, {FindingKind.ZERO_AREA: int(flat.sum()), FindingKind.DUPLICATES: int(again.sum())}
 
 
 def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray, int]:
     """Make one vertex of those nearer than `MERGE_DISTANCE`; vertices no triangle uses go.
 
-    Returns
-    -------
-    vertices, triangles : in the order of the file
-    merged : number of vertices that became another
+    Returns vertices and triangles, in the order of the file, and how many vertices became another.
     """
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True
@@ -554,7 +419,7 @@ def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArra
     vertices = vertices[used]
     same = _identical(vertices)
     keep = np.flatnonzero(same == np.arange(len(vertices)))
-    near = connected(len(keep), _near_pairs(vertices[keep]))
+    near = connected(len(keep), near_pairs(vertices[keep], MERGE_DISTANCE))
     index = np.empty(len(vertices), dtype=np.int64)
     index[keep] = keep[near]
     index = index[same]
@@ -575,26 +440,6 @@ def _identical(vertices: FloatArray) -> IntArray:
     return first
 
 
-def _near_pairs(vertices: FloatArray) -> IntArray:
-    """Return (m, 2): the pairs nearer than `MERGE_DISTANCE`, by a sweep along one direction; exact."""
-    along = vertices @ _SWEEP
-    order = np.argsort(along, kind="stable")
-    along = along[order]
-    pairs: list[IntArray] = []
-    here = np.arange(len(order))
-    step = 1
-    while True:
-        here = here[here + step < len(order)]
-        here = here[along[here + step] - along[here] <= MERGE_DISTANCE]
-        if here.size == 0:
-            break
-        a, b = order[here], order[here + step]
-        near = np.linalg.norm(vertices[a] - vertices[b], axis=1) <= MERGE_DISTANCE
-        pairs.append(np.stack([a[near], b[near]], axis=1))
-        step += 1
-    return np.concatenate(pairs) if pairs else np.empty((0, 2), dtype=np.int64)
-
-
 def duplicate_triangles(triangles: IntArray) -> NDArray[np.bool_]:
     """Return (nt,) True for each triangle whose three vertices an earlier triangle has, in whatever order."""
     corners = np.sort(triangles, axis=1)
@@ -606,13 +451,7 @@ def duplicate_triangles(triangles: IntArray) -> NDArray[np.bool_]:
 
 
 def connected(count: int, pairs: IntArray) -> IntArray:
-    """Label what hangs together: (count,) each node's label is the lowest number of its component.
-
-    Parameters
-    ----------
-    count : number of nodes
-    pairs : (m, 2) nodes that hang together
-    """
+    """Label `count` nodes, of which `pairs` (m, 2) hang together: each has the lowest number of its component."""
     labels = np.arange(count)
     a, b = pairs[:, 0], pairs[:, 1]
     while True:
@@ -630,24 +469,8 @@ def connected(count: int, pairs: IntArray) -> IntArray:
             labels = shorter
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Winding:
-    """Triangles with normals outward, and what had to be turned for it."""
-
-    triangles: IntArray
-    components: int
-    against: int
-    """Triangles that were wound against the rest of their component."""
-    turned: int
-    """Triangles of components that were turned as a whole, since they pointed inward."""
-    one_sided: int
-    """Components without two sides (a Moebius strip): left as wound."""
-    undecided: int
-    """Components whose shape does not tell inside from outside; as wound."""
-
-
-def wind_outward(vertices: FloatArray, triangles: IntArray) -> Winding:
-    """Make the winding of each component consistent and outward."""
+def wind_outward(vertices: FloatArray, triangles: IntArray) -> tuple[IntArray, dict[FindingKind, int]]:
+    """Make the winding of each component consistent and outward; return what had to be turned for it, and what is odd."""
     component, flip, one_sided = _consistent(triangles)
     triangles = np.where(flip[:, None], triangles[:, [0, 2, 1]], triangles)
     mended = np.bincount(component, flip) > 0
@@ -656,14 +479,13 @@ def wind_outward(vertices: FloatArray, triangles: IntArray) -> Winding:
     turn = (side < 0) & ~inner & ~one_sided
     turned = turn[component]
     triangles = np.where(turned[:, None], triangles[:, [0, 2, 1]], triangles)
-    return Winding(
-        triangles=triangles,
-        components=len(side),
-        against=int(flip.sum()),
-        turned=int(turned.sum()),
-        one_sided=int(one_sided.sum()),
-        undecided=int((side == 0).sum()),
-    )
+    return triangles, {
+        FindingKind.COMPONENTS: len(side) if len(side) > 1 else 0,
+        FindingKind.WINDING: int(flip.sum()),
+        FindingKind.TURNED: int(turned.sum()),
+        FindingKind.ONE_SIDED: int(one_sided.sum()),
+        FindingKind.FLAT: int((side == 0).sum()),
+    }
 
 
 def _consistent(triangles: IntArray) -> tuple[IntArray, NDArray[np.bool_], NDArray[np.bool_]]:

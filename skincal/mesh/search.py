@@ -19,12 +19,10 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface, once_for_each
-from skincal.solver.machine import INTEGER, Call, Machine
+from skincal.solver.machine import INTEGER, Machine
 
 GRAZING = 1e-12
 """A triangle faces a push when push . normal is below minus this (both unit); the solver's own, for those who compare."""
-_NO_RANK = 1e-15
-"""Eigenvalues of a metric below this share of the largest are zero: rounding of the sums that made it."""
 LEVELS = 16
 """Levels of a tree for which there is room: eight children a node make 16 enough for any mesh."""
 _HALVINGS = 3
@@ -59,46 +57,8 @@ class NearestMany:
     """(t,) int: how many triangles were solved."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Nearest:
-    """The best point of a surface."""
-
-    point: FloatArray
-    """(3,) float, metres."""
-    triangle: int
-    value: float
-    """(p - t)' M (p - t) there."""
-
-
-def nearest_in_metric(
-    surface: Surface, metric: FloatArray, target: FloatArray, push: FloatArray | None = None
-) -> Nearest | None:
-    """Minimise (p - t)' M (p - t) over the surface's points p, exactly.
-
-    Parameters
-    ----------
-    metric : (3, 3) float, M: symmetric, positive semi-definite, of any rank
-    target : (3,) float, t, metres
-    push : (3,) float or None; where given, only triangles with push . normal < 0 count
-
-    Returns
-    -------
-    As `nearest_to_rows`; None where no triangle faces the push.
-    """
-    values, axes = np.linalg.eigh(metric)
-    values = np.where(values > _NO_RANK * values[-1], values, 0.0)
-    root = np.sqrt(values)[:, None] * axes.T
-    found = nearest_to_rows(surface, root[None], (root @ target)[None], None if push is None else push[None])
-    return None if found.triangles[0] < 0 else Nearest(found.points[0], int(found.triangles[0]), float(found.values[0]))
-
-
 def nearest_to_rows(
-    surface: Surface,
-    roots: FloatArray,
-    offsets: FloatArray,
-    pushes: FloatArray | None,
-    start: IntArray | None = None,
-    every: bool = False,
+    surface: Surface, roots: FloatArray, offsets: FloatArray, pushes: FloatArray | None, *, every: bool = False
 ) -> NearestMany:
     """Minimise |root p - offset|^2 over the surface's points p, exactly, for each of t metrics.
 
@@ -107,7 +67,6 @@ def nearest_to_rows(
     roots : (t, 3, 3) float, of any rank
     offsets : (t, 3) float
     pushes : (t, 3) float or None; where given, only triangles with push . normal < 0 count
-    start : (t,) int or None; a triangle where each optimum is likely, -1 for none: quicker, with the same answer
     every : try every triangle: slower, with the same answer
 
     Returns
@@ -118,69 +77,25 @@ def nearest_to_rows(
     count = len(roots)
     machine, place = solver_copy(surface)
     with machine.call() as call:
-        asked = _asked(call, place, roots, offsets, pushes, every)
-        starting = call.give(np.full(count, -1) if start is None else start, INTEGER)
-        return _searched(call, "nearest", asked, [starting, 0, 0, 0], np.full(count, -1))
+        given = 0 if pushes is None else call.give(pushes)
+        nowhere = np.full(count, -1)
+        points, values, tried = call.room((count, 3)), call.room((count,)), call.room((count,), INTEGER)
+        found = call.changed(nowhere, INTEGER)
+        asked = [place, count, int(every), call.give(roots), call.give(offsets), given]
+        # The words of `Search` in `skincal/solver/source/solver.c`; no start is likely, and no second minimum is asked for.
+        call.run("nearest", [*asked, call.give(nowhere, INTEGER), 0, 0, 0, points, values, found, tried])
+        numbers = [call.taken(each).astype(np.int64) for each in (found, tried)]
+        return NearestMany(call.taken(points), numbers[0], call.taken(values), numbers[1])
 
 
 def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Find for each of `points` (n, 3), metres, the surface's nearest point, exactly.
+    """Find for each of `points` (n, 3), metres, the surface's nearest point (n, 3), exactly, and its triangle (n,).
 
-    Returns
-    -------
-    nearest : (n, 3) float, metres
-    triangles : (n,) int; of equally near ones the lowest
+    Of equally near triangles it is the lowest.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     found = nearest_to_rows(surface, np.broadcast_to(np.eye(3), (len(points), 3, 3)), points, None)
     return found.points, found.triangles
-
-
-def second_to_rows(
-    surface: Surface,
-    roots: FloatArray,
-    offsets: FloatArray,
-    pushes: FloatArray,
-    best: NearestMany,
-    radius: FloatArray,
-    limit: FloatArray,
-    every: bool = False,
-) -> NearestMany:
-    """Find for each of t metrics the least separate minimum beside the best, where there is one.
-
-    What a minimum is, and when it is separate: `skincal/solver/source/rival.h`.
-
-    Parameters
-    ----------
-    roots, offsets, pushes, every : as for `nearest_to_rows`
-    best : what that found
-    radius : (t,) float, metres
-    limit : (t,) float: values of |root p - offset|^2 above it do not count
-
-    Returns
-    -------
-    As `nearest_to_rows`; triangle -1 where there is none.
-    """
-    machine, place = solver_copy(surface)
-    with machine.call() as call:
-        asked = _asked(call, place, roots, offsets, pushes, every)
-        beside = [0, call.give(best.points), call.give(radius), call.give(limit)]
-        return _searched(call, "second", asked, beside, best.triangles)
-
-
-def _asked(call: Call, place: int, roots: FloatArray, offsets: FloatArray, pushes: FloatArray | None, every: bool) -> list[int]:
-    """Return the first words of `Search` in `skincal/solver/source/solver.c`."""
-    given = 0 if pushes is None else call.give(pushes)
-    return [place, len(roots), int(every), call.give(roots), call.give(offsets), given]
-
-
-def _searched(call: Call, name: str, asked: list[int], beside: list[int], triangles: IntArray) -> NearestMany:
-    count = len(triangles)
-    points, values, tried = call.room((count, 3)), call.room((count,)), call.room((count,), INTEGER)
-    found = call.changed(triangles, INTEGER)
-    call.run(name, [*asked, *beside, points, values, found, tried])
-    numbers = [call.taken(place).astype(np.int64) for place in (found, tried)]
-    return NearestMany(call.taken(points), numbers[0], call.taken(values), numbers[1])
 
 
 class SurfaceTable(ctypes.Structure):
@@ -212,7 +127,7 @@ class SurfaceTable(ctypes.Structure):
 @once_for_each
 def solver_copy(surface: Surface) -> tuple[Machine, int]:
     """Return the machine that holds a copy of `surface` with its search tree, and the place of its table there."""
-    machine, tree, fans = Machine(), build_tree(surface), find_fans(surface)
+    machine, tree, (starts, fans) = Machine(), build_tree(surface), find_fans(surface)
     table = SurfaceTable(
         triangle_count=len(surface.triangles),
         level_count=len(tree.levels),
@@ -222,9 +137,9 @@ def solver_copy(surface: Surface) -> tuple[Machine, int]:
     )
     for i, level in enumerate(tree.levels):
         table.levels[i], table.node_counts[i] = machine.keep(level), level.size // 8
-    for name, numbers in (("order", tree.order), ("places", tree.places), ("triangles", surface.triangles)):
+    whole = {"order": tree.order, "places": tree.places, "triangles": surface.triangles, "fan_starts": starts, "fans": fans}
+    for name, numbers in whole.items():
         setattr(table, name, machine.keep(numbers.astype(np.int32)))
-    table.fan_starts, table.fans = machine.keep(fans.starts.astype(np.int32)), machine.keep(fans.triangles.astype(np.int32))
     for name, lengths in (("corners", tree.corners), ("vertices", surface.vertices), ("normals", surface.normals)):
         setattr(table, name, machine.keep(lengths))
     table.slim = machine.keep(surface.slim.astype(np.uint8))
@@ -360,16 +275,7 @@ def _first_half(sizes: IntArray) -> IntArray:
     return np.where(sizes > 2 * whole, -(-(sizes // 2) // whole) * whole, whole << (exponent % _HALVINGS))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fans:
-    """The triangles around each of nv vertices."""
-
-    starts: IntArray
-    """(nv + 1,) vertex i has the triangles starts[i] to starts[i + 1]."""
-    triangles: IntArray
-
-
-def find_fans(surface: Surface) -> Fans:
-    """Find the triangles around each vertex."""
+def find_fans(surface: Surface) -> tuple[IntArray, IntArray]:
+    """Return (nv + 1,) where the triangles around each vertex begin in the second array, and these triangles."""
     flat, count = surface.triangles.ravel(), len(surface.vertices)
-    return Fans(np.r_[0, np.cumsum(np.bincount(flat, minlength=count))], flat.argsort(kind="stable") // 3)
+    return np.r_[0, np.cumsum(np.bincount(flat, minlength=count))], flat.argsort(kind="stable") // 3

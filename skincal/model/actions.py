@@ -106,6 +106,8 @@ class Correct:
     pokes: int
     spread: tuple[float, ...] = ()
     """Upper triangle of `Correction.root`, row by row; empty of one that is taken for exact, as in sessions of old."""
+    quadratic: tuple[float, ...] = ()
+    """126, row by row; empty of a sensor that is taken for linear."""
     ratio: float = 0.0
     """0 where nobody knows it."""
 
@@ -168,10 +170,7 @@ def to_json(action: Action) -> dict[str, Any]:
 def from_json(document: Mapping[str, Any]) -> Action:
     """Return the action of a JSON object.
 
-    Raises
-    ------
-    InputError
-        It is not one that this version knows.
+    Raises InputError: it is not one that this version knows.
     """
     kind = _KINDS.get(str(document.get("do")))
     if kind is None:

@@ -157,16 +157,9 @@ class Scene:
 
 
 def load_scene(path: Path) -> Scene:
-    """Read a scene file and the layout it names; the mesh is read elsewhere, which costs more.
+    """Read a scene's TOML file and the layout it names; the mesh is read elsewhere, which costs more.
 
-    Parameters
-    ----------
-    path : a `*.toml` file
-
-    Raises
-    ------
-    InputError
-        Names the file, the key, what was seen and what was expected.
+    Raises InputError, which names the file, the key, what was seen and what was expected.
     """
     root = Table(read_toml(path), str(path))
     text = path.read_text(encoding="utf-8")
@@ -314,10 +307,7 @@ def _read_contacts(table: Table | None) -> ContactSettings:
 def with_layout(scene: Scene, path: Path) -> Scene:
     """Return a scene with the layout of another file.
 
-    Raises
-    ------
-    InputError
-        The file is no layout, or its channels do not fit the skin.
+    Raises InputError: the file is no layout, or its channels do not fit the skin.
     """
     return replace(scene, skin=replace(scene.skin, layout=load_layout(path, scene.skin.channels)))
 
@@ -325,10 +315,7 @@ def with_layout(scene: Scene, path: Path) -> Scene:
 def resource(name: str) -> Path:
     """Return the path of a file that ships with skincal, in a checkout or installed.
 
-    Raises
-    ------
-    InputError
-        There is no such resource.
+    Raises InputError: there is no such resource.
     """
     package = Path(__file__).resolve().parents[1]
     # Installed, the resources lie within the package; in a checkout beside it.
@@ -341,10 +328,7 @@ def resource(name: str) -> Path:
 def scene_file(given: Path) -> Path:
     """Return a scene's file: the path itself, or that of the shipped scene of this name, such as `icub-forearm`.
 
-    Raises
-    ------
-    InputError
-        No scene of this name ships.
+    Raises InputError: no scene of this name ships.
     """
     if given.suffix == ".toml" or given.exists() or len(given.parts) != 1:
         return given

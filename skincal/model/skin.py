@@ -123,13 +123,9 @@ class Module:
 
 
 class Layout:
-    """The modules of a skin and what follows from their places.
+    """The modules of a skin, at least one, and what follows from their places; a skin frame has `width` channels.
 
-    Parameters
-    ----------
-    modules : at least one
-    width : channels of a skin frame
-    path, text : of the file it was read from; None and empty where it was made otherwise
+    `path` and `text` are those of the file it was read from; None and empty where it was made otherwise.
     """
 
     def __init__(self, modules: tuple[Module, ...], width: int, path: Path | None = None, text: str = "") -> None:
@@ -174,35 +170,18 @@ class Layout:
 
 
 def load_layout(path: Path, width: int) -> Layout:
-    """Read a `*.modules.toml` file.
+    """Read a `*.modules.toml` file for skin frames of `width` channels.
 
-    Parameters
-    ----------
-    path : file with an array of tables `[[modules]]`: `id`, `kind`, `first_channel`, `place_mm`, `angle_deg`, `mirror`,
-        optionally `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`, `centre_pad`
-    width : channels of a skin frame
+    It holds an array of tables `[[modules]]`: `id`, `kind`, `first_channel`, `place_mm`, `angle_deg`, `mirror`, optionally
+    `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`, `centre_pad`.
 
-    Raises
-    ------
-    InputError
-        Names the file, the module and what was expected.
+    Raises InputError, which names the file, the module and what was expected.
     """
     return read_layout(read_text(path), path, width)
 
 
 def read_layout(text: str, path: Path, width: int) -> Layout:
-    """Read the text of a `*.modules.toml` file.
-
-    Parameters
-    ----------
-    path : of the file, for the sentences about it
-    width : channels of a skin frame
-
-    Raises
-    ------
-    InputError
-        As for `load_layout`.
-    """
+    """Read the text of a `*.modules.toml` file; raises what `load_layout` raises, whose sentences name `path`."""
     document = Table(parse_toml(text, path), str(path))
     kinds, own = dict(KINDS), document.table("kinds")
     for name, table in own.each_table() if own is not None else ():
@@ -268,10 +247,7 @@ def _read_module(table: Table, kinds: dict[str, ModuleKind], width: int) -> Modu
 def read_anchor(table: Table) -> Anchor:
     """Read an anchor table: `at_mm` in the layout's plane, `point_mm`, `x` and `normal` in the link frame.
 
-    Raises
-    ------
-    InputError
-        A key is missing, is not numbers, or `x` and `normal` are not perpendicular to within a degree.
+    Raises InputError: a key is missing, is not numbers, or `x` and `normal` are not perpendicular to within a degree.
     """
     at, point = table.array("at_mm", (2,)) * 1e-3, table.array("point_mm", (3,)) * 1e-3
     x, normal = table.direction("x"), table.direction("normal")

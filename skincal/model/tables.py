@@ -43,13 +43,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
 
 
 class Table:
-    """Gives out each value once; `done` refuses what was not asked for.
-
-    Parameters
-    ----------
-    values : the table's content
-    where : file and place of the table, with which every sentence begins
-    """
+    """Gives out each value once; `done` refuses what was not asked for. Sentences begin with `where`: file and place."""
 
     def __init__(self, values: dict[str, Any], where: str) -> None:
         self._values = dict(values)
@@ -130,10 +124,7 @@ class Table:
     def done(self) -> None:
         """Refuse what is left.
 
-        Raises
-        ------
-        InputError
-            A name was not asked for.
+        Raises InputError: a name was not asked for.
         """
         if self._values:
             raise InputError(f"{self.where}: unknown name {sorted(self._values)[0]!r}; check its spelling.")
@@ -146,10 +137,7 @@ def _name(kind: type) -> str:
 def check_metres(lengths: FloatArray, what: str) -> None:
     """Refuse lengths beyond `LENGTH_MAX`.
 
-    Raises
-    ------
-    InputError
-        One of them is; the sentence names the likely unit.
+    Raises InputError, whose sentence names the likely unit.
     """
     longest = float(np.abs(lengths).max(initial=0.0))
     if longest > LENGTH_MAX:

@@ -124,7 +124,7 @@ def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> Footing:
     # Imported only now: a scene without a mesh loads nothing of it.
     from skincal.mesh.geodesics import Footing, geodesics_of
 
-    return geodesics_of(surface).walk(Footing(poses.triangles, poses.points, poses.x), ways).end
+    return geodesics_of(surface).walk(Footing(poses.triangles, poses.points, poses.x), ways)
 
 
 def rotations(vectors: FloatArray) -> FloatArray:

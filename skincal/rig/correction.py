@@ -43,8 +43,8 @@ class Correction:
     motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """For some arm poses (4, 4) float, metres: and times this."""
     root: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix with the quadratic's columns row by row, then turn
-    and shift of each of
+    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix with the quadratic's columns row by row, then
+    turn and shift of each of
     `motions` by name; (0, 0) of a correction that is taken for exact."""
     quadratic: FloatArray = field(default_factory=lambda: np.empty((6, 0)))
     """(6, 21) float, SI: the true wrench has besides this times its `products`; (6, 0) of a sensor that is taken for linear."""
@@ -124,7 +124,7 @@ class RigPrior:
     """m, sd of the contact beside the landmark in each direction: a tip on a screw head, by hand."""
 
     def scales(self, poses: int) -> FloatArray:
-        """Return (36 + 6 poses,) the sd of each unknown: C row by row, then turn and shift of each pose; 162 where C is of 27."""
+        """Return (6 columns + 6 poses,) the sd of each unknown: C row by row, of 6 or 27 columns, then turn and shift of each."""
         units = LOAD * np.repeat([1.0, self.arm], 3)
         matrix = self.matrix * units[:, None] / units[None, :]
         if self.quadratic:

@@ -141,19 +141,20 @@ def correction_of(action: Correct) -> Correction:
     wanted = (36, 16, 16 * len(action.poses))
     if action.of not in KINDS or sizes != wanted:
         raise InputError(f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(KINDS)}, with {wanted}.")
-    size = 36 + 6 * len(action.poses) if action.spread else 0
-    if len(action.spread) != size * (size + 1) // 2:
-        raise InputError(f"A correction of {len(action.poses)} arm poses with {len(action.spread)} numbers of its uncertainty.")
+    size = 36 + len(action.quadratic) + 6 * len(action.poses) if action.spread else 0
+    if len(action.quadratic) not in (0, 126) or len(action.spread) != size * (size + 1) // 2:
+        numbers = f"{len(action.quadratic)} numbers of what is not linear and {len(action.spread)} of its uncertainty"
+        raise InputError(f"A correction of {len(action.poses)} arm poses with {numbers}; expected as many as skincal writes.")
     root = np.zeros((size, size))
     root[np.triu_indices(size)] = action.spread
     matrix, everywhere = np.reshape(action.matrix, (6, 6)), np.reshape(action.everywhere, (4, 4))
-    motions = np.reshape(action.motions, (-1, 4, 4))
-    numbers = (matrix, everywhere, motions, root, np.array([action.before, action.after, action.ratio]))
+    motions, quadratic = np.reshape(action.motions, (-1, 4, 4)), np.reshape(action.quadratic, (6, -1))
+    numbers = (matrix, everywhere, motions, root, quadratic, np.array([action.before, action.after, action.ratio]))
     if not all(np.isfinite(values).all() for values in numbers) or not abs(np.linalg.det(matrix)) > 0 or action.pokes < 0:
         raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
     if not all(_is_motion(motion) for motion in (everywhere, *motions)):
         raise InputError("A correction of the rig moves a pose by what is no rigid motion; expected a rotation and a shift.")
-    return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)), root)
+    return Correction(matrix, everywhere, dict(zip(action.poses, motions, strict=True)), root, quadratic)
 
 
 def _is_motion(matrix: FloatArray) -> bool:
@@ -189,7 +190,9 @@ def correct_action(of: str, correction: Correction, before: float, after: float,
     """Return the action that uses a correction; see `Correct` for the rest."""
     spread = correction.root[np.triu_indices(len(correction.root))].tolist()
     # Six digits of an uncertainty are more than anyone knows, and half of the file.
-    return Correct(of, *_numbers(correction), before, after, pokes, tuple(float(f"{value:.6g}") for value in spread), ratio)
+    root = tuple(float(f"{value:.6g}") for value in spread)
+    quadratic = tuple(correction.quadratic.ravel().tolist())
+    return Correct(of, *_numbers(correction), before, after, pokes, root, quadratic, ratio)
 
 
 def _numbers(correction: Correction) -> tuple[tuple[float, ...], tuple[float, ...], tuple[str, ...], tuple[float, ...]]:

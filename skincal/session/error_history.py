@@ -11,10 +11,12 @@ Whether modules lie as planned, worked out beside an open session: asked for not
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -41,18 +43,10 @@ STEP_S = 0.03
 TAXELS, MEAN, P95, MAX = range(4)
 """Columns of a spread: how many taxels it is of, and metres."""
 
-
+Spreads: TypeAlias = Mapping[Method, FloatArray]
+"""Errors at one point of the course, (1 + modules, 4) float: all taxels, then each module; columns as for `spreads_of`."""
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
 """Does work beside the session and hands its result over in a tick."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ErrorPoint:
-    """Errors of the first `count` pokes that count."""
-
-    count: int
-    spreads: Mapping[Method, FloatArray]
-    """(1 + modules, 4) float: all taxels, then each module; columns as for `spreads_of`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +60,7 @@ class ErrorSeries:
     times: FloatArray
     """(n,) s since the first poke that counts; pauses beyond `PAUSE_MAX_S` are cut to it."""
     spreads: Mapping[Method, FloatArray]
-    """(n, 1 + modules, 4) float: all taxels, then each module; columns as for `spreads_of`."""
+    """(n, 1 + modules, 4) float; see `Spreads`."""
     stride: int
     """Every how many pokes there is a point; the newest is always one."""
     missing: int
@@ -74,79 +68,61 @@ class ErrorSeries:
 
 
 def spreads_of(errors: FloatArray, groups: IntArray, count: int) -> FloatArray:
-    """Return number, mean, 95th percentile and maximum of the errors of each group.
+    """Return number, mean, 95th percentile (numpy's, linear) and maximum of the errors of each group, (count, 4) float.
 
     Parameters
     ----------
     errors : (n,) float, metres, finite
-    groups : (n,) int, 0 to count - 1; negative for none
-    count : number of groups
-
-    Returns
-    -------
-    (count, 4) float; NaN in a group without an error, whose number is 0. The percentile is numpy's (linear).
+    groups : (n,) int, 0 to count - 1; negative for none. One without an error has the number 0, and NaN
     """
     result = np.full((count, 4), np.nan)
     result[:, TAXELS] = 0.0
-    chosen = groups >= 0
-    errors, groups = errors[chosen], groups[chosen]
-    if not len(errors):
-        return result
     order = np.lexsort((errors, groups))
-    errors, groups = errors[order], groups[order]
-    starts = np.flatnonzero(np.diff(groups, prepend=-1))
-    sizes = np.diff(starts, append=len(groups))
-    place = starts + 0.95 * (sizes - 1)
-    low = np.floor(place).astype(np.int64)
-    high = np.minimum(low + 1, starts + sizes - 1)
-    result[groups[starts]] = np.stack(
-        [
-            sizes.astype(float),
-            np.add.reduceat(errors, starts) / sizes,
-            errors[low] + (place - low) * (errors[high] - errors[low]),
-            errors[starts + sizes - 1],
-        ],
-        axis=1,
-    )
+    errors, bounds = errors[order], np.searchsorted(groups[order], np.arange(count + 1))
+    for group, (start, end) in enumerate(pairwise(bounds.tolist())):
+        if start < end:
+            own = errors[start:end]
+            # Not `np.quantile`, which takes ten times as long, for every module of a body at every point.
+            place = 0.95 * (len(own) - 1)
+            low = own[int(place)]
+            p95 = low + place % 1.0 * (own[math.ceil(place)] - low)
+            result[group] = len(own), own.mean(), p95, own[-1]
     return result
 
 
-class ErrorRule:
-    """What counts as the error of an estimate.
+Rule: TypeAlias = Callable[[Mapping[Method, Sequence[Estimate]]], Spreads]
+"""What counts as the error of an estimate."""
+
+
+def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
+    """Return what gives the errors of each method's estimates.
 
     Parameters
     ----------
     scene : says which module a channel is of
     known : places of taxels by channel, (3,) float, metres, link frame; None for the predicted error
     """
+    width, layout = scene.skin.channels, scene.skin.layout
+    modules = 0 if layout is None else len(layout.modules)
+    module_of = np.full(width, -1, dtype=np.int64) if layout is None else layout.module_of
+    places = np.full((width, 3), np.nan)
+    for channel, place in (known or {}).items():
+        if 0 <= channel < width:
+            places[channel] = place
 
-    def __init__(self, scene: Scene, known: Mapping[int, FloatArray] | None) -> None:
-        width, layout = scene.skin.channels, scene.skin.layout
-        self.modules = 0 if layout is None else len(layout.modules)
-        self._module_of = np.full(width, -1, dtype=np.int64) if layout is None else layout.module_of
-        self._places = None if known is None else np.full((width, 3), np.nan)
-        if self._places is not None and known is not None:
-            for channel, place in known.items():
-                if 0 <= channel < width:
-                    self._places[channel] = place
-
-    def spreads(self, estimates: Sequence[Estimate]) -> FloatArray:
-        """Return the spreads of one method's estimates, (1 + modules, 4): all taxels, then each module."""
-        channels, errors = self.errors(estimates)
-        everything = spreads_of(errors, np.zeros(len(errors), dtype=np.int64), 1)
-        return np.concatenate([everything, spreads_of(errors, self._module_of[channels], self.modules)])
-
-    def errors(self, estimates: Sequence[Estimate]) -> tuple[IntArray, FloatArray]:
-        """Return the channels whose error is known, (n,), and the errors, (n,) float, metres."""
+    def spreads(estimates: Sequence[Estimate]) -> FloatArray:
         found = [e for e in estimates if e.position is not None and e.rms is not None]
         channels = np.array([e.channel for e in found], dtype=np.int64)
-        if self._places is None:
-            errors = np.array([e.rms for e in found], dtype=float)
-        else:
+        errors = np.array([e.rms for e in found], dtype=float)
+        if known is not None:
             positions = np.array([e.position for e in found], dtype=float).reshape(-1, 3)
-            errors = np.linalg.norm(positions - self._places[channels], axis=1)
-        known = np.isfinite(errors)
-        return channels[known], errors[known]
+            errors = np.linalg.norm(positions - places[channels], axis=1)
+        there = np.isfinite(errors)
+        channels, errors = channels[there], errors[there]
+        everything = spreads_of(errors, np.zeros(len(errors), dtype=np.int64), 1)
+        return np.concatenate([everything, spreads_of(errors, module_of[channels], modules)])
+
+    return lambda estimates: {method: spreads(found) for method, found in estimates.items()}
 
 
 class Recount:
@@ -163,52 +139,36 @@ class Recount:
         self,
         scene: Scene,
         surface: Surface | None,
-        rule: ErrorRule,
+        rule: Rule,
         contacts: Sequence[Contact],
         dead: Mapping[int, str],
         wanted: Sequence[int],
     ) -> None:
+        # Fed poke by poke like the live one, so that each point has the bits that it had then.
         self._session = Session(scene, surface)
         self._session.find_dead(dead)
-        self._rule = rule
-        self._contacts = contacts
-        self._wanted = list(wanted)
-        self._at = 0
-        self._taken = 0
+        self._rule, self._contacts = rule, contacts
+        self._wanted, self._taken = list(reversed(wanted)), 0
+        self.reach = wanted[-1]
+        """How many of the contacts the points are made from."""
 
     @property
     def done(self) -> bool:
         """Whether every point was worked out."""
-        return self._at == len(self._wanted)
+        return not self._wanted
 
-    @property
-    def reach(self) -> int:
-        """How many of the contacts the points are made from."""
-        return self._wanted[-1]
-
-    def work(self, seconds: float = float("inf")) -> tuple[ErrorPoint, ...]:
-        """Return the next points: what can be had in `seconds`, and one at least."""
+    def work(self, seconds: float = math.inf) -> dict[int, Spreads]:
+        """Return the next points by their count of contacts: what can be had in `seconds`, and one at least."""
         end = time.monotonic() + seconds
-        points: list[ErrorPoint] = []
-        while not self.done:
-            points.append(self._next())
-            if time.monotonic() > end:
-                break
-        return tuple(points)
-
-    def _next(self) -> ErrorPoint:
-        count = self._wanted[self._at]
-        for contact in self._contacts[self._taken : count]:
-            self._session.add(contact)
-        self._taken = count
-        point = point_of(count, self._session.snapshot().estimates, self._rule)
-        self._at += 1
-        return point
-
-
-def point_of(count: int, estimates: Mapping[Method, Sequence[Estimate]], rule: ErrorRule) -> ErrorPoint:
-    """Return the point of a session whose first `count` contacts gave `estimates`."""
-    return ErrorPoint(count, {method: rule.spreads(found) for method, found in estimates.items()})
+        points: dict[int, Spreads] = {}
+        while self._wanted and (not points or time.monotonic() <= end):
+            count = self._wanted[-1]
+            for contact in self._contacts[self._taken : count]:
+                self._session.add(contact)
+            self._taken = count
+            points[count] = self._rule(self._session.snapshot().estimates)
+            self._wanted.pop()
+        return points
 
 
 class ErrorHistory:
@@ -218,19 +178,15 @@ class ErrorHistory:
     that is opened again, everything after a poke that was taken out) is worked out by a `Recount`, in any thread, and
     given back by `put`.
 
-    Parameters
-    ----------
-    scene, surface : of the session
-    known : as for `ErrorRule`
+    What is `known` is as for `error_rule`.
     """
 
     def __init__(self, scene: Scene, surface: Surface | None, known: Mapping[int, FloatArray] | None) -> None:
-        self._scene = scene
-        self._surface = surface
-        self._rule = ErrorRule(scene, known)
+        self._scene, self._surface = scene, surface
+        self._rule = error_rule(scene, known)
         self._contacts: tuple[Contact, ...] = ()
         self._dead: Mapping[int, str] = {}
-        self._points: dict[int, ErrorPoint] = {}
+        self._points: dict[int, Spreads] = {}
         self._stride = 1
         self._recount: Recount | None = None
 
@@ -246,7 +202,7 @@ class ErrorHistory:
             at: point for at, point in self._points.items() if at <= same and (at % self._stride == 0 or at == count)
         }
         if count and count not in self._points:
-            self._points[count] = point_of(count, snapshot.estimates, self._rule)
+            self._points[count] = self._rule(snapshot.estimates)
 
     def recount(self) -> Recount | None:
         """Return what is to be worked out, and the same until it is done or no longer holds; None where nothing is missing."""
@@ -257,24 +213,24 @@ class ErrorHistory:
                 self._recount = Recount(self._scene, self._surface, self._rule, self._contacts, self._dead, wanted)
         return self._recount
 
-    def put(self, recount: Recount, points: Sequence[ErrorPoint]) -> bool:
+    def put(self, recount: Recount, points: Mapping[int, Spreads]) -> bool:
         """Take points that were worked out; return whether they still hold."""
         if recount is not self._recount:
             return False
-        self._points |= {point.count: point for point in points if point.count % self._stride == 0}
+        self._points |= {count: point for count, point in points.items() if count % self._stride == 0}
         return True
 
     def series(self) -> ErrorSeries:
         """Return the course as far as it is known."""
-        points = [self._points[count] for count in sorted(self._points)]
-        counts = np.array([point.count for point in points], dtype=np.int64)
-        methods: tuple[Method, ...] = tuple(points[-1].spreads) if points else ()
+        counts = np.array(sorted(self._points), dtype=np.int64)
+        points = [self._points[count] for count in counts.tolist()]
+        methods: tuple[Method, ...] = tuple(points[-1]) if points else ()
         expected = len(range(self._stride, len(self._contacts), self._stride)) + bool(self._contacts)
         return ErrorSeries(
             counts=counts,
-            pokes=np.array([self._contacts[point.count - 1].poke for point in points], dtype=np.int64),
+            pokes=np.array([contact.poke for contact in self._contacts], dtype=np.int64)[counts - 1],
             times=poking_times([contact.end_s for contact in self._contacts])[counts - 1],
-            spreads={method: np.stack([point.spreads[method] for point in points]) for method in methods},
+            spreads={method: np.stack([point[method] for point in points]) for method in methods},
             stride=self._stride,
             missing=expected - len(counts),
         )
@@ -285,16 +241,10 @@ class ErrorFollower:
 
     The past is worked out in the background, a moment at a time: other work comes in between, and what no longer holds after
     an undo or an exclusion is dropped.
-
-    Parameters
-    ----------
-    part : what is calibrated
-    run : does work in the background
     """
 
     def __init__(self, part: Part, run: Run) -> None:
-        self._part = part
-        self._run = run
+        self._part, self._run = part, run
         self.sources: list[Reference | None] = [None] if part.plan is None else [part.plan, None]
         """What estimates can be compared with; None for the error that they predict of themselves."""
         self.source = self.sources[0]
@@ -325,9 +275,7 @@ class ErrorFollower:
     def follow(self, snapshot: Snapshot, revision: int) -> None:
         """Take a session as it stands, and let the background go on with what is missing of the past.
 
-        Parameters
-        ----------
-        revision : another number where pokes, estimates or dead taxels changed
+        `revision` is another number where pokes, estimates or dead taxels changed.
         """
         if revision != self._revision:
             self._revision = revision
@@ -346,16 +294,15 @@ class ErrorFollower:
             return
         begun = history, self._revision
 
-        def work() -> tuple[ErrorPoint, ...]:
+        def work() -> dict[int, Spreads]:
             try:
                 return recount.work(STEP_S)
             except BaseException:
                 # `run` reports why, and does not call `take` then.
-                self._failed_at = begun
-                self._busy = False
+                self._failed_at, self._busy = begun, False
                 raise
 
-        def take(points: tuple[ErrorPoint, ...]) -> None:
+        def take(points: dict[int, Spreads]) -> None:
             self._busy = False
             if history is self._history and history.put(recount, points):
                 self.version += 1
@@ -364,24 +311,9 @@ class ErrorFollower:
         self._run(work, take)
 
 
-def error_series(
-    scene: Scene, surface: Surface | None, snapshot: Snapshot, known: Mapping[int, FloatArray] | None
-) -> ErrorSeries:
-    """Return the whole course of errors of a session at once; parameters as for `ErrorHistory`."""
-    history = ErrorHistory(scene, surface, known)
-    history.take(snapshot)
-    recount = history.recount()
-    if recount is not None:
-        history.put(recount, recount.work())
-    return history.series()
-
-
 def stride_of(count: int) -> int:
     """Return every how many of `count` pokes there is a point: a power of two, so that a longer session keeps points."""
-    stride = 1
-    while count > POINTS_MAX * stride:
-        stride *= 2
-    return stride
+    return 1 << max(0, (count - 1) // POINTS_MAX).bit_length()
 
 
 def poking_times(ends_s: Sequence[float]) -> FloatArray:
@@ -414,15 +346,11 @@ class ModulesFound:
 class ModulesCheck:
     """Looks for mirrored, turned and swapped modules; the newest moment is judged, those that came meanwhile are not.
 
-    Parameters
-    ----------
-    part : what is calibrated; without a layout there is nothing to look for
-    run : does work in the background
+    Without a layout there is nothing to look for.
     """
 
     def __init__(self, part: Part, run: Run) -> None:
-        self._part = part
-        self._run = run
+        self._part, self._run = part, run
         self._module_model: ModuleModel | None = None
         self._busy = False
         self._asked: int | None = None
@@ -430,12 +358,7 @@ class ModulesCheck:
         """None while nothing was judged."""
 
     def follow(self, snapshot: Snapshot, revision: int) -> None:
-        """Judge a session as it stands, unless an older moment is still being judged.
-
-        Parameters
-        ----------
-        revision : another number where pokes, estimates or dead taxels changed
-        """
+        """Judge a session as it stands, unless an older moment is still being judged; `revision` as for `ErrorFollower`."""
         layout = self._part.scene.skin.layout
         if layout is None or self._busy or revision == self._asked:
             return

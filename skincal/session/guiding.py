@@ -6,7 +6,7 @@ Nothing here changes the session. A view that shows a landmark as the target sen
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, rig_moves
 from skincal.guide.guide import Guide
-from skincal.guide.places import SPACING, PlannedPlaces, plan_from, unplaced
+from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
 from skincal.guide.verdict import Verdict, landmark_agreement, verdict_of
 from skincal.model.scene import Landmark
@@ -33,16 +33,10 @@ STILL_S = 1.0
 
 
 class SessionGuide:
-    """Says what to poke next by the method that is shown, with or without a layout.
-
-    Parameters
-    ----------
-    part : what is calibrated
-    """
+    """Says what to poke next by the method that is shown, with or without a layout."""
 
     def __init__(self, part: Part) -> None:
-        self._scene, self._surface = part.scene, part.surface
-        self._cover = part.cover
+        self._part, self._scene, self._surface = part, part.scene, part.surface
         self.plan = plan_of(part)
         """Where the layout puts the taxels."""
         self.landmarks = LandmarkGuide(part, self.plan)
@@ -86,9 +80,9 @@ class SessionGuide:
                 guide.forget_target()
             self._skin_guidance = guide.update(
                 _contacts(snapshot),
-                self._estimates(snapshot),
+                {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
                 evidence,
-                _rejections(snapshot),
+                {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
                 self.landmarks.rig_moves(snapshot),
             )
             self._followed = revision, method
@@ -128,9 +122,7 @@ class SessionGuide:
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
 
-        Parameters
-        ----------
-        evidence : as in `follow`, which was called before
+        `evidence` is as in `follow`, which was called before.
         """
         if not self.wanted or self._followed is None:
             return None
@@ -146,39 +138,29 @@ class SessionGuide:
 
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
-            layout = self._scene.skin.layout
-            spacing = SPACING if layout is None else layout.spacing
-            on_surface = self._surface is not None
-            self._guides[method] = Guide(
-                self.plan, self._scene.noise, method, spacing, cover=self._cover, on_surface=on_surface
-            )
+            layout, noise, cover = self._scene.skin.layout, self._scene.noise, self._part.cover
+            spacing, on_surface = SPACING if layout is None else layout.spacing, self._surface is not None
+            self._guides[method] = Guide(self.plan, noise, method, spacing, cover=cover, on_surface=on_surface)
         return self._guides[method]
 
-    def _estimates(self, snapshot: Snapshot) -> Mapping[Method, Sequence[Estimate]]:
-        """Return one estimate for each channel of the plan, in its order."""
-        return {method: self._planned(method, every) for method, every in snapshot.estimates.items()}
-
     def _planned(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
+        """Return one estimate for each channel of the plan, in its order."""
         channels = self.plan.channels.tolist()
         if [estimate.channel for estimate in estimates] == channels:
             return estimates
         known = {estimate.channel: estimate for estimate in estimates}
-        return [known.get(channel) or self._unseen(method, channel) for channel in channels]
-
-    def _unseen(self, method: Method, channel: int) -> Estimate:
-        """Return what is said of a channel that the session does not know; the same each time."""
-        return self._nothing.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
+        # What is said of a channel that the session does not know is the same object each time: guides compare by it.
+        unseen = self._nothing
+        return [
+            known.get(channel) or unseen.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
+            for channel in channels
+        ]
 
 
 class LandmarkGuide:
     """Says which landmark to poke; the guide of the skin stands behind it.
 
     Which poke was there is found by `LandmarkFinder`, in the pipeline.
-
-    Parameters
-    ----------
-    part : what is calibrated
-    plan : where the layout puts the taxels
     """
 
     def __init__(self, part: Part, plan: PlannedPlaces) -> None:
@@ -187,8 +169,7 @@ class LandmarkGuide:
         self._taxels, self._outward = plan.places[there], plan.normals[there]
         """(n, 3) float each, metres and unit: of the taxels that the layout places."""
         self._round = LandmarkRound()
-        self._stances = Stances()
-        self._stance, self._stance_s = "", -np.inf
+        self._stances, self._stance, self._stance_s = Stances(), "", -np.inf
         """The arm's pose, and since when it holds: host's monotonic clock, seconds."""
         self._normals: dict[bytes, FloatArray] = {}
         self._targets: list[LandmarkTarget] = []
@@ -201,13 +182,7 @@ class LandmarkGuide:
         self._targets, self._known = [], ()
 
     def before_skin(self, guidance: Guidance, snapshot: Snapshot, now_s: float) -> Guidance:
-        """Return the guidance with a landmark before the skin, where one is asked for.
-
-        Parameters
-        ----------
-        guidance : of the skin
-        now_s : host's monotonic clock, seconds, when it is seen
-        """
+        """Return the guidance of the skin with a landmark before it, where one is asked for; `now_s` as for `SessionGuide`."""
         here = self._key(snapshot.pose, snapshot.link_from_sensor)
         if here != self._stance:
             self._stance, self._stance_s = here, now_s if self._stance and not self._is_named(here) else -np.inf
@@ -216,12 +191,8 @@ class LandmarkGuide:
         if known != self._known:
             self._known = known
             self._targets = self._plan(snapshot) if still else []
-            now = self._target
-            if now is None:
-                self._shown = guidance
-            else:
-                gain = self._gain_of(snapshot)
-                self._shown = guidance.before_skin(now, self._normal(now.landmark), gain)
+            now = self._targets[0] if self._targets else None
+            self._shown = now and guidance.before_skin(now, self._normal(now.landmark), self._gain_of(snapshot))
         return self._shown or guidance
 
     def _is_named(self, pose: str) -> bool:
@@ -230,10 +201,6 @@ class LandmarkGuide:
 
     def _key(self, pose: str, link_from_sensor: FloatArray | None) -> str:
         return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
-
-    @property
-    def _target(self) -> LandmarkTarget | None:
-        return self._targets[0] if self._targets else None
 
     def _plan(self, snapshot: Snapshot) -> list[LandmarkTarget]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
@@ -267,34 +234,27 @@ class LandmarkGuide:
 
     def skip(self, *, all_of_pose: bool = False) -> None:
         """Ask for that landmark no more in this arm pose, or for none."""
-        if self._target is not None:
-            if all_of_pose:
-                self._round.leave_out(self._stance)
-            else:
-                self._round.skip(self._target.landmark.name, self._stance)
+        if self._targets and all_of_pose:
+            self._round.leave_out(self._stance)
+        elif self._targets:
+            self._round.skip(self._targets[0].landmark.name, self._stance)
         self._known = ()
 
     def _normal(self, landmark: Landmark) -> FloatArray:
         """Return the outward normal at a landmark: its own, else the surface's, else away from the skin's middle."""
-        key = landmark.place.tobytes()
+        key, place = landmark.place.tobytes(), landmark.place
         if key not in self._normals:
             (found,) = landmark_normals([landmark], self._surface)
-            self._normals[key] = self._outward_at(landmark.place) if found is None else found
+            if found is None:
+                away = place - self._taxels.mean(axis=0) if len(self._taxels) else place
+                size = float(np.linalg.norm(away))
+                found = away / size if size > 0 else np.array([0.0, 0.0, 1.0])
+            self._normals[key] = found
         return self._normals[key]
-
-    def _outward_at(self, place: FloatArray) -> FloatArray:
-        away = place - self._taxels.mean(axis=0) if len(self._taxels) else place
-        size = float(np.linalg.norm(away))
-        return away / size if size > 0 else np.array([0.0, 0.0, 1.0])
 
 
 class ModulesEnough:
-    """Notices once that the modules method needs no more pokes, while the method that is shown asks for hundreds.
-
-    Parameters
-    ----------
-    plan : where the layout puts the taxels
-    """
+    """Notices once that the modules method needs no more pokes, while the method that is shown asks for hundreds."""
 
     def __init__(self, plan: PlannedPlaces) -> None:
         self._plan, self._settings = plan, GuideSettings()
@@ -304,11 +264,7 @@ class ModulesEnough:
     def is_news(self, snapshot: Snapshot, revision: int, guidance: Guidance | None, method: Method, *, streaming: bool) -> bool:
         """Return whether it is enough by the modules method, and was not noticed before.
 
-        Parameters
-        ----------
-        revision : another number where pokes, estimates or dead taxels changed
-        guidance : by the method that is shown; None where nobody guides
-        streaming : the devices are read
+        `guidance` is by the method that is shown, None where nobody guides; `streaming` says that the devices are read.
         """
         asked = guidance is not None and guidance.phase is not GuidePhase.ENOUGH
         # Seen by that method, it is no news any more.
@@ -345,9 +301,3 @@ def plan_of(part: Part) -> PlannedPlaces:
 def _contacts(snapshot: Snapshot) -> dict[int, Contact]:
     """Return the contacts that count, by the number of their poke."""
     return {contact.poke: contact for contact in snapshot.contacts}
-
-
-def _rejections(snapshot: Snapshot) -> dict[int, Rejection]:
-    """Return the pokes that do not count by themselves, by their number."""
-    outcomes = (record.outcome for record in snapshot.pokes)
-    return {outcome.poke: outcome for outcome in outcomes if isinstance(outcome, Rejection)}

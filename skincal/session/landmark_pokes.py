@@ -28,70 +28,49 @@ ON_SURFACE = 0.010
 
 
 class SessionLandmarks:
-    """Known points of the part, and the pokes that were there.
-
-    Parameters
-    ----------
-    landmarks : of the scene
-    """
+    """Known points of the part, those of the scene first, and the pokes that were there."""
 
     def __init__(self, landmarks: tuple[Landmark, ...]) -> None:
         self.landmarks = landmarks
-        self._named: dict[int, str] = {}
+        self._named: Mapping[int, str] = {}
 
     def named(self, outcome: Callable[[int], Outcome | None]) -> Mapping[int, str]:
         """Return the number of each poke that was at a landmark and has an axis, and the landmark's name.
 
-        Parameters
-        ----------
-        outcome : gives what a poke ended as, by its number
+        `outcome` gives what a poke ended as, by its number.
         """
         known = (found for found in map(outcome, self._named) if found is not None)
         return {poke.poke: poke.name for poke in self.pokes(known)}
 
     def add(self, action: AddLandmark) -> Step:
-        """Take another landmark; return how it is taken back.
-
-        Raises
-        ------
-        InputError
-            The name is empty or taken, or the place is no place in metres.
-        """
+        """Take another landmark, return how it is taken back; InputError for a name that is taken, a place that is none."""
         place = np.array([action.x, action.y, action.z])
         if not action.name.strip() or any(action.name == landmark.name for landmark in self.landmarks):
             raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
         if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
             raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")
-        before = self.landmarks
-        self.landmarks = (*before, Landmark(action.name, place, None))
+        return self._set(f"landmark {action.name}", (*self.landmarks, Landmark(action.name, place, None)), self._named)
+
+    def _set(self, words: str, landmarks: tuple[Landmark, ...], named: Mapping[int, str]) -> Step:
+        before = self.landmarks, self._named
 
         def take_back() -> None:
-            self.landmarks = before
+            self.landmarks, self._named = before
 
-        return Step(f"landmark {action.name}", take_back)
+        self.landmarks, self._named = landmarks, named
+        return Step(words, take_back)
 
     def put(self, action: AtLandmark | FoundAtLandmark, outcome: Outcome | None) -> Step:
-        """Say at which landmark a poke was; return how that is taken back.
-
-        Raises
-        ------
-        InputError
-            There is no such landmark or poke, or nothing is known of the poke's axis.
-        """
+        """Say at which landmark a poke was, return how that is taken back; InputError where one is missing, or has no axis."""
         self.check_name(action.name)
         if action.name and (outcome is None or poke_at(outcome, self.landmarks[0]) is None):
             raise InputError(
                 f"Poke {action.poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered."
             )
-        before = dict(self._named)
-        self._named.pop(action.poke, None)
+        named = {poke: name for poke, name in self._named.items() if poke != action.poke}
         if action.name:
-            self._named[action.poke] = action.name
-
-        def take_back() -> None:
-            self._named = before
-
-        return Step(f"poke {action.poke} at {action.name or 'no landmark'}", take_back)
+            named[action.poke] = action.name
+        return self._set(f"poke {action.poke} at {action.name or 'no landmark'}", self.landmarks, named)
 
     def check_name(self, name: str) -> None:
         """Refuse a landmark that is not there with an InputError; an empty name is none."""
@@ -140,12 +119,7 @@ class LandmarkFinder:
 
 
 def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:
-    """Return those of `outcomes` that were at a landmark, in their order.
-
-    Parameters
-    ----------
-    named : pokes that were at a landmark: number to its name; the landmark may be there no more
-    """
+    """Return those of `outcomes` that were at a landmark, in their order; one of `named`, by their number, may be gone."""
     known = {landmark.name: landmark for landmark in landmarks}
     there = ((outcome, known.get(named.get(outcome.poke, ""))) for outcome in outcomes)
     found = (poke_at(outcome, landmark) for outcome, landmark in there if landmark is not None)

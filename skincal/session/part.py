@@ -39,33 +39,25 @@ class Part:
 
 
 def load_part(path: Path) -> Part:
-    """Load a scene with its mesh and its layout.
-
-    Raises
-    ------
-    InputError
-        The scene or the mesh cannot be used.
-    """
+    """Load a scene with its mesh and its layout; InputError where they cannot be used."""
     scene = load_scene(path)
+    return lay_part(scene, *load_scene_surface(scene))
+
+
+def load_scene_surface(scene: Scene) -> tuple[Surface | None, tuple[str, ...]]:
+    """Return a scene's mesh, None where it has none, and what the loader has to say; InputError where it cannot be used."""
     if scene.surface is None:
-        return lay_part(scene, None, ())
+        return None, ()
     from skincal.mesh.load import load_surface
 
     surface, findings = load_surface(scene.surface)
-    return lay_part(scene, surface, tuple(finding.sentence for finding in findings))
+    return surface, tuple(finding.sentence for finding in findings)
 
 
 def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:
     """Lay the scene's layout on its mesh, which takes a second where the mesh is large.
 
-    Parameters
-    ----------
-    findings : what the mesh loader has to say
-
-    Raises
-    ------
-    InputError
-        The layout does not lie on the surface.
+    `findings` is what the mesh loader has to say. InputError where the layout does not lie on the surface.
     """
     layout = scene.skin.layout
     if layout is None:

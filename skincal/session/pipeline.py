@@ -46,8 +46,6 @@ class Pipeline:
 
     Parameters
     ----------
-    scene : what there is to calibrate
-    links : where the items come from
     surface : the scene's mesh; None leaves out the surface method
     journal : open for writing; None records nothing
     laid : the layout on the part, where it was laid already; else it is laid when the first landmark poke needs it
@@ -62,7 +60,6 @@ class Pipeline:
         laid: LaidSkin | None = None,
     ) -> None:
         self.scene = scene
-        self.links = tuple(links)
         self.session = Session(scene, surface)
         self.journal = journal
         self.journal_failure = ""
@@ -72,28 +69,26 @@ class Pipeline:
         self._detector = ContactDetector(scene)
         self._dead = self._detector.dead
         self._doubts: dict[int, Doubt] = {}
-        self._intake = Intake(scene.skin.channels, links)
-        self._poses = _Poses(scene)
         self.laid = laid
         """The layout on the part; None where it was not laid yet, or where it lies nowhere."""
-        self._landmarks = LandmarkFinder(self._taxel_places)
         self._earlier = Totals()
-        self._totals_ns: int | None = None
         self._now_ns = 0
         self._found_dead = False
-        self._away: set[str] = set()
-        self._decoded_ns = 0
-        self._decoded_s = -np.inf
+        self._connect(links)
+
+    def _connect(self, links: Sequence[LinkSpec]) -> None:
+        """Begin with what comes from these links; nothing is known of what came from others."""
+        self.links = tuple(links)
+        self._intake = Intake(self.scene.skin.channels, links)
+        self._poses = _Poses(self.scene)
+        self._landmarks = LandmarkFinder(self._taxel_places)
+        self._totals_ns: int | None = None
+        self._away = set[str]()
+        self._decoded_ns, self._decoded_s = 0, -np.inf
         self._show_pose(None)
 
     def feed(self, item: Chunk | LinkEvent) -> None:
-        """Take the next item of the queue, the journal or a recording.
-
-        Raises
-        ------
-        InputError
-            It is of a link that was not described.
-        """
+        """Take the next item of the queue, the journal or a recording; InputError for a link that was not described."""
         self._intake.check(item)  # before anything is recorded
         outcomes: list[Outcome] = []
         try:
@@ -120,13 +115,7 @@ class Pipeline:
                 self._doubts[outcome.poke] = doubt
 
     def act(self, action: Action, host_ns: int) -> None:
-        """Do what the operator wants, and record it.
-
-        Raises
-        ------
-        InputError
-            It cannot be done; nothing is changed and nothing recorded.
-        """
+        """Do what the operator wants, and record it; InputError, and nothing done, where that cannot be."""
         self.session.act(action)
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
@@ -172,13 +161,7 @@ class Pipeline:
         return self._earlier.plus(self._intake.health(0), self._intake.unpaired)
 
     def demand_record(self) -> None:
-        """Make sure that everything is recorded, so that another segment may follow.
-
-        Raises
-        ------
-        InputError
-            The disk refused before: this pipeline holds what no segment does.
-        """
+        """Raise InputError if the disk refused before: this pipeline holds what no segment does, and none may follow."""
         if self.journal_failure:
             raise InputError(
                 "What happened since the disk refused is not recorded, so this session cannot be recorded on as it stands: "
@@ -194,37 +177,22 @@ class Pipeline:
         Parameters
         ----------
         links : where the items come from now; as before if None
-        journal : the new segment; None records nothing
-
-        Raises
-        ------
-        InputError
-            A journal cannot go on from here; see `demand_record`.
+        journal : the new segment, which is refused as by `demand_record`; None records nothing
         """
         if journal is not None and self.journal_failure:
             journal.close()
             self.demand_record()
         self._earlier = self.totals()
         self.session.settle()
-        self.links = self.links if links is None else tuple(links)
-        self._intake = Intake(self.scene.skin.channels, self.links)
-        self._poses = _Poses(self.scene)
-        self._show_pose(None)
-        self._away.clear()
-        self._decoded_ns, self._decoded_s = 0, -np.inf
-        self._totals_ns = None
-        self._landmarks = LandmarkFinder(self._taxel_places)
+        self._connect(self.links if links is None else links)
         self.journal = journal
         self.renew_detector()
 
     def renew_detector(self) -> None:
         """Let a new detector take the session up as it stands."""
         session = self.session
-        doubts = [
-            (doubt, outcome)
-            for number, doubt in sorted(self._doubts.items())
-            if (outcome := session.outcome(number)) is not None
-        ]
+        known = ((doubt, session.outcome(number)) for number, doubt in sorted(self._doubts.items()))
+        doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
         self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
         self._dead = self._detector.dead
         for outcome in self._detector.use_all_but(session.dead.keys()):
@@ -282,26 +250,22 @@ class Pipeline:
     def _taxel_places(self) -> Mapping[int, FloatArray]:
         """Return where the layout puts each taxel, (3,) float, metres, by its channel; none where it does not."""
         layout = self.scene.skin.layout
-        if layout is None:
-            return {}
-        if self.laid is None:
+        if self.laid is None and layout is not None:
             from skincal.mesh.lay import lay  # it costs a second on a large mesh, and few sessions need it
 
             self.laid = lay(layout, self.scene.skin.anchor, self.session.surface)
-        laid = self.laid
-        if laid is None:
+        if self.laid is None or layout is None:
             return {}
-        return {
-            channel: laid.places[channel] for channel in layout.channels.tolist() if np.isfinite(laid.places[channel]).all()
-        }
+        places = self.laid.places
+        return {channel: places[channel] for channel in layout.channels.tolist() if np.isfinite(places[channel]).all()}
 
     def _totals_due(self, item: Item) -> bool:
         if self._totals_ns is None:
             self._totals_ns = item.host_ns
-        due = isinstance(item, Ending) or item.host_ns - self._totals_ns >= TOTALS_NS
-        if due:
-            self._totals_ns = item.host_ns
-        return due
+        if not isinstance(item, Ending) and item.host_ns - self._totals_ns < TOTALS_NS:
+            return False
+        self._totals_ns = item.host_ns
+        return True
 
     def _breaks(self, event: LinkEvent) -> bool:
         """Return whether an event interrupts the samples: a needed link vanished, or the last of a recording ended."""
@@ -349,44 +313,32 @@ class _Poses:
     """The arm's pose as it holds: chosen, streamed, or the only one there is."""
 
     def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+        self._arm, self._fixed = scene.arm, scene.sensor_pose
         self._chosen: dict[str, FloatArray] = {}
         self._angles: FloatArray | None = None
         self._streamed: tuple[str, FloatArray] | None = None
         self.current: tuple[str, FloatArray | None] = ("", None)
 
     def at(self, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
-        """Return name and link_from_sensor.
+        """Return name and link_from_sensor, of the pose that the operator chose, if any, or of (joints,) streamed, radians.
 
-        Parameters
-        ----------
-        chosen : name of the pose that the operator chose; empty if none
-        angles : (joints,) float, radians, streamed; None keeps the last
+        Without `angles` the last that were streamed hold.
         """
-        arm = self._scene.arm
-        if arm is None:
-            self.current = "", self._scene.sensor_pose
-            return self.current
-        if angles is not None:
-            self._stream(arm, angles[list(arm.arm.joints)])
-        if not chosen and self._streamed is not None:
-            self.current = self._streamed
-        elif not chosen and len(arm.poses) == 1:
-            self.current = self._named(arm, next(iter(arm.poses)))
-        else:
-            self.current = self._named(arm, chosen) if chosen else ("", None)
+        self.current = ("", self._fixed) if self._arm is None else self._of(self._arm, chosen, angles)
         return self.current
 
-    def _named(self, arm: ArmSpec, name: str) -> tuple[str, FloatArray]:
-        if name not in self._chosen:
+    def _of(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
+        if angles is not None:
+            angles = angles[list(arm.arm.joints)]
+            if self._angles is None or not np.array_equal(angles, self._angles):
+                self._angles = angles
+                self._streamed = _pose_name(arm, angles), arm.arm.link_from_sensor(angles)
+        if not chosen and self._streamed is not None:
+            return self._streamed
+        name = chosen or (next(iter(arm.poses)) if len(arm.poses) == 1 else "")
+        if name and name not in self._chosen:
             self._chosen[name] = arm.arm.link_from_sensor(arm.poses[name])
-        return name, self._chosen[name]
-
-    def _stream(self, arm: ArmSpec, angles: FloatArray) -> None:
-        if self._angles is not None and np.array_equal(angles, self._angles):
-            return
-        self._angles = angles
-        self._streamed = _pose_name(arm, angles), arm.arm.link_from_sensor(angles)
+        return name, self._chosen.get(name)
 
 
 def _pose_name(arm: ArmSpec, angles: FloatArray) -> str:

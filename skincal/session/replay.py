@@ -6,10 +6,9 @@ long as neither the scene nor the detector changed since.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from skincal.journal.documents import Ending, SegmentMark, Taken, Totals
 from skincal.journal.lock import SessionLock
@@ -17,40 +16,26 @@ from skincal.journal.reader import LogItem, LogState, SessionLog, recover_sessio
 from skincal.journal.writer import open_segment
 from skincal.model.actions import FoundAtLandmark, Stamped
 from skincal.model.errors import InputError
-from skincal.model.scene import Scene, with_layout
+from skincal.model.scene import with_layout
+from skincal.session.part import load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 
-if TYPE_CHECKING:
-    from skincal.mesh.surface import Surface
-
 _MISFIT = "An action of the operator no longer fits and is left out"
-MAX_PAUSE_S = 1.0
-"""s. Longest pause of a replay at speed: between segments, and where a device was silent, nothing happens."""
 
 
-def replay(
-    folder: Path, speed: float | None = None, stop: Callable[[], bool] = lambda: False, layout: Path | None = None
-) -> Pipeline:
+def replay(folder: Path, layout: Path | None = None) -> Pipeline:
     """Play a session again into a pipeline of its own; nothing in the folder changes.
 
-    Parameters
-    ----------
-    folder : of the session
-    speed : times real time; None as fast as it goes
-    stop : asked after each item; true ends the replay early
-    layout : file of a layout that takes the place of the scene's
-
-    Returns
-    -------
-    The pipeline, with the estimates of the live session to the last bit, and `findings` on damage.
+    The pipeline has the estimates of the live session to the last bit, and `findings` on damage. The file of a layout takes
+    the place of the scene's.
 
     Raises
     ------
     InputError
         The folder is not a session, or its scene or mesh cannot be read.
     """
-    return _played(SessionLog(folder), layout, speed, stop)
+    return _played(SessionLog(folder), layout)
 
 
 def load(folder: Path, layout: Path | None = None) -> Pipeline:
@@ -58,24 +43,14 @@ def load(folder: Path, layout: Path | None = None) -> Pipeline:
 
     Where the bytes must be played after all, they are: the session is older than the notes, or its scene was changed since.
 
-    Parameters
-    ----------
-    layout : file of a layout that takes the place of the scene's; pokes are as they were judged with that one
-
-    Returns
-    -------
-    The pipeline, with the estimates of the live session to the last bit; `findings` on damage. A streamed arm pose is unknown
-    until joints are streamed again.
-
-    Raises
-    ------
-    InputError
-        As for `replay`.
+    All else is as for `replay`, but with the file of another layout pokes are as they were judged with the scene's, and a
+    streamed arm pose is unknown until joints are streamed again.
     """
     return _load(SessionLog(folder), layout)
 
 
 def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
+    # What was made of the bytes holds for the scene that it was made with; the oldest sessions hold bytes alone.
     if log.scene_changed or not log.has_notes:
         return _played(log, layout)
     pipeline = _new_pipeline(log, layout)
@@ -95,25 +70,22 @@ def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
 def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
     """Return an empty pipeline for a session, with the layout of a file where one is given."""
     scene = log.scene if layout is None else with_layout(log.scene, layout)
-    return Pipeline(scene, log.links, _surface(scene))
+    return Pipeline(scene, log.links, load_scene_surface(scene)[0])
 
 
 def _load_step(pipeline: Pipeline, item: LogState) -> None:
-    if isinstance(item, SegmentMark):
-        if item.number > 1:
-            pipeline.begin_segment(item.links)
-    elif isinstance(item, Stamped):
+    if isinstance(item, Stamped):
         pipeline.session.act(item.action)
     elif isinstance(item, Taken | Totals):
         pipeline.take(item)
+    elif isinstance(item, SegmentMark):
+        step(pipeline, item)
 
 
 def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     """Take a session up where it stopped: recovered if it was cut off, loaded, and open in a new segment.
 
-    Parameters
-    ----------
-    links : where readings come from now; those of the last segment if None
+    Without `links` readings come from those of the last segment.
 
     Raises
     ------
@@ -122,19 +94,14 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     """
     SessionLog(folder)  # says what is wrong before anything is changed
     lock = SessionLock(folder)
-    try:
-        return _resume(folder, links, lock)
-    except BaseException:
-        lock.release()
-        raise
-
-
-def _resume(folder: Path, links: Sequence[LinkSpec] | None, lock: SessionLock) -> Pipeline:
-    said = recover_session(folder)
-    pipeline = _load(SessionLog(folder, own=True))
-    links = pipeline.links if links is None else tuple(links)
-    pipeline.begin_segment(links, open_segment(folder, pipeline.scene, links, lock))
-    pipeline.findings = (*said, *pipeline.findings)
+    with ExitStack() as at_failure:
+        at_failure.callback(lock.release)
+        said = recover_session(folder)
+        pipeline = _load(SessionLog(folder, own=True))
+        links = pipeline.links if links is None else tuple(links)
+        pipeline.begin_segment(links, open_segment(folder, pipeline.scene, links, lock))
+        pipeline.findings = (*said, *pipeline.findings)
+        at_failure.pop_all()
     return pipeline
 
 
@@ -153,15 +120,10 @@ def step(pipeline: Pipeline, item: LogItem) -> None:
         pipeline.feed(item)
 
 
-def _played(
-    log: SessionLog, layout: Path | None, speed: float | None = None, stop: Callable[[], bool] = lambda: False
-) -> Pipeline:
+def _played(log: SessionLog, layout: Path | None) -> Pipeline:
     pipeline = _new_pipeline(log, layout)
-    pace = None if speed is None else _Pace(speed)
     misfits: list[str] = []
     for item in log.items():
-        if pace is not None:
-            pace.wait(item.host_ns)
         try:
             step(pipeline, item)
         except InputError as error:
@@ -169,33 +131,5 @@ def _played(
                 raise
             # Thresholds of the scene that were changed since may have made another thing of a poke.
             misfits.append(f"{_MISFIT}: {error}")
-        if stop():
-            break
     pipeline.findings = (*log.findings, *misfits)
     return pipeline
-
-
-class _Pace:
-    """Waits until an item is due."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-        self._due_s = time.monotonic()
-        self._last_ns: int | None = None
-
-    def wait(self, host_ns: int) -> None:
-        if self._last_ns is not None:
-            passed_s = max(0.0, (host_ns - self._last_ns) * 1e-9)
-            self._due_s += min(passed_s, MAX_PAUSE_S) / self._speed
-        self._last_ns = host_ns
-        ahead_s = self._due_s - time.monotonic()
-        if ahead_s > 0:
-            time.sleep(ahead_s)
-
-
-def _surface(scene: Scene) -> Surface | None:
-    if scene.surface is None:
-        return None
-    from skincal.mesh.load import load_surface
-
-    return load_surface(scene.surface)[0]

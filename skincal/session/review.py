@@ -24,6 +24,7 @@ from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
 from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
+from skincal.session.part import load_scene_surface
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
@@ -115,12 +116,7 @@ class Asked:
 
 
 class Reviewer:
-    """Follows a session by what changes.
-
-    Parameters
-    ----------
-    scene, surface : of the session
-    """
+    """Follows a session by what changes."""
 
     def __init__(self, scene: Scene, surface: Surface | None) -> None:
         self._scene, self._surface = scene, surface
@@ -143,12 +139,7 @@ class Reviewer:
         self._newest = change
 
     def review(self, between: Callable[[], None]) -> Review:
-        """Return what the pokes say.
-
-        Parameters
-        ----------
-        between : called every tenth of a second or so; may raise to give up
-        """
+        """Return what the pokes say; `between` is called every tenth of a second or so, and may raise to give up."""
         newest = self._newest
         if newest is None:
             raise ValueError("nothing was asked yet")
@@ -191,19 +182,9 @@ class ReviewedPart:
     mesh_sha256: str | None
 
     def load_surface(self) -> Surface | None:
-        """Load the mesh.
-
-        Raises
-        ------
-        InputError
-            It is gone, or another than the session's.
-        """
-        if self.scene.surface is None:
-            return None
-        from skincal.mesh.load import load_surface
-
-        surface, _ = load_surface(self.scene.surface)
-        if surface.sha256 != self.mesh_sha256:
+        """Load the mesh; InputError where it is gone, or another than the session's."""
+        surface, _ = load_scene_surface(self.scene)
+        if surface is not None and self.scene.surface is not None and surface.sha256 != self.mesh_sha256:
             raise InputError(f"{self.scene.surface.path}: the mesh changed since the session was opened; open it again.")
         return surface
 
@@ -229,13 +210,8 @@ def review_change(session: str, part: ReviewedPart | None, change: Change, wante
     Parameters
     ----------
     session : a name of it, unlike any other's
-    part : where the change holds everything; else None
+    part : where the change holds everything, else None; `InputError` as for its `load_surface`
     wanted : returns whether this change is the newest; the work on another is given up, unless it has taken long
-
-    Raises
-    ------
-    InputError
-        The mesh is gone, or another than the session's.
     """
     if part is not None:
         _reviewers.clear()

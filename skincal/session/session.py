@@ -40,7 +40,7 @@ from skincal.session.corrections import Corrections
 from skincal.session.landmark_pokes import SessionLandmarks
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
-from skincal.session.undo import History, PokeStep, Step
+from skincal.session.undo import History, Step
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
@@ -57,7 +57,6 @@ class Session:
 
     Parameters
     ----------
-    scene : what there is to calibrate
     surface : the scene's mesh; None leaves out the surface method, and modules lie free in space
     methods : those that are solved; None for all that the scene has
     """
@@ -75,9 +74,10 @@ class Session:
         self._records: dict[int, PokeRecord] = {}
         self._corrections = Corrections(self._correct_all)
         self._excluded, self._marked, self._revived = set[int](), set[int](), set[int]()
-        self._found: Mapping[int, str] = {}
+        self.found_dead: Mapping[int, str] = {}
+        """Channels that the detector found to be dead, whatever the operator thinks of them."""
         self._known = SessionLandmarks(scene.landmarks)
-        self._history = History()
+        self._history = History(self._excluded.__contains__, lambda poke: self._set_excluded(poke, True))
         self._answers: Counter[int] = Counter()
         """How many contacts that count each channel answered in."""
         layout = scene.skin.layout
@@ -113,14 +113,9 @@ class Session:
         return next(reversed(self._records), 0)
 
     @property
-    def found_dead(self) -> Mapping[int, str]:
-        """Channels that the detector found to be dead, whatever the operator thinks of them."""
-        return self._found
-
-    @property
     def dead(self) -> dict[int, str]:
         """Channels that are not used, with the reason."""
-        dead = {channel: why for channel, why in self._found.items() if channel not in self._revived}
+        dead = {channel: why for channel, why in self.found_dead.items() if channel not in self._revived}
         dead |= dict.fromkeys(self._marked, MARKED)
         return {channel: dead[channel] for channel in sorted(dead)}
 
@@ -152,12 +147,7 @@ class Session:
         return {poke: self._corrections.framed[poke] for poke, record in self._records.items() if not record.excluded}
 
     def corrected_progress(self, progress: Progress, link_from_sensor: FloatArray | None, pose: str) -> Progress:
-        """Return a poke in progress as the corrections in use have it.
-
-        Parameters
-        ----------
-        link_from_sensor : (4, 4) float of the arm pose of that name, as reported; None while unknown
-        """
+        """Return a poke in progress as the corrections in use have it; see `Corrections.of_progress`."""
         force, point = self._corrections.of_progress(progress, link_from_sensor, pose)
         return progress if force is progress.force else replace(progress, force=force, axis_point=point)
 
@@ -166,8 +156,9 @@ class Session:
         before = self._records.get(outcome.poke)
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded))
+        # What comes next can make a rejection of an accepted poke, which is then no step of the operator's any more.
         if now and not was:
-            self._history.add_poke(outcome.poke)
+            self._history.add(outcome.poke)
         if was and not now:
             self._history.forget_poke(outcome.poke)
 
@@ -182,10 +173,14 @@ class Session:
 
     def find_dead(self, found: Mapping[int, str]) -> None:
         """Take the channels that the detector found to be dead, in place of those before."""
-        if found is not self._found and dict(found) != dict(self._found):
-            before = self.dead
-            self._found = dict(found)
-            self._redo_dead(before)
+        if found is self.found_dead or dict(found) == dict(self.found_dead):
+            return
+        before = self.dead
+        self.found_dead = dict(found)
+        now = self.dead
+        known = before.keys() | now.keys()
+        self._solving.taxels_changed(channel for channel in known if before.get(channel) != now.get(channel))
+        self._changed()
 
     def set_current_pose(self, name: str, link_from_sensor: FloatArray | None) -> None:
         """Take the arm pose that holds now, chosen or streamed; it is shown and nothing else."""
@@ -193,7 +188,7 @@ class Session:
         if name == before_name and link_from_sensor is before:
             return
         same = before is not None and link_from_sensor is not None and np.array_equal(before, link_from_sensor)
-        self._current_pose = (name, link_from_sensor)
+        self._current_pose = name, link_from_sensor
         if name != before_name or not same:
             self._changed()
 
@@ -210,20 +205,33 @@ class Session:
             self._known.check_name(action.name)
             return
         if isinstance(action, Undo):
-            self._undo()
-        elif isinstance(action, Exclude | Restore):
-            self._choose_poke(action)
-        elif isinstance(action, SetPose):
-            self._choose_pose(action.name)
-        elif isinstance(action, AddLandmark | AtLandmark | FoundAtLandmark):
-            self._know_landmark(action)
-        elif isinstance(action, Correct):
-            self._history.add(self._corrections.use(action))
-        elif isinstance(action, Uncorrect):
-            self._history.add(self._corrections.drop(action))
+            step = self._history.last(drop=True)
+            if step is None:
+                raise InputError("There is nothing to undo: no poke was accepted and nothing was changed.")
+            step.take_back()
         else:
-            self._choose_channel(action)
+            self._history.add(self._done(action))
         self._changed()
+
+    def _done(self, action: Action) -> Step:
+        """Do an action; return how it is taken back."""
+        match action:
+            case Exclude() | Restore():
+                return self._choose_poke(action)
+            case SetPose():
+                return self._choose_pose(action.name)
+            case AddLandmark():
+                return self._known.add(action)
+            case AtLandmark() | FoundAtLandmark():
+                return self._known.put(action, self.outcome(action.poke))
+            case Correct():
+                return self._corrections.use(action)
+            case Uncorrect():
+                return self._corrections.drop(action)
+            case MarkDead() | Revive():
+                return self._choose_channel(action)
+            case _:
+                raise TypeError(action)
 
     @property
     def unsolved(self) -> int:
@@ -244,7 +252,7 @@ class Session:
         self._solving.solve(channels, self._records.keys(), self._kept, self.dead, math.inf if self._last is None else within_s)
         if self.unsolved and self._last is not None:
             return self._last
-        fresh, last = self._solving.take_fresh(), self._history.last(self._is_excluded)
+        fresh, last = self._solving.take_fresh(), self._history.last()
         # The first snapshot solves every taxel, which is no poke's doing: a session that is opened again shows none as new.
         if len(fresh) and self._generation:
             self._touched = fresh
@@ -335,19 +343,7 @@ class Session:
             self._generation += 1
             self._snapshot = None
 
-    def _is_excluded(self, poke: int) -> bool:
-        return poke in self._excluded
-
-    def _undo(self) -> None:
-        step = self._history.drop_last(self._is_excluded)
-        if step is None:
-            raise InputError("There is nothing to undo: no poke was accepted and nothing was changed.")
-        if isinstance(step, PokeStep):
-            self._set_excluded(step.poke, True)
-        else:
-            step.take_back()
-
-    def _choose_poke(self, action: Exclude | Restore) -> None:
+    def _choose_poke(self, action: Exclude | Restore) -> Step:
         poke, out = action.poke, isinstance(action, Exclude)
         if not isinstance(self.outcome(poke), Contact):
             raise InputError(f"Poke {poke} is not an accepted poke of this session; expected the number of one.")
@@ -355,17 +351,13 @@ class Session:
             raise InputError(f"Poke {poke} {'is already excluded' if out else 'counts already'}.")
         self._set_excluded(poke, out)
         words = f"exclusion of poke {poke}" if out else f"return of poke {poke}"
-        self._history.add(Step(words, lambda: self._set_excluded(poke, not out)))
+        return Step(words, lambda: self._set_excluded(poke, not out))
 
     def _set_excluded(self, poke: int, out: bool) -> None:
         (self._excluded.add if out else self._excluded.discard)(poke)
         self._put(PokeRecord(self._records[poke].outcome, out))
 
-    def _know_landmark(self, action: AddLandmark | AtLandmark | FoundAtLandmark) -> None:
-        added = isinstance(action, AddLandmark)
-        self._history.add(self._known.add(action) if added else self._known.put(action, self.outcome(action.poke)))
-
-    def _choose_pose(self, name: str) -> None:
+    def _choose_pose(self, name: str) -> Step:
         known = {} if self.scene.arm is None else self.scene.arm.poses
         if name and name not in known:
             expected = f"one of {', '.join(known)}" if known else "none, since the scene names no poses"
@@ -375,26 +367,18 @@ class Session:
         def take_back() -> None:
             self.pose = before
 
-        self._history.add(Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back))
+        return Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back)
 
-    def _choose_channel(self, action: MarkDead | Revive) -> None:
-        channel = action.channel
+    def _choose_channel(self, action: MarkDead | Revive) -> Step:
+        channel, mark = action.channel, isinstance(action, MarkDead)
         if not 0 <= channel < self.scene.skin.channels:
             raise InputError(f"Channel {channel} does not exist; expected 0 to {self.scene.skin.channels - 1}.")
-        before = (set(self._marked), set(self._revived))
-        (self._marked.add if isinstance(action, MarkDead) else self._marked.discard)(channel)
-        (self._revived.discard if isinstance(action, MarkDead) else self._revived.add)(channel)
-        self._solving.taxels_changed([channel])
 
-        def take_back() -> None:
-            self._marked, self._revived = before
+        def put(marked: set[int], revived: set[int]) -> None:
+            self._marked, self._revived = marked, revived
             self._solving.taxels_changed([channel])
 
-        words = f"mark of channel {channel}" if isinstance(action, MarkDead) else f"return of channel {channel}"
-        self._history.add(Step(words, take_back))
-
-    def _redo_dead(self, before: Mapping[int, str]) -> None:
-        now = self.dead
-        known = before.keys() | now.keys()
-        self._solving.taxels_changed(channel for channel in known if before.get(channel) != now.get(channel))
-        self._changed()
+        marked, revived, this = self._marked, self._revived, {channel}
+        put(marked | this if mark else marked - this, revived - this if mark else revived | this)
+        words = f"mark of channel {channel}" if mark else f"return of channel {channel}"
+        return Step(words, lambda: put(marked, revived))

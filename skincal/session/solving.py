@@ -34,14 +34,7 @@ def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
 
 
 class Solving:
-    """Solves the taxels that changed, and no others.
-
-    Parameters
-    ----------
-    scene : what there is to calibrate
-    surface : the scene's mesh; None leaves out the surface method, and modules lie free in space
-    methods : those that are solved; None for all that the scene has
-    """
+    """Solves the taxels that changed, and no others; made from what a `Session` is made from."""
 
     def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None) -> None:
         self.methods = tuple(method for method in methods_of(scene, surface) if methods is None or method in methods)
@@ -145,9 +138,7 @@ class Solving:
             moved = carried(self._table, list(estimates.values()), self._noise, self.shared)
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
-            modules, others = (
-                self.module_model.modules_of(channels),
-                [self._alike[method] for method in reversed(self._alone)],
-            )
+            modules = self.module_model.modules_of(channels)
+            others = [self._alike[method] for method in reversed(self._alone)]
             found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead, shared=self.shared)
             self._estimates[Method.MODULES].update(found)

@@ -6,8 +6,6 @@ one place, so none would be rejected but for too little force or too many taxels
 
 from __future__ import annotations
 
-from enum import Enum
-
 import numpy as np
 
 from skincal.contacts.outcome import Contact
@@ -16,7 +14,7 @@ from skincal.model.scene import Landmark
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulate.faults import drift_step, slow_mean_sd
-from skincal.simulate.operator import Habits, LandmarkHabits, aim, place, touches_beside
+from skincal.simulate.operator import Habits, LandmarkHabits, aim, touches_beside
 from skincal.simulate.simulated_rig import PressedPlaces, Rig, Stance, cone_tilts, push_directions, tangents
 
 CYCLE_S = 2.5
@@ -31,15 +29,6 @@ RECIPE_TILT = float(np.radians(28.0))
 """rad. A push of a recipe leans this far from the inward normal: a little less than friction holds."""
 RECIPE_TURN = float(np.radians(120.0))
 """rad from each round of a recipe to the next: after three the lean has been to all sides."""
-RECIPE_HAND = float(np.radians(6.0))
-"""rad, sd of the push about the one asked for, in each direction: a hand without a guide. Assumed."""
-
-
-class TareTiming(Enum):
-    """When the sensor's offset is taken."""
-
-    POKE = "around every poke"
-    SESSION = "once, at the start"
 
 
 def simulate_contacts(
@@ -48,24 +37,19 @@ def simulate_contacts(
     rng: np.random.Generator,
     pose: str | None = None,
     first_poke: int = 1,
-    tare: TareTiming = TareTiming.POKE,
     habits: Habits | None = None,
 ) -> list[Contact]:
     """Return the contacts that pokes end as, in their order; those that no taxel answers are left out.
 
-    Parameters
-    ----------
-    pokes : n places, pressed one after another; from `operator.aim`
-    pose : name of the arm pose; the scene's first for None
-    first_poke : number of the first poke
-    habits : how often a second place is touched too (`touches_beside`), never for None. All else is drawn as without, so
-        that two sessions differ in these pokes alone.
+    Habits say how often a second place is touched too (`touches_beside`), never for None. All else is drawn as without, so
+    that two sessions differ in these pokes alone.
     """
     stance = rig.stance(pose)
+    # A spawned generator leaves what `rng` draws as it is.
     (accidents,) = rng.spawn(1)
     doubled, seconds = touches_beside(rig, pokes, habits or Habits.careful(), accidents)
     wrenches = _mean_wrenches(rig, pokes, stance, rng)
-    noise, change = _tared_noise(rig, len(pokes), rng, tare)
+    noise, change = _tared_noise(rig, len(pokes), rng)
     wrenches = wrenches + noise
     wrenches[doubled] += _mean_wrenches(rig, seconds, stance, accidents)
     answers = _answers(rig, pokes, rng)
@@ -99,29 +83,10 @@ def simulate_contacts(
     return contacts
 
 
-def pressed(
-    rig: Rig, pokes: PressedPlaces, rng: np.random.Generator, pose: str | None = None, tare: TareTiming = TareTiming.POKE
-) -> FloatArray:
-    """Return (n, 6) what the sensor makes of pokes anywhere on the part, tared, N and N m, whatever taxels answer."""
-    return _mean_wrenches(rig, pokes, rig.stance(pose), rng) + _tared_noise(rig, len(pokes), rng, tare)[0]
-
-
 def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> PressedPlaces:
     """Return unguided pokes, `per_taxel` at each taxel, each round in a new random order."""
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
     return aim(rig, targets, habits or Habits.careful(), rng)
-
-
-def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> PressedPlaces:
-    """Return pokes by a printed recipe, `per_taxel` at each taxel: round by round, tilted, the tilt turned with each round."""
-    habits = habits or Habits.careful()
-    targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
-    count = len(targets)
-    turns = RECIPE_TURN * np.repeat(np.arange(per_taxel), len(rig.channels))
-    tilts = np.clip(RECIPE_TILT + RECIPE_HAND * rng.standard_normal(count), 0.0, np.pi / 4)
-    azimuths = turns + RECIPE_HAND / np.sin(RECIPE_TILT) * rng.standard_normal(count)
-    beside = habits.aim * rng.standard_normal((count, 2))
-    return place(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
 
 
 def _answers(rig: Rig, pokes: PressedPlaces, rng: np.random.Generator) -> list[tuple[IntArray, FloatArray]]:
@@ -134,12 +99,12 @@ def _answers(rig: Rig, pokes: PressedPlaces, rng: np.random.Generator) -> list[t
     return [(rows[i], answers[i]) for i in range(len(rows))]
 
 
-def _both(rig: Rig, one: tuple[IntArray, FloatArray], other: tuple[IntArray, FloatArray]) -> tuple[IntArray, FloatArray]:
+def _both(rig: Rig, first: tuple[IntArray, FloatArray], other: tuple[IntArray, FloatArray]) -> tuple[IntArray, FloatArray]:
     """Return the answers to two touches at once."""
     answers = np.zeros(len(rig.channels))
-    answers[one[0]] += one[1]
+    answers[first[0]] += first[1]
     answers[other[0]] += other[1]
-    rows = np.union1d(one[0], other[0])
+    rows = np.union1d(first[0], other[0])
     return rows, answers[rows]
 
 
@@ -158,14 +123,11 @@ def _window_noise(rig: Rig, count: int, seconds: float, rng: np.random.Generator
     return np.hypot(white, slow_mean_sd(errors, seconds)) * rng.standard_normal((count, 6))
 
 
-def _tared_noise(rig: Rig, count: int, rng: np.random.Generator, tare: TareTiming) -> tuple[FloatArray, FloatArray]:
-    """Return (n, 6) noise and drift that a tare leaves, and (n,) by how many newtons the tares differ."""
-    settings, step = rig.scene.contacts, drift_step(rig.errors)
+def _tared_noise(rig: Rig, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return (n, 6) noise and drift that a tare around every poke leaves, and (n,) by how many newtons the tares differ."""
+    settings = rig.scene.contacts
     still = _window_noise(rig, count, settings.still_s, rng)
-    if tare is TareTiming.SESSION:
-        walk = np.cumsum(step * np.sqrt(CYCLE_S) * rng.standard_normal((count, 6)), axis=0)
-        return still + walk - _window_noise(rig, 1, settings.quiet_s, rng), np.full(count, np.nan)
-    walk = step * np.sqrt(TARE_TO_STILL_S)
+    walk = drift_step(rig.errors) * np.sqrt(TARE_TO_STILL_S)
     before = _window_noise(rig, count, settings.quiet_s, rng) - walk * rng.standard_normal((count, 6))
     after = _window_noise(rig, count, settings.quiet_s, rng) + walk * rng.standard_normal((count, 6))
     return still - (before + after) / 2, np.linalg.norm((after - before)[:, :3], axis=1)
@@ -178,35 +140,29 @@ def poke_landmarks(
     rng: np.random.Generator,
     first_poke: int = 1,
     beside: FloatArray | None = None,
-    habits: LandmarkHabits | None = None,
 ) -> list[LandmarkPoke]:
     """Return pokes at the landmarks in turn, so many in each arm pose of the rig.
 
-    Parameters
-    ----------
-    landmarks : of the scene; one at least
-    first_poke : number of the first
-    beside : (n,) float, metres, how far each poke lies off its landmark by mistake; none for None
+    `beside` (n,), metres, is how far each poke lies off its landmark by mistake; none for None.
     """
     found: list[LandmarkPoke] = []
     for pose in rig.stances:
         wanted = [landmarks[(len(found) + i) % len(landmarks)] for i in range(per_pose)]
         number = first_poke + len(found)
         off = np.zeros(per_pose) if beside is None else beside[len(found) : len(found) + per_pose]
-        pokes = _aimed(rig, wanted, off, rng, habits or LandmarkHabits())
-        wrenches, stance = pressed(rig, pokes, rng, pose), rig.stance(pose)
+        pokes = _aimed(rig, wanted, off, rng)
+        stance = rig.stance(pose)
+        wrenches = _mean_wrenches(rig, pokes, stance, rng) + _tared_noise(rig, per_pose, rng)[0]
         found += [
-            LandmarkPoke(number + i, one.name, one.place, wrench[:3], wrench[3:], stance.reported, stance.name)
-            for i, (one, wrench) in enumerate(zip(wanted, wrenches, strict=True))
+            LandmarkPoke(number + i, landmark.name, landmark.place, wrench[:3], wrench[3:], stance.reported, stance.name)
+            for i, (landmark, wrench) in enumerate(zip(wanted, wrenches, strict=True))
         ]
     return found
 
 
-def _aimed(
-    rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Generator, habits: LandmarkHabits
-) -> PressedPlaces:
+def _aimed(rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Generator) -> PressedPlaces:
     """Return one poke at each of `wanted`, `off` metres (n,) beside it and by the hand's aim."""
-    count = len(wanted)
+    habits, count = LandmarkHabits(), len(wanted)
     places = np.array([landmark.place for landmark in wanted])
     up = np.array([0.0, 0.0, 1.0])
     normals = np.array([up if normal is None else normal for normal in landmark_normals(wanted, rig.surface)])

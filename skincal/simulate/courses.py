@@ -24,7 +24,7 @@ from skincal.guide.progress import GuideSettings
 from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
-from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, TareTiming, simulate_contacts
+from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits, aim
 from skincal.simulate.simulated_rig import PressedPlaces, Rig, by_hand, cone_tilts, held, push_directions, tangents
@@ -58,12 +58,9 @@ class Conditions:
     @property
     def errors(self) -> RigErrors:
         """The rig's."""
-        good = RigErrors.noise()
-        moment = good.drift_moment / good.drift_force if good.drift_force else 0.024
-        return replace(
-            good, mount_shift=BESIDE / float(np.sqrt(2.0)), mount_turn=0.0, drift_force=self.drift,
-            drift_moment=self.drift * moment,
-        )  # fmt: skip
+        beside = replace(RigErrors.noise(), mount_shift=BESIDE / float(np.sqrt(2.0)), mount_turn=0.0)
+        # N m to N as the ranges of the FT45, 35 N m to 1500 N.
+        return replace(beside, drift_force=self.drift, drift_moment=self.drift * 0.024)
 
 
 def rig_beside(part: Bench, conditions: Conditions, seed: int) -> Rig:
@@ -82,24 +79,22 @@ class MeantPokes:
 
 
 def poked(
-    part: Bench, rig: Rig, wish: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
+    part: Bench, rig: Rig, meant: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
 ) -> tuple[list[Contact], PressedPlaces]:
-    """Return the contacts that a hand makes of a wish, and where they were; the first has the number `first`."""
-    count = len(wish.places)
-    on, triangles = nearest_points(part.surface, wish.places)
+    """Return the contacts that a hand makes of the pokes it means, and where they were; the first has the number `first`."""
+    count = len(meant.places)
+    on, triangles = nearest_points(part.surface, meant.places)
     e1, e2 = tangents(part.surface.normals[triangles])
     beside = conditions.aim * rng.standard_normal((count, 2))
     points, triangles = nearest_points(part.surface, on + beside[:, :1] * e1 + beside[:, 1:] * e2)
     normals = part.surface.normals[triangles]
-    pushes = held(by_hand(wish.pushes, conditions.hand, rng), normals, conditions.usable)
+    pushes = held(by_hand(meant.pushes, conditions.hand, rng), normals, conditions.usable)
     pokes = PressedPlaces(
         np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
     )
     habits = replace(Habits.careful(), double_rate=conditions.doubled)
-    return simulate_contacts(rig, pokes, rng, POSE, first, TareTiming.POKE, habits), pokes
+    return simulate_contacts(rig, pokes, rng, POSE, first, habits), pokes
 
-
-# ---- ways that follow no measurement ----
 
 PokingWay: TypeAlias = Callable[[Bench, Conditions, int, np.random.Generator], MeantPokes]
 """Gives so many pokes."""
@@ -120,7 +115,7 @@ def _rounds(part: Bench, count: int, rng: np.random.Generator) -> IntArray:
 
 
 def clumped(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke as people do who are told nothing: favourite places again and again, along the normal."""
+    """Poke as people do who are asked for nothing: favourite places again and again, along the normal."""
     del conditions
     liked = np.exp(1.5 * rng.standard_normal(len(part.plan.channels)))
     return _straight(part, rng.choice(len(liked), count, p=liked / liked.sum()))
@@ -151,15 +146,8 @@ def tilt_recipe(part: Bench, conditions: Conditions, count: int, rng: np.random.
     return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.usable)), turns)
 
 
-WAYS: dict[str, PokingWay] = {
-    "clumped": clumped,
-    "random": random,
-    "random_sides": random_sides,
-    "round_robin": round_robin,
-    "tilt_recipe": tilt_recipe,
-}
+WAYS: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, random_sides, round_robin, tilt_recipe)}
 """By the name in JSON."""
-
 
 FOLLOWED = ("diversity", "optimal", "guided")
 """Ways that follow what is measured: the taxel whose axes spread least; A-optimal without an end; ours."""
@@ -234,7 +222,8 @@ def run_course(part: Bench, way: str, method: Method, conditions: Conditions, se
         raise ValueError("a course needs a poke")
     session, guidance = last
     if guidance is None:
-        guidance = _guide(part, method).update(_numbered(session), session.snapshot().estimates, session.evidence)
+        contacts = {contact.poke: contact for contact in session.contacts}
+        guidance = _guide(part, method).update(contacts, session.snapshot().estimates, session.evidence)
     done, falsely = _judged(guidance, session.snapshot().estimates[method], rig)
     pokes, mean, p95, spent = (np.array(column) for column in zip(*rows, strict=True))
     return ErrorCourse(pokes.astype(np.int64), mean, p95, spent, done, falsely, enough, given_up)
@@ -265,8 +254,8 @@ def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, li
 def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
     """Return (n,) the taxels' errors, metres."""
     truth = [rig.places[rig.row_of(estimate.channel)] for estimate in estimates]
-    pairs = zip(estimates, truth, strict=True)
-    return np.array([UNKNOWN if one.position is None else np.linalg.norm(one.position - place) for one, place in pairs])
+    found = zip((estimate.position for estimate in estimates), truth, strict=True)
+    return np.array([UNKNOWN if position is None else np.linalg.norm(position - place) for position, place in found])
 
 
 Step = tuple[int, float, Session, Guidance | None]
@@ -276,8 +265,8 @@ def _unguided(
     part: Bench, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as planned before the first poke."""
-    wish = WAYS[way](part, conditions, limit, rng)
-    contacts, pokes = poked(part, rig, wish, conditions, rng, 1)
+    meant = WAYS[way](part, conditions, limit, rng)
+    contacts, pokes = poked(part, rig, meant, conditions, rng, 1)
     session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
     for count in looks(limit).tolist():
@@ -296,11 +285,15 @@ def _followed(
     contacts: dict[int, Contact] = {}
     guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
     for count in range(1, limit + 1):
-        wish = _least_spread(part, session, guidance, conditions) if way == "diversity" else _asked(guidance)
-        if wish is None:
+        if way == "diversity":
+            meant = _least_spread(part, session, guidance, conditions)
+        elif guidance.target is not None:
+            meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
+        else:
             # Enough, says the guide: who goes on all the same pokes what is known worst.
-            wish = _worst(part, guidance)
-        made, pokes = poked(part, rig, wish, conditions, rng, count)
+            worst = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
+            meant = MeantPokes(guidance.places[worst][None], -part.plan.normals[worst][None])
+        made, pokes = poked(part, rig, meant, conditions, rng, count)
         seconds += float(_seconds(np.array([0.0 if hand is None else np.linalg.norm(pokes.points[0] - hand)]))[0])
         hand = pokes.points[0]
         for contact in made:
@@ -315,39 +308,20 @@ def _session(part: Bench, method: Method) -> Session:
 
 
 def _guide(part: Bench, method: Method, forever: bool = False) -> Guide:
-    settings = GuideSettings()
-    settings = replace(settings, sweep=float("inf")) if forever else settings
+    settings = GuideSettings(sweep=float("inf")) if forever else GuideSettings()
     return Guide(part.plan, part.scene.noise, method, part.spacing, settings)
-
-
-def _numbered(session: Session) -> dict[int, Contact]:
-    return {contact.poke: contact for contact in session.contacts}
-
-
-def _asked(guidance: Guidance) -> MeantPokes | None:
-    target = guidance.target
-    return None if target is None else MeantPokes(target.place[None], target.push[None])
-
-
-def _worst(part: Bench, guidance: Guidance) -> MeantPokes:
-    row = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
-    return MeantPokes(guidance.places[row][None], -part.plan.normals[row][None])
 
 
 def _least_spread(part: Bench, session: Session, guidance: Guidance, conditions: Conditions) -> MeantPokes:
     """Poke the taxel whose axes spread least, from the side that the most distant of its pokes came from least."""
     row = int(np.lexsort((guidance.own, guidance.diversity))[0])
-    normal, place = part.plan.normals[row], part.plan.places[row]
-    tries = _tries(normal, conditions.usable)
+    place = part.plan.places[row]
+    tries = directions(part.plan.normals[row : row + 1], min(conditions.usable, GuideSettings().usable_tilt))[0]
     known = session.evidence([int(part.plan.channels[row])])
     if not len(known.channels):
         return MeantPokes(place[None], tries[:1])
     apart = np.abs(tries @ known.directions.T).max(axis=1)
     return MeantPokes(place[None], tries[[int(apart.argmin())]])
-
-
-def _tries(normal: FloatArray, usable: float) -> FloatArray:
-    return directions(normal[None], min(usable, GuideSettings().usable_tilt))[0]
 
 
 def _seconds(ways: FloatArray) -> FloatArray:

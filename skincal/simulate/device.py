@@ -2,8 +2,8 @@
 
 `DeviceTimeline` is the shared core: block after block it asks the operator, computes what each device reads, encodes it,
 and lets each link delay, hold back, lose and damage the bytes. It knows no clock but its own, so it runs in real time
-(`serve`) and as fast as it goes (`session`) with the same bytes. Readings become bytes as makers' boards send them: SKB/1,
-SKT/1 and, for skins too wide for either, delimited text. The formats are those of `skincal.streams.decoders`; nothing is
+(`serve`) and as fast as it goes (`virtual_session`) with the same bytes. Readings become bytes as makers' boards send them:
+SKB/1, SKT/1 and, for skins too wide for either, delimited text. The formats are those of `skincal.streams.decoders`; nothing is
 shared with the decoders, so each checks the other.
 """
 
@@ -12,14 +12,13 @@ from __future__ import annotations
 import binascii
 import heapq
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.simulate.faults import RigErrors, WrenchNoise
 from skincal.simulate.operator import HandPress, Move, Operator, OperatorAction
@@ -69,12 +68,7 @@ class Clock:
 
 
 class LossyLink:
-    """The way from a device to the host: delays, holds back, loses and damages bytes.
-
-    Parameters
-    ----------
-    latency : s
-    """
+    """The way from a device to the host: delays bytes by `latency`, s, and more, holds back, loses and damages them."""
 
     def __init__(self, latency: float, errors: RigErrors, rng: np.random.Generator) -> None:
         self._latency, self._errors, self._rng = latency, errors, rng
@@ -82,16 +76,12 @@ class LossyLink:
         self._held_until = 0.0
 
     def send(self, data: bytes, now: float, seconds: float) -> tuple[float, bytes]:
-        """Return when bytes sent at `now` arrive, seconds, and what arrives.
-
-        Parameters
-        ----------
-        seconds : length of the block, for rates per second
-        """
+        """Return when a block of so many seconds, sent at `now`, arrives, and what arrives."""
         errors, rng = self._errors, self._rng
         if rng.uniform() < errors.burst_rate * seconds:
             self._held_until = now + errors.burst_s
         delay = self._latency + (rng.exponential(errors.jitter) if errors.jitter else 0.0)
+        # A link keeps its bytes in order, so none overtakes a slower one before it.
         self._last = max(self._last, now + delay, self._held_until)
         return self._last, self._damage(data)
 
@@ -122,8 +112,13 @@ class SimulatedDevice:
     """Readings made so far."""
     next_header: float = 0.0
 
+    def greeting(self, now: float) -> bytes:
+        """Return the header that it sends at `now`, seconds."""
+        return self.encoder.header(int(self.clock.us(np.array([now]))[0]), self.header, self.width)
+
     def due(self, end: float) -> FloatArray:
         """Return (n,) the times of the readings that fall before `end`, and count them as made."""
+        # Counted from the start, not from the last block: so the times of readings do not depend on how blocks are cut.
         until = int(np.ceil(end * self.hz - 1e-9))
         times = np.arange(self.made, until) / self.hz
         self.made = max(self.made, until)
@@ -131,15 +126,7 @@ class SimulatedDevice:
 
 
 class DeviceTimeline:
-    """Runs rig, operator and devices along one time line.
-
-    Parameters
-    ----------
-    rig : with its scene; a joints link where the scene has an arm
-    operator : what happens
-    rng : noise, clocks and losses
-    settings : how the devices speak
-    """
+    """Runs rig, operator and devices along one time line; where the scene has an arm, its joints are a link, too."""
 
     def __init__(self, rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None) -> None:
         noise, boards, self._skin_rng = rng.spawn(3)
@@ -168,8 +155,7 @@ class DeviceTimeline:
 
     def greeting(self, link: str) -> bytes:
         """Return the header that a board sends when somebody opens its port or asks for it."""
-        board = next(b for b in self._boards if b.link == link)
-        return _header(board, self.now)
+        return next(board for board in self._boards if board.link == link).greeting(self.now)
 
     def step(self) -> list[tuple[int, str, bytes]]:
         """Compute one block; return what arrives in it as (virtual nanoseconds, link, bytes), in that order."""
@@ -184,8 +170,7 @@ class DeviceTimeline:
         self._blocks += 1
         self.now = end
         arrived: list[tuple[int, str, bytes]] = []
-        limit = round(end * NANOSECONDS)
-        while self._arrivals and self._arrivals[0][0] <= limit:
+        while self._arrivals and self._arrivals[0][0] <= round(end * NANOSECONDS):
             at_ns, _, link, data = heapq.heappop(self._arrivals)
             arrived.append((at_ns, link, data))
         return arrived
@@ -208,7 +193,7 @@ class DeviceTimeline:
     def _bytes(self, board: SimulatedDevice, begin: float, end: float) -> bytes:
         data = b""
         if begin >= board.next_header:
-            data = _header(board, begin)
+            data = board.greeting(begin)
             board.next_header += self.settings.header_s
         times = board.due(end)
         if board.stream is Stream.WRENCH:
@@ -248,16 +233,14 @@ class DeviceTimeline:
                 continue
             loads, travel = action.load(felt), action.travel(felt)
             for i in np.flatnonzero(loads > 0):
-                rows, values = self.rig.answers(action.moved(travel[i]), loads[i] * action.pokes.forces)
+                slid = replace(action.pokes, points=action.pokes.points + travel[i])
+                rows, values = self.rig.answers(slid, loads[i] * action.pokes.forces)
                 np.add.at(answers[i], rows.ravel(), values.ravel())
         return self.rig.skin_frame(answers, self._skin_rng)
 
-    def _move(self) -> Move | None:
-        return next((a for a in self._actions if isinstance(a, Move)), None)
-
     def _share_moved(self, times: FloatArray) -> tuple[FloatArray, Stance]:
         """Return (n,) how far the arm is on its way, 0 to 1, and where to."""
-        move = self._move()
+        move = next((action for action in self._actions if isinstance(action, Move)), None)
         if move is None:
             return np.zeros(len(times)), self.stance
         share = np.clip((times - move.begin) / (move.free - move.begin), 0.0, 1.0)
@@ -278,46 +261,26 @@ class DeviceTimeline:
         return angles
 
 
-def _header(board: SimulatedDevice, now: float) -> bytes:
-    return board.encoder.header(About(int(board.clock.us(np.array([now]))[0]), board.header, board.width))
-
-
 def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[SimulatedDevice]:
-    errors, top, width = rig.errors, rig.range[1], rig.scene.skin.channels
-    ft, skin, joints = rng.spawn(3)
-    polarity = "up" if rig.polarity > 0 else "down"
-    bits = int(np.ceil(np.log2(top + 1)))
-    boards = [
-        SimulatedDevice(
-            "wrench", Stream.WRENCH, settings.wrench_hz, Clock(errors, ft), make_encoder(settings.format, top, 0),
-            LossyLink(errors.wrench_latency, errors, ft), f"board=ft,rate={settings.wrench_hz:g},unit=N,kind=ft,fw=1", 6,
-        ),
-        SimulatedDevice(
-            "skin", Stream.SKIN, settings.skin_hz, Clock(errors, skin), make_encoder(settings.format, top, width),
-            LossyLink(errors.skin_latency, errors, skin),
-            f"board={rig.scene.name},n={width},rate={settings.skin_hz:g},unit=raw,bits={bits},kind=taxel,polarity={polarity},fw=1",
-            width,
-        ),
-    ]  # fmt: skip
-    if rig.scene.arm is not None:
-        columns = max(rig.scene.arm.arm.joints) + 1
-        boards.append(
-            SimulatedDevice(
-                "joints", Stream.JOINTS, settings.joints_hz, Clock(errors, joints), make_encoder(settings.format, top, 0),
-                LossyLink(errors.skin_latency, errors, joints),
-                f"board=arm,rate={settings.joints_hz:g},unit=deg,kind=joints,fw=1", columns,
-            )
-        )  # fmt: skip
+    errors, top, skin, arm = rig.errors, rig.range[1], rig.scene.skin, rig.scene.arm
+    about_skin = (
+        f"board={rig.scene.name},n={skin.channels},rate={settings.skin_hz:g},unit=raw,bits={int(np.ceil(np.log2(top + 1)))},"
+        f"kind=taxel,polarity={'up' if rig.polarity > 0 else 'down'},fw=1"
+    )
+    about_ft = f"board=ft,rate={settings.wrench_hz:g},unit=N,kind=ft,fw=1"
+    about_arm = f"board=arm,rate={settings.joints_hz:g},unit=deg,kind=joints,fw=1"
+    wanted = [
+        (Stream.WRENCH, settings.wrench_hz, errors.wrench_latency, 6, about_ft),
+        (Stream.SKIN, settings.skin_hz, errors.skin_latency, skin.channels, about_skin),
+    ]
+    if arm is not None:
+        wanted.append((Stream.JOINTS, settings.joints_hz, errors.skin_latency, max(arm.arm.joints) + 1, about_arm))
+    boards: list[SimulatedDevice] = []
+    for (stream, hz, latency, width, about), own in zip(wanted, rng.spawn(3), strict=False):
+        clock = Clock(errors, own)
+        encoder = make_encoder(settings.format, top, width if stream is Stream.SKIN else 0)
+        boards.append(SimulatedDevice(stream.value, stream, hz, clock, encoder, LossyLink(latency, errors, own), about, width))
     return boards
-
-
-def timeline(
-    rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None
-) -> Iterator[tuple[int, str, bytes]]:
-    """Yield (virtual nanoseconds, link, bytes) in order of arrival, until the operator is done and `TAIL_S` has passed."""
-    line = DeviceTimeline(rig, operator, rng, settings)
-    while not line.finished:
-        yield from line.step()
 
 
 CRC_START = 0xFFFF
@@ -347,69 +310,31 @@ def cobs(data: bytes) -> bytes:
     return bytes(out)
 
 
-@dataclass(frozen=True, slots=True)
-class About:
-    """What a board says of itself in a header."""
-
-    t_us: int
-    """Its clock now, microseconds."""
-    fields: str
-    """`key=value,...`."""
-    width: int
-    """Values of one reading."""
-
-
-class Encoder(Protocol):
-    """Makes one board's bytes; counts its records."""
-
-    def header(self, about: About) -> bytes:
-        """Return the header record."""
-        ...
-
-    def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
-        """Return (n, 6) wrenches, N and N m, stamped (n,) microseconds."""
-        ...
-
-    def skin(self, t_us: int, values: FloatArray) -> bytes:
-        """Return one frame of (width,) raw values."""
-        ...
-
-    def joints(self, t_us: int, degrees: FloatArray) -> bytes:
-        """Return (joints,) angles, degrees."""
-        ...
-
-
 class SkbEncoder:
-    """SKB/1.
-
-    Parameters
-    ----------
-    values : "u8", "u16" or "f32": how skin values are sent
-    """
-
-    name: ClassVar[str] = "skb"
+    """Makes one board's bytes in SKB/1, skin values as "u8", "u16" or "f32", and counts its records."""
 
     def __init__(self, values: str = "u8") -> None:
         self._skin_type, self._dtype = SKIN_TYPES[values]
         self._count = {WRENCH_TYPE: 0, JOINTS_TYPE: 0, HEADER_TYPE: 0, self._skin_type: 0}
 
-    def header(self, about: About) -> bytes:
-        """Return the header record."""
-        return self._frame(HEADER_TYPE, about.t_us, about.fields.encode())
+    def header(self, t_us: int, fields: str, width: int) -> bytes:
+        """Return what a board says of itself: `key=value,...`, and how many values a reading has."""
+        del width
+        return self._frame(HEADER_TYPE, t_us, fields.encode())
 
     def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
-        """Return (n, 6) wrenches, status 0."""
+        """Return (n, 6) wrenches, N and N m, stamped (n,) microseconds; status 0."""
         payloads = np.zeros((len(wrenches), 7), dtype="<f4")
         payloads[:, :6] = wrenches
         raw = payloads.tobytes()
         return b"".join(self._frame(WRENCH_TYPE, t, raw[28 * i : 28 * i + 28]) for i, t in enumerate(t_us.tolist()))
 
     def skin(self, t_us: int, values: FloatArray) -> bytes:
-        """Return one skin frame."""
+        """Return one frame of (width,) raw values."""
         return self._frame(self._skin_type, t_us, values.astype(self._dtype).tobytes())
 
     def joints(self, t_us: int, degrees: FloatArray) -> bytes:
-        """Return one set of joint angles."""
+        """Return (joints,) angles, degrees."""
         return self._frame(JOINTS_TYPE, t_us, degrees.astype("<f4").tobytes())
 
     def _frame(self, kind: int, t_us: int, payload: bytes) -> bytes:
@@ -419,75 +344,54 @@ class SkbEncoder:
         return cobs(body + binascii.crc_hqx(body, CRC_START).to_bytes(2, "little")) + b"\x00"
 
 
-class SktEncoder:
-    """SKT/1."""
-
-    name: ClassVar[str] = "skt"
-
-    def __init__(self, values: str = "u8") -> None:
-        self._whole = values != "f32"
-        self._count = {"T": 0, "F": 0, "J": 0}
-
-    def header(self, about: About) -> bytes:
-        """Return the header record; it has no time."""
-        return _checked(f"H,skt1,{about.fields}")
-
-    def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
-        """Return (n, 6) wrenches, status 0, to 0.1 mN and 1 uN m."""
-        lines = (f"{fx:.4f},{fy:.4f},{fz:.4f},{tx:.6f},{ty:.6f},{tz:.6f},0" for fx, fy, fz, tx, ty, tz in wrenches.tolist())
-        return b"".join(self._line("F", t, line) for t, line in zip(t_us.tolist(), lines, strict=True))
-
-    def skin(self, t_us: int, values: FloatArray) -> bytes:
-        """Return one skin frame."""
-        return self._line("T", t_us, _joined(values, self._whole))
-
-    def joints(self, t_us: int, degrees: FloatArray) -> bytes:
-        """Return one set of joint angles, to 0.0001 degrees."""
-        return self._line("J", t_us, ",".join(f"{v:.4f}" for v in degrees.tolist()))
-
-    def _line(self, letter: str, t_us: int, values: str) -> bytes:
-        seq = self._count[letter]
-        self._count[letter] = seq + 1 & 0xFFFF
-        return _checked(f"{letter},{seq},{t_us & 0xFFFFFFFF},{values}")
-
-
 class TextEncoder:
-    """Comma-separated lines without a checksum, each with its number and clock; the header names these columns."""
+    """The same in comma-separated lines without a checksum, each with its number and clock; the header names the columns."""
 
-    name: ClassVar[str] = "text"
+    WRENCH = "%.6f,%.6f,%.6f,%.6f,%.6f,%.6f"
 
     def __init__(self, values: str = "u8") -> None:
-        self._whole = values != "f32"
-        self._seq = 0
+        self._skin = "%.6g" if values == "f32" else "%d"
+        self._count = Counter[str]()
 
-    def header(self, about: About) -> bytes:
+    def header(self, t_us: int, fields: str, width: int) -> bytes:
         """Return the line that names the columns."""
-        return ("seq,t_us," + ",".join(f"c{i}" for i in range(about.width)) + "\n").encode()
+        del t_us, fields
+        return ("seq,t_us," + ",".join(f"c{i}" for i in range(width)) + "\n").encode()
 
     def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
-        """Return (n, 6) wrenches, to 0.1 mN and 1 uN m."""
-        return b"".join(
-            self._line(t, ",".join(f"{v:.6f}" for v in row)) for t, row in zip(t_us.tolist(), wrenches.tolist(), strict=True)
-        )
+        """Return (n, 6) wrenches, to 0.1 mN and 1 uN m or finer."""
+        rows = zip(t_us.tolist(), wrenches.tolist(), strict=True)
+        return b"".join(self._record("F", t, self.WRENCH % tuple(wrench)) for t, wrench in rows)
 
     def skin(self, t_us: int, values: FloatArray) -> bytes:
         """Return one skin frame."""
-        return self._line(t_us, _joined(values, self._whole))
+        return self._record("T", t_us, ",".join(self._skin % value for value in values.tolist()))
 
     def joints(self, t_us: int, degrees: FloatArray) -> bytes:
         """Return one set of joint angles, to 0.0001 degrees."""
-        return self._line(t_us, ",".join(f"{v:.4f}" for v in degrees.tolist()))
+        return self._record("J", t_us, ",".join(f"{v:.4f}" for v in degrees.tolist()))
 
-    def _line(self, t_us: int, values: str) -> bytes:
-        seq = self._seq
-        self._seq += 1
-        return f"{seq},{t_us & 0xFFFFFFFF},{values}\n".encode()
+    def _record(self, letter: str, t_us: int, values: str) -> bytes:
+        seq = self._count[letter]
+        self._count[letter] += 1
+        return self._line(letter, seq, f"{t_us & 0xFFFFFFFF},{values}")
+
+    def _line(self, letter: str, seq: int, rest: str) -> bytes:  # noqa: ARG002 - for SKT/1
+        return f"{seq},{rest}\n".encode()
 
 
-def _joined(values: FloatArray, whole: bool) -> str:
-    if not whole:
-        return ",".join(f"{v:.6g}" for v in values.tolist())
-    return ",".join(map(str, values.astype(np.int64).tolist()))
+class SktEncoder(TextEncoder):
+    """SKT/1: lines with a letter, a checksum, and a status after each wrench; the header has no time."""
+
+    WRENCH = "%.4f,%.4f,%.4f,%.6f,%.6f,%.6f,0"
+
+    def header(self, t_us: int, fields: str, width: int) -> bytes:
+        """Return the header record."""
+        del t_us, width
+        return _checked(f"H,skt1,{fields}")
+
+    def _line(self, letter: str, seq: int, rest: str) -> bytes:
+        return _checked(f"{letter},{seq & 0xFFFF},{rest}")
 
 
 def _checked(text: str) -> bytes:
@@ -495,16 +399,12 @@ def _checked(text: str) -> bytes:
     return raw + b"*%04X\n" % binascii.crc_hqx(raw, CRC_START)
 
 
-ENCODERS: dict[str, Callable[[str], Encoder]] = {"skb": SkbEncoder, "skt": SktEncoder, "text": TextEncoder}
+Encoder: TypeAlias = SkbEncoder | TextEncoder
+ENCODERS: dict[str, type[Encoder]] = {"skb": SkbEncoder, "skt": SktEncoder, "text": TextEncoder}
 
 
-def skin_values(top: float) -> str:
-    """Return how raw values up to `top` are sent: the narrowest whole number that holds them."""
-    return "u8" if top <= 255 else "u16" if top <= 65535 else "f32"
-
-
-def fits(name: str, values: str, width: int) -> bool:
-    """Say whether a skin frame of this width fits a record of the format."""
+def _fits(name: str, values: str, width: int) -> bool:
+    """Return whether a skin frame of this width fits a record of the format."""
     if name == "skb":
         return SKB_HEAD.size + width * np.dtype(SKIN_TYPES[values][1]).itemsize <= SKB_BODY_MAX
     if name == "skt":
@@ -516,18 +416,8 @@ def fits(name: str, values: str, width: int) -> bool:
 def make_encoder(name: str, top: float, width: int) -> Encoder:
     """Return a new board's encoder; a skin too wide for its format speaks delimited text instead.
 
-    Parameters
-    ----------
-    name : "skb", "skt" or "text"
-    top : highest raw value of the skin
-    width : channels of a skin frame; 0 for a board without skin
-
-    Raises
-    ------
-    InputError
-        There is no such format.
+    Raw values reach up to `top`; `width` is 0 for a board without skin.
     """
-    if name not in ENCODERS:
-        raise InputError(f"format {name!r} is not known; expected one of {', '.join(ENCODERS)}.")
-    values = skin_values(top)
-    return ENCODERS[name if fits(name, values, width) else "text"](values)
+    # The narrowest whole number that holds them.
+    values = "u8" if top <= 255 else "u16" if top <= 65535 else "f32"
+    return ENCODERS[name if _fits(name, values, width) else "text"](values)

@@ -72,8 +72,6 @@ class RigErrors:
     """Counts of 255, sd of the taxels' untouched readings. An untouched iCub taxel reads 235 to 244."""
     gain_spread: float = 0.10
     """Relative sd of the taxels' sensitivity. Assumed: foam is glued by hand."""
-    stuck: int = 0
-    """Taxels that always answer."""
     wrench_latency: float = 0.005
     """s from the reading to its bytes at the host. The wire alone takes 0.8 ms (Bota, 460800 baud) to 8.3 ms
     (Robotiq FT 300, 19200 baud)."""
@@ -96,7 +94,7 @@ class RigErrors:
     @classmethod
     def none(cls) -> RigErrors:
         """Return a perfect rig: exact readings that arrive at once. The skin still lies beside its plan."""
-        kept = {"matrix_arm", "slow_s", "drift_session_s", "burst_s", "mount_shift", "mount_turn", "stuck"}
+        kept = {"matrix_arm", "slow_s", "drift_session_s", "burst_s", "mount_shift", "mount_turn"}
         perfect: dict[str, Any] = {item.name: 0.0 for item in fields(cls) if item.name not in kept}
         return cls(**perfect)
 
@@ -135,13 +133,7 @@ def slow_mean_sd(errors: RigErrors, seconds: float) -> FloatArray:
 
 
 class WrenchNoise:
-    """Draws what a sensor adds to its readings, block after block.
-
-    Parameters
-    ----------
-    errors : sizes
-    rng : source of randomness
-    """
+    """Draws what a sensor adds to its readings, block after block."""
 
     def __init__(self, errors: RigErrors, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -153,13 +145,8 @@ class WrenchNoise:
         self._drift = np.zeros(6)
 
     def block(self, times: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return (n, 6) noise for readings of one block, N and N m.
-
-        Parameters
-        ----------
-        times : (n,) float, seconds, in [begin, end)
-        begin, end : seconds; a block begins where the last one ended
-        """
+        """Return (n, 6) noise, N and N m, at `times` (n,), s, of one block; it begins where the last one ended."""
+        # Exact at the ends of a block, however long it is: so the length of blocks does not change the noise's size.
         before = self._slow + self._drift
         seconds = end - begin
         decay = np.exp(-seconds / self._slow_s)

@@ -1,7 +1,8 @@
-"""A person who pokes: where, which way, how hard and for how long.
+"""A person who pokes: where, which way, how hard and for how long; and what that person is asked for, as lines of text.
 
 Three operators: `Auto` goes round the taxels by itself, unguided; `Told` does what a queue says; `Guided` is shown a
-target, goes there as well as a hand can, and sometimes pokes something else.
+target, goes there as well as a hand can, and sometimes pokes something else. `read_order` reads a line, `write_target` writes
+what a guide asks for; both sides of the pipe share them.
 """
 
 from __future__ import annotations
@@ -9,14 +10,14 @@ from __future__ import annotations
 import queue
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeAlias
+from enum import Enum
+from typing import TypeAlias
 
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
-from skincal.simulate.orders import NoTarget, Order, PokeOrder, PoseOrder, TargetOrder, Wish
 from skincal.simulate.simulated_rig import (
     PressedPlaces,
     Rig,
@@ -28,6 +29,119 @@ from skincal.simulate.simulated_rig import (
     push_directions,
     tangents,
 )
+
+NO_TAXEL = "-"
+"""Stands for the channel of a target that is a place at which a taxel may be."""
+KNOWN_POINT = "+"
+"""Stands for the channel of a target that is a known point of the part: a screw head, a corner."""
+FAR = 10.0
+"""m. No part reaches so far from its frame's origin: coordinates beyond are a mistake."""
+
+
+@dataclass(frozen=True, slots=True)
+class PokeOrder:
+    """Poke this taxel; what is None is as the habits have it."""
+
+    channel: int
+    tilt: float | None = None
+    """rad, from the inward normal."""
+    azimuth: float | None = None
+    """rad, from e1 to e2 of `tangents`."""
+    force: float | None = None
+    """N."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseOrder:
+    """Bring the arm to this pose."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetOrder:
+    """What a guide's ring and arrow show."""
+
+    channel: int | None
+    """None where it is a place at which a taxel may be, or a known point."""
+    place: FloatArray
+    """(3,) float, metres, link frame: where the guide believes the taxel to be, which may be beside it; or the known point."""
+    push: FloatArray
+    """(3,) float, unit, link frame."""
+    known: bool = False
+    """The place is a known point of the part, which one sees and feels."""
+
+
+class NoTarget(Enum):
+    """What a guide says where it names no target; the value is its line."""
+
+    ANY = "any"
+    """Nobody guides: poke what you like."""
+    WAIT = "wait"
+    """Nothing is to be poked."""
+
+
+OperatorTarget: TypeAlias = TargetOrder | NoTarget
+Order: TypeAlias = PokeOrder | PoseOrder | TargetOrder | NoTarget
+
+ORDER_HELP = (
+    "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME, "
+    "target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (- a place, + a known point), any or wait"
+)
+
+
+def read_order(line: str) -> Order | None:
+    """Read one line; None for an empty one.
+
+    Raises
+    ------
+    InputError
+        The line is no order.
+    """
+    words = line.split()
+    if not words:
+        return None
+    try:
+        order = _order_of(words)
+    except ValueError:
+        order = None
+    if order is None:
+        raise InputError(f"{line.strip()!r} is not an order; expected {ORDER_HELP}, with 0 <= tilt < 90 and force above 0.")
+    return order
+
+
+def _order_of(words: list[str]) -> Order | None:
+    match words:
+        case ["poke", channel]:
+            return PokeOrder(int(channel))
+        case ["poke", channel, *numbers] if len(numbers) == 3:
+            tilt, azimuth, force = map(float, numbers)
+            if 0 <= tilt < 90 and 0 < force < 1000 and np.isfinite(azimuth):
+                return PokeOrder(int(channel), float(np.radians(tilt)), float(np.radians(azimuth)), force)
+        case ["pose", name]:
+            return PoseOrder(name)
+        case ["target", channel, *numbers] if len(numbers) == 6:
+            values = np.array([float(number) for number in numbers])
+            place, push = values[:3] * 1e-3, values[3:]
+            size = float(np.linalg.norm(push))
+            # NaN fails every comparison.
+            if (np.abs(place) < FAR).all() and 0.5 < size < 2.0:
+                number = None if channel in (NO_TAXEL, KNOWN_POINT) else int(channel)
+                return TargetOrder(number, place, push / size, known=channel == KNOWN_POINT)
+        case [word]:
+            return NoTarget(word)
+        case _:
+            pass
+    return None
+
+
+def write_target(target: OperatorTarget) -> str:
+    """Return the line that says what a guide asks for; the place to a hundredth of a millimetre."""
+    if isinstance(target, NoTarget):
+        return target.value
+    place, push = (" ".join(f"{v:.{d}f}" for v in vs) for vs, d in ((target.place * 1e3, 2), (target.push, 4)))
+    nobody = KNOWN_POINT if target.known else NO_TAXEL
+    return f"target {nobody if target.channel is None else target.channel} {place} {push}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +242,6 @@ class HandPress:
         shake = 1.0 + self.tremor * np.sin(2 * np.pi * self.tremor_hz * since + self.tremor_phase)
         return rise * (1.0 - fall) * shake
 
-    def moved(self, travel: FloatArray) -> PressedPlaces:
-        """Return the places, slid by (3,) `travel`."""
-        return replace(self.pokes, points=self.pokes.points + travel)
-
     def travel(self, times: FloatArray) -> FloatArray:
         """Return (n, 3) how far the tip has slid, metres."""
         return np.clip((times - self.begin - self.ramp) / self.hold, 0.0, 1.0)[:, None] * self.slide
@@ -149,30 +259,12 @@ class Move:
 OperatorAction: TypeAlias = HandPress | Move
 
 
-class Operator(Protocol):
-    """Somebody who acts on the rig."""
-
-    @property
-    def done(self) -> bool:
-        """Nothing more will come."""
-        ...
-
-    def next(self, now: float) -> OperatorAction | None:
-        """Return what begins at or after `now` seconds; None where there is nothing to do yet."""
-        ...
-
-
 def _smooth_step(share: FloatArray) -> FloatArray:
     return 0.5 - 0.5 * np.cos(np.pi * np.clip(share, 0.0, 1.0))
 
 
 def aim(rig: Rig, targets: IntArray, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
-    """Return unguided pokes at taxels: beside them by the aim error, from a random side within the cone.
-
-    Parameters
-    ----------
-    targets : (n,) channels
-    """
+    """Return unguided pokes at taxels (n,): beside them by the aim error, from a random side within the cone."""
     count = len(targets)
     tilts = cone_tilts(count, habits.cone, rng)
     azimuths = rng.uniform(-np.pi, np.pi, count)
@@ -189,53 +281,38 @@ def place(
     forces: FloatArray,
     rng: np.random.Generator,
 ) -> PressedPlaces:
-    """Return pokes at given places.
-
-    Parameters
-    ----------
-    targets : (n,) channels
-    beside : (n, 2) float, metres, from the taxel in its plane
-    tilts, azimuths : (n,) float, radians, of the push; see `push_directions`
-    forces : (n,) float, N
-    """
+    """Return n pokes, each `beside` (n, 2), metres, a target in its plane; `tilts` and `azimuths` as for `push_directions`."""
     rows = np.array([rig.row_of(int(channel)) for channel in targets], dtype=np.int64)
     e1, e2 = tangents(rig.normals[rows])
-    points, normals = _on_skin(rig, rows, rig.places[rows] + beside[:, :1] * e1 + beside[:, 1:] * e2)
+    points, normals = _on_skin(rig, rig.places[rows] + beside[:, :1] * e1 + beside[:, 1:] * e2, rig.normals[rows])
     directions = push_directions(normals, tilts, azimuths)
     return PressedPlaces(targets, points, normals, directions, forces, rng.uniform(0.0, np.pi / 2, len(rows)))
 
 
-def _on_skin(rig: Rig, rows: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bring points back onto the surface; where there is none they lie in their taxel's plane already."""
+def _on_skin(rig: Rig, points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return points brought back onto the surface, and its normals there; where there is none, what is given."""
     if rig.surface is None:
-        return points, rig.normals[rows]
+        return points, normals
     on_surface, triangles = nearest_points(rig.surface, points)
     return on_surface, rig.surface.normals[triangles]
 
 
 def press(rig: Rig, pokes: PressedPlaces, now: float, habits: Habits, rng: np.random.Generator) -> HandPress:
-    """Return one press of the first place in `pokes`, with the habits' accidents.
-
-    Parameters
-    ----------
-    pokes : at least one place
-    now : s, when the hand sets out
-    """
+    """Return one press of the first place in `pokes`, by a hand that sets out at `now`, s, with the habits' accidents."""
     begin = now + rng.uniform(*habits.approach_s)
     ramp, hold, release = rng.uniform(*habits.ramp_s), rng.uniform(*habits.hold_s), rng.uniform(*habits.release_s)
     free = begin + ramp + hold + release + rng.uniform(*habits.rest_s)
+    # Drawn together for every press: whether it slides does not change what the other accident draws.
     slides, doubles = rng.uniform(size=2) < (habits.slide_rate, habits.double_rate)
     first = pokes.take(slice(0, 1))
     both = join([first, _second(rig, first, habits, rng)]) if doubles else first
-    slide = _slide(first, habits, rng) if slides else np.zeros(3)
+    slide = np.zeros(3)
+    if slides:
+        (e1,), (e2,) = tangents(first.normals)
+        angle = rng.uniform(0.0, 2 * np.pi)
+        slide = rng.uniform(*habits.slide) * (np.cos(angle) * e1 + np.sin(angle) * e2)
     hz, phase = rng.uniform(*habits.tremor_hz), rng.uniform(0.0, 2 * np.pi)
     return HandPress(begin, ramp, hold, release, free, both, slide, habits.tremor, hz, phase)
-
-
-def _slide(poke: PressedPlaces, habits: Habits, rng: np.random.Generator) -> FloatArray:
-    e1, e2 = tangents(poke.normals)
-    angle = rng.uniform(0.0, 2 * np.pi)
-    return rng.uniform(*habits.slide) * (np.cos(angle) * e1[0] + np.sin(angle) * e2[0])
 
 
 def _second(rig: Rig, first: PressedPlaces, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
@@ -247,26 +324,13 @@ def _second(rig: Rig, first: PressedPlaces, habits: Habits, rng: np.random.Gener
 
 
 def touches_beside(rig: Rig, pokes: PressedPlaces, habits: Habits, rng: np.random.Generator) -> tuple[IntArray, PressedPlaces]:
-    """Return which of the pokes touch a second place, and these places: on the skin, or on the part beside it.
-
-    Parameters
-    ----------
-    pokes : n places; `habits.double_rate` of them are touched twice
-
-    Returns
-    -------
-    rows : (m,) ascending, of `pokes`
-    seconds : m places, pressed by `habits.double_share` of the poke's force; their targets are those of the pokes
-    """
+    """Return which of the pokes touch a second place, rows (m,), and these m places: on the skin, or on the part beside it."""
     rows = np.flatnonzero(rng.uniform(size=len(pokes)) < habits.double_rate)
     count, first = len(rows), pokes.take(rows)
     e1, e2 = tangents(first.normals)
     azimuths, away = rng.uniform(-np.pi, np.pi, count)[:, None], rng.uniform(*habits.double_away, count)[:, None]
     beside = first.points + away * (np.cos(azimuths) * e1 + np.sin(azimuths) * e2)
-    normals = first.normals
-    if rig.surface is not None:
-        beside, triangles = nearest_points(rig.surface, beside)
-        normals = rig.surface.normals[triangles]
+    beside, normals = _on_skin(rig, beside, first.normals)
     directions = push_directions(normals, cone_tilts(count, habits.cone, rng), rng.uniform(-np.pi, np.pi, count))
     forces = first.forces * rng.uniform(*habits.double_share, count)
     return rows, PressedPlaces(first.targets, beside, normals, directions, forces, rng.uniform(0.0, np.pi / 2, count))
@@ -329,18 +393,16 @@ class Auto:
 
 
 class Told:
-    """Does what a queue says, one after another; None in the queue ends it.
+    """Does what a queue says, one after another. Orders are checked when they are put in: see `accept`."""
 
-    Orders are checked when they are put in: see `accept`.
-    """
+    done = False
 
     def __init__(self, rig: Rig, habits: Habits, rng: np.random.Generator) -> None:
         self._rig, self._habits, self._rng = rig, habits, rng
-        self._orders: queue.SimpleQueue[PokeOrder | PoseOrder | None] = queue.SimpleQueue()
-        self.done = False
+        self._orders: queue.SimpleQueue[PokeOrder | PoseOrder] = queue.SimpleQueue()
 
-    def accept(self, order: Order | None) -> None:
-        """Queue an order, from any thread; None for the last.
+    def accept(self, order: Order) -> None:
+        """Queue an order, from any thread.
 
         Raises
         ------
@@ -351,20 +413,15 @@ class Told:
             self._rig.row_of(order.channel)
         elif isinstance(order, PoseOrder):
             self._rig.stance(order.name)
-        elif order is not None:
+        else:
             raise InputError("target, any and wait are for --operator guided; expected poke or pose.")
         self._orders.put(order)
 
     def next(self, now: float) -> OperatorAction | None:
         """Return the next order as an action; None while there is none."""
-        if self.done:
-            return None
         try:
             order = self._orders.get_nowait()
         except queue.Empty:
-            return None
-        if order is None:
-            self.done = True
             return None
         if isinstance(order, PoseOrder):
             return Move(now, now + self._habits.move_s, self._rig.stance(order.name))
@@ -388,57 +445,40 @@ class Guided(Auto):
     before the touch still counts, a later one is for the next poke. A known point of the part, such as a screw head, is
     seen and felt: the hand goes to it more exactly, and neither slides off nor pokes something else instead.
 
-    The same seed and the same targets at the same times give the same pokes.
-
-    Parameters
-    ----------
-    pokes, poses, channels : as for `Auto`, guided or not; `channels` are for pokes of its own choice
+    The same seed and the same targets at the same times give the same pokes. `channels` are for pokes of its own choice.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        habits: Habits,
-        rng: np.random.Generator,
-        pokes: int | None = None,
-        poses: Sequence[str] = (),
-        channels: Sequence[int] | None = None,
-    ) -> None:
-        super().__init__(rig, habits, rng, pokes, poses, channels)
-        self._firm = LandmarkHabits()
-        self._told: Wish = NoTarget.ANY
-        """The newest, from any thread."""
-        self._wish: Wish = NoTarget.ANY
-        """What is seen on the screen now."""
-        self._touch: float | None = None
-        """s, when the hand that is on its way will touch."""
+    _newest: OperatorTarget = NoTarget.ANY
+    """From any thread."""
+    _seen: OperatorTarget = NoTarget.ANY
+    """What is on the screen now."""
+    _touch: float | None = None
+    """s, when the hand that is on its way will touch."""
 
-    def accept(self, order: Order | None) -> None:
-        """Take what the guide shows now, from any thread; None changes nothing.
+    def accept(self, order: Order) -> None:
+        """Take what the guide shows now, from any thread.
 
         Raises
         ------
         InputError
             There is no such taxel, or the order is not a guide's.
         """
-        if order is None:
-            return
         if not isinstance(order, TargetOrder | NoTarget):
             raise InputError("poke and pose are for --operator told; expected target, any or wait.")
         if isinstance(order, TargetOrder) and order.channel is not None:
             self._rig.row_of(order.channel)
-        self._told = order
+        self._newest = order
 
     def next(self, now: float) -> OperatorAction | None:
         """Return the next poke, or the way to the next arm pose; None while the hand is on its way, or has to wait."""
-        self._wish = self._told
-        if self._wish is NoTarget.WAIT:
+        self._seen = self._newest
+        if self._seen is NoTarget.WAIT:
             self._touch = None
             return None
         return super().next(now)
 
     def _poke(self, now: float) -> HandPress | None:
-        if not isinstance(self._wish, TargetOrder):
+        if not isinstance(self._seen, TargetOrder):
             self._touch = None
             return super()._poke(now)
         if self._touch is None:
@@ -447,11 +487,11 @@ class Guided(Auto):
             return None
         touch, self._touch = max(self._touch, now), None
         self.begun += 1
+        # Its approach is over: the hand has been on its way since it saw a target.
         at_once = replace(self._habits, approach_s=(0.0, 0.0))
-        if self._wish.known:
-            firm = replace(at_once, slide_rate=0.0)
-            return press(self._rig, self._at_point(self._wish), touch, firm, self._rng)
-        return press(self._rig, self._aimed(self._wish), touch, at_once, self._rng)
+        if self._seen.known:
+            return press(self._rig, self._at_point(self._seen), touch, replace(at_once, slide_rate=0.0), self._rng)
+        return press(self._rig, self._aimed(self._seen), touch, at_once, self._rng)
 
     def _aimed(self, target: TargetOrder) -> PressedPlaces:
         """Return where the hand goes that is shown a target, or that goes where it likes."""
@@ -471,14 +511,14 @@ class Guided(Auto):
 
     def _at_point(self, target: TargetOrder) -> PressedPlaces:
         """Return how the hand pokes a known point: there, whether or not the surface and the skin pass through it."""
-        surface, rng = self._rig.surface, self._rng
-        normal = -target.push if surface is None else surface.normals[nearest_points(surface, target.place[None])[1][0]]
-        e1, e2 = tangents(normal[None])
-        beside = self._firm.aim * rng.standard_normal(2)
-        place = target.place + beside[0] * e1[0] + beside[1] * e2[0]
-        push = held(by_hand(target.push[None], self._habits.hand, rng), normal[None], self._firm.cone)
+        firm, rng = LandmarkHabits(), self._rng
+        normal = _on_skin(self._rig, target.place[None], -target.push[None])[1]
+        e1, e2 = tangents(normal)
+        beside = firm.aim * rng.standard_normal(2)
+        place = target.place + beside[0] * e1 + beside[1] * e2
+        push = held(by_hand(target.push[None], self._habits.hand, rng), normal, firm.cone)
         nobody = np.array([-1], dtype=np.int64)
-        return PressedPlaces(nobody, place[None], normal[None], push, rng.uniform(*self._firm.force, 1), np.zeros(1))
+        return PressedPlaces(nobody, place, normal, push, rng.uniform(*firm.force, 1), np.zeros(1))
 
     def _row(self, target: TargetOrder) -> int:
         """Return the index of the taxel that is shown, or of the one that is nearest to the place that is."""
@@ -494,3 +534,6 @@ class Guided(Auto):
             return place - ((place - rig.places[row]) @ normal) * normal, normal
         places, triangles = nearest_points(rig.surface, place[None])
         return places[0], rig.surface.normals[triangles[0]]
+
+
+Operator: TypeAlias = Auto | Told

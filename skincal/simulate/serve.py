@@ -12,8 +12,7 @@ import select
 import socket
 import threading
 import time
-from types import TracebackType
-from typing import Protocol
+from typing import TypeAlias
 
 from skincal.model.errors import InputError
 from skincal.simulate.device import DeviceTimeline
@@ -24,14 +23,9 @@ LATE_MAX_S = 1.0
 
 
 class Server:
-    """One outlet a link, and the loop that feeds them.
+    """One outlet a link, TCP ports on this machine or pseudo-terminals, and the loop that feeds them.
 
     Boards understand the commands of SKT/1 and SKB/1: `?` sends the header, `P` pauses, `S` starts again.
-
-    Parameters
-    ----------
-    line : what happens
-    tcp : ports on this machine; else pseudo-terminals
 
     Raises
     ------
@@ -85,50 +79,23 @@ class Server:
         for outlet in self._outlets.values():
             outlet.close()
 
-    def __enter__(self) -> Server:
-        """Return itself."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        """Close every outlet."""
-        self.close()
-
 
 PENDING_MAX = 1 << 20
 """Bytes. A TCP client that is this far behind is let go: about 20 s of 1 kHz wrenches."""
 READ_SIZE = 4096
 
 
-class Outlet(Protocol):
-    """One link's end on the board's side."""
-
-    address: str
-    """What the host opens."""
-
-    def poll(self) -> tuple[bool, bytes]:
-        """Say whether somebody came since the last call, and what was sent to the board."""
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Hand bytes to those who listen; never waits."""
-        ...
-
-    def close(self) -> None:
-        """Hang up."""
-        ...
-
-
 class TcpOutlet:
     """A port on this machine; every client gets the same bytes."""
 
-    def __init__(self, port: int = 0) -> None:
-        self._server = socket.create_server(("127.0.0.1", port))
+    def __init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
         self._server.setblocking(False)
         self._clients: dict[socket.socket, bytearray] = {}
         self.address = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
 
     def poll(self) -> tuple[bool, bytes]:
-        """Take new clients and read what they say."""
+        """Return whether somebody came since the last call, and what was sent to the board."""
         came = False
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -201,7 +168,7 @@ class PtyOutlet:
         self._was_open = False
 
     def poll(self) -> tuple[bool, bytes]:
-        """Say whether the port was opened since the last call, and read what was written to it."""
+        """Return whether the port was opened since the last call, and what was written to it."""
         events = self._poller.poll(0)
         state = events[0][1] if events else 0
         open_now = not state & select.POLLHUP
@@ -224,3 +191,7 @@ class PtyOutlet:
         if self._master >= 0:
             os.close(self._master)
             self._master = -1
+
+
+Outlet: TypeAlias = TcpOutlet | PtyOutlet
+"""One link's end on the board's side: what came, bytes to those who listen without ever waiting, and the hanging up."""

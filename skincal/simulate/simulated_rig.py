@@ -1,18 +1,18 @@
-"""Pokes as geometry: where a tip presses, which way and how hard.
+"""The simulated rig: a part with its skin, its arm pose and its force/torque sensor, and what each really is.
 
-A part with its skin, its arm pose and its force/torque sensor, and what each really is.
-
-The true places of the taxels are the plan's layout laid on the surface, displaced as a patch. The sensor reads
-(I + E) w + weight + offset; the arm really is a little beside the pose that its joints tell.
+A poke is geometry here: where a tip presses, which way and how hard. The true places of the taxels are the plan's layout laid
+on the surface, displaced as a patch. The sensor reads (I + E) w + weight + offset; the arm really is a little beside the
+pose that its joints report.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, inverse_pose
+from skincal.geometry import FloatArray, IntArray, cross_matrix, inverse_pose
 from skincal.mesh.lay import lay
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
@@ -45,36 +45,18 @@ class PressedPlaces:
 
     def take(self, rows: slice | IntArray) -> PressedPlaces:
         """Return some of the places."""
-        return PressedPlaces(
-            targets=self.targets[rows],
-            points=self.points[rows],
-            normals=self.normals[rows],
-            directions=self.directions[rows],
-            forces=self.forces[rows],
-            turns=self.turns[rows],
-        )
+        return PressedPlaces(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 def join(parts: list[PressedPlaces]) -> PressedPlaces:
     """Return all places of several as one."""
-    return PressedPlaces(
-        np.concatenate([p.targets for p in parts]),
-        np.concatenate([p.points for p in parts]),
-        np.concatenate([p.normals for p in parts]),
-        np.concatenate([p.directions for p in parts]),
-        np.concatenate([p.forces for p in parts]),
-        np.concatenate([p.turns for p in parts]),
-    )
+    return PressedPlaces(*(np.concatenate([getattr(p, item.name) for p in parts]) for item in fields(PressedPlaces)))
 
 
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two unit directions in the plane of the skin: e1 along the link's x where that is in the plane, e2 = n x e1.
 
-    Where the normal lies within 26 degrees of x, y takes its place.
-
-    Parameters
-    ----------
-    normals : (n, 3) float, unit, outward
+    Where the normal (n, 3) lies within 26 degrees of x, y takes its place.
     """
     steep = np.abs(normals[:, 0]) > 0.9
     axes = np.where(steep[:, None], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
@@ -84,13 +66,7 @@ def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def push_directions(normals: FloatArray, tilts: FloatArray, azimuths: FloatArray) -> FloatArray:
-    """Return unit pushes that lean from the inward normal by `tilts`, towards `azimuths` counted from e1 to e2.
-
-    Parameters
-    ----------
-    normals : (n, 3) float, unit, outward
-    tilts, azimuths : (n,) float, radians
-    """
+    """Return (n, 3) unit pushes that lean from the inward normal by `tilts` (n,), towards `azimuths` (n,) from e1 to e2."""
     e1, e2 = tangents(normals)
     sideways = np.cos(azimuths)[:, None] * e1 + np.sin(azimuths)[:, None] * e2
     return np.sin(tilts)[:, None] * sideways - np.cos(tilts)[:, None] * normals
@@ -109,36 +85,21 @@ def tip_axes(pokes: PressedPlaces) -> tuple[FloatArray, FloatArray]:
 
 
 def by_hand(pushes: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
-    """Return the pushes that a hand makes of those it means.
-
-    Parameters
-    ----------
-    pushes : (n, 3) float, unit
-    sd : rad, about the push that is meant, in each direction
-    """
-    one, two = tangents(pushes)
+    """Return the pushes (n, 3) that a hand makes of those it means, `sd` about them in each direction, radians."""
+    e1, e2 = tangents(pushes)
     lean = np.tan(sd * rng.standard_normal((len(pushes), 2)))
-    off = pushes + lean[:, :1] * one + lean[:, 1:] * two
+    off = pushes + lean[:, :1] * e1 + lean[:, 1:] * e2
     return off / np.linalg.norm(off, axis=1, keepdims=True)
 
 
 def held(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatArray:
-    """Return the pushes, each that leans more taken back to `usable` from its inward normal: it would slide off.
-
-    Parameters
-    ----------
-    pushes : (n, 3) float, unit
-    normals : (n, 3) float, unit, outward
-    usable : rad
-    """
+    """Return the pushes (n, 3), each that leans more taken back to `usable` from its inward normal: it would slide off."""
     inward = -np.sum(pushes * normals, axis=1, keepdims=True)
     aside = pushes + inward * normals
     length = np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
     leaning = np.sin(usable) * aside / length - np.cos(usable) * normals
     return np.where(inward < np.cos(usable), leaning, pushes)
 
-
-__all__ = ["Rig", "RigErrors", "Stance"]
 
 NEIGHBOURS = 40
 """Taxels looked at around a tip: within `Foam.reach` of a point of any layout here there are fewer."""
@@ -152,7 +113,7 @@ REST_SHARE = 240 / 255
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stance:
-    """One arm pose: what the joints tell and what is."""
+    """One arm pose: what the joints report and what is."""
 
     name: str
     angles: FloatArray
@@ -166,14 +127,7 @@ class Stance:
 
 
 class Rig:
-    """What a simulated rig is, and what its sensors say of pokes.
-
-    Parameters
-    ----------
-    scene : with a layout and an anchor
-    surface : of the scene; None where it has none
-    errors : how wrong the rig is
-    rng : draws everything that stays for a session
+    """What a simulated rig is, and what its sensors say of pokes; `rng` draws everything that stays for a session.
 
     Raises
     ------
@@ -181,11 +135,10 @@ class Rig:
         The scene does not say where taxels lie.
     """
 
-    def __init__(
-        self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator, foam: Foam | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator) -> None:
+        # Each part draws by itself: a rig with another sensor has the same skin.
         mount, skin, arm, sensor = rng.spawn(4)
-        self.scene, self.surface, self.errors, self.foam = scene, surface, errors, foam or Foam()
+        self.scene, self.surface, self.errors, self.foam = scene, surface, errors, Foam()
         self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
         if surface is not None:
             # Loads what the search needs (0.3 s) now rather than in the middle of the first poke.
@@ -209,11 +162,11 @@ class Rig:
         count = len(self.channels)
         self.baselines = np.clip(start + spread * rng.standard_normal(count), low, high)
         self.gains = np.maximum(1.0 + self.errors.gain_spread * rng.standard_normal(count), 0.1)
-        self.stuck = self.channels[rng.choice(count, min(self.errors.stuck, count), replace=False)]
         self._idle = np.full(self.scene.skin.channels, low if self.polarity > 0 else high)
         self._idle[self.channels] = self.baselines
 
     def _set_up_sensor(self, rng: np.random.Generator) -> None:
+        # Moments count as forces at `matrix_arm`: so one relative error holds for all six components.
         units = np.repeat([1.0, self.errors.matrix_arm], 3)
         e = self.errors.matrix * rng.standard_normal((6, 6)) * units[:, None] / units[None, :]
         self.matrix = np.eye(6) + e
@@ -240,11 +193,17 @@ class Rig:
             The channel is not a taxel.
         """
         if not 0 <= channel < len(self._row) or self._row[channel] < 0:
-            raise InputError(f"channel {channel} is not a taxel of {self.scene.name}; it has {self._some_channels()}.")
+            has = f"{len(self.channels)} taxels, channels {self.channels[0]} to {self.channels[-1]} with gaps"
+            raise InputError(f"channel {channel} is not a taxel of {self.scene.name}; it has {has}.")
         return int(self._row[channel])
 
-    def _some_channels(self) -> str:
-        return f"{len(self.channels)} taxels, channels {self.channels[0]} to {self.channels[-1]} with gaps"
+    def truth(self) -> dict[str, Any]:
+        """Return where the taxels really are: link frame, metres, unit normals."""
+        taxels = zip(self.channels.tolist(), self.places.tolist(), self.normals.tolist(), strict=True)
+        return {
+            "link": self.scene.link,
+            "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
+        }
 
     def stance(self, name: str | None = None) -> Stance:
         """Return an arm pose by its name; the first one for None.
@@ -261,17 +220,13 @@ class Rig:
         return self.stances[name]
 
     def true_wrenches(self, points: FloatArray, forces: FloatArray, stance: Stance) -> FloatArray:
-        """Return the wrenches of pure forces at points (eqs. 1-2), about the sensor's origin.
+        """Return (n, 6) the wrenches of pure forces at points (eqs. 1-2), sensor frame, before the sensor's errors.
 
         Parameters
         ----------
         points : (n, 3) float, metres, link frame
         forces : (n, 3) float, N, link frame, on the part
         stance : the arm pose; its true one counts
-
-        Returns
-        -------
-        (n, 6) float, N and N m, sensor frame, before the sensor's errors
         """
         sensor_from_link = inverse_pose(stance.true)
         f = forces @ sensor_from_link[:3, :3].T
@@ -283,12 +238,7 @@ class Rig:
         return wrenches @ self.matrix.T
 
     def answers(self, pokes: PressedPlaces, loads: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return which taxels answer each place pressed and by how much, without noise.
-
-        Parameters
-        ----------
-        pokes : n places
-        loads : (n,) float, N, force at each now
+        """Return which taxels answer each of n places under `loads` (n,), N, and by how much, without noise.
 
         Returns
         -------
@@ -316,22 +266,11 @@ class Rig:
         return rows
 
     def skin_frame(self, answers: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return raw frames for answers, with noise, clipped and rounded as the device does.
-
-        Parameters
-        ----------
-        answers : (n, taxels) float, raw units above the baseline, in the order of `channels`
-
-        Returns
-        -------
-        (n, width) float, whole numbers
-        """
+        """Return (n, width) raw frames of answers (n, taxels) above the baselines, with noise, clipped and rounded."""
         frames: FloatArray = np.tile(self._idle, (len(answers), 1))
         noise = self.errors.skin_noise * self.counts * rng.standard_normal(answers.shape)
         frames[:, self.channels] += self.polarity * answers + noise
         low, high = self.range
-        if len(self.stuck):
-            frames[:, self.stuck] = (low + high) / 2
         return np.clip(np.rint(frames), low, high, dtype=np.float64)
 
 
@@ -372,8 +311,7 @@ def _rotation(vector: FloatArray) -> FloatArray:
     angle = float(np.linalg.norm(vector))
     if angle == 0:
         return np.eye(3)
-    x, y, z = vector / angle
-    s = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    s = cross_matrix(vector / angle)
     return np.eye(3) + np.sin(angle) * s + (1 - np.cos(angle)) * (s @ s)
 
 
@@ -406,16 +344,9 @@ class Foam:
 
 
 def felt_share(foam: Foam, offsets: FloatArray, axis_x: FloatArray, axis_y: FloatArray) -> FloatArray:
-    """Return the share g of the tip's load that taxels feel, 0 to 1.
+    """Return (n, k) the share g of the tip's load that taxels feel, 0 to 1.
 
-    Parameters
-    ----------
-    offsets : (n, k, 3) float, metres, from the middle of the tip to the taxels
-    axis_x, axis_y : (n, 3) float, unit, the sides of the tip, in the plane of the skin
-
-    Returns
-    -------
-    (n, k) float
+    `offsets` (n, k, 3), metres, go from the middle of the tip to the taxels; the axes (n, 3) are the tip's sides.
     """
     x = np.einsum("nki,ni->nk", offsets, axis_x)
     y = np.einsum("nki,ni->nk", offsets, axis_y)
@@ -429,11 +360,5 @@ def _blurred_box(foam: Foam, x: FloatArray) -> FloatArray:
 
 
 def answer(foam: Foam, normal_load: FloatArray, share: FloatArray) -> FloatArray:
-    """Return a taxel's answer as a share of its way to the end of its range, 0 to `full_share`.
-
-    Parameters
-    ----------
-    normal_load : (...) float, N, pushed along the inward normal
-    share : (...) float, `felt_share`
-    """
+    """Return a taxel's answer to a load along the inward normal, N, of which it feels `felt_share`: 0 to `full_share`."""
     return foam.full_share * -np.expm1(-np.maximum(normal_load, 0.0) * share / foam.force_scale)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -43,14 +42,9 @@ def simulate_session(
 
     Parameters
     ----------
-    scene, surface : what is poked; the scene's modules and anchor say where taxels are
     folder : of the new session; `truth.json` is written there too
-    pokes : how many
+    pokes, poses, channels : as for `Auto`
     seed : the same one gives the same bytes
-    errors : how wrong the rig is
-    poses : names of arm poses that share the pokes; the scene's first where none are given
-    channels : taxels to poke; all for None
-    habits, settings : of the operator and the devices
     progress : called with the number of pokes begun, whenever it grows
 
     Returns
@@ -62,6 +56,7 @@ def simulate_session(
     InputError
         The scene does not say where its taxels are, a pose is not known, or the folder cannot be used.
     """
+    # Streams of their own, as when the rig is served: another operator meets the same rig and the same devices.
     rng = np.random.default_rng(seed)
     rig_rng, operator_rng, device_rng = rng.spawn(3)
     rig = Rig(scene, surface, errors, rig_rng)
@@ -69,15 +64,9 @@ def simulate_session(
     line = DeviceTimeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
     pipeline = Pipeline(scene, links, surface, create_session(folder, scene, links))
-    write_truth(folder / TRUTH_NAME, rig)
-    _play(line, operator, pipeline, progress)
-    pipeline.close()
-    return pipeline
-
-
-def _play(line: DeviceTimeline, operator: Auto, pipeline: Pipeline, progress: Callable[[int], None] | None) -> None:
-    for link in line.links:
-        pipeline.feed(LinkEvent(link, START_NS, LinkState.OPEN))
+    (folder / TRUTH_NAME).write_text(json.dumps(rig.truth(), indent=1) + "\n", encoding="utf-8")
+    for link in links:
+        pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
     begun = 0
     while not line.finished:
         for at_ns, link, data in line.step():
@@ -86,20 +75,7 @@ def _play(line: DeviceTimeline, operator: Auto, pipeline: Pipeline, progress: Ca
         if progress is not None and operator.begun != begun:
             begun = operator.begun
             progress(begun)
-    end_ns = START_NS + round(line.now * 1e9)
-    for link in line.links:
-        pipeline.feed(LinkEvent(link, end_ns, LinkState.ENDED))
-
-
-def truth(rig: Rig) -> dict[str, Any]:
-    """Return where the taxels of a rig really are: link frame, metres, unit normals."""
-    taxels = zip(rig.channels.tolist(), rig.places.tolist(), rig.normals.tolist(), strict=True)
-    return {
-        "link": rig.scene.link,
-        "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
-    }
-
-
-def write_truth(path: Path, rig: Rig) -> None:
-    """Write `truth` as a JSON file."""
-    path.write_text(json.dumps(truth(rig), indent=1) + "\n", encoding="utf-8")
+    for link in links:
+        pipeline.feed(LinkEvent(link.name, START_NS + round(line.now * 1e9), LinkState.ENDED))
+    pipeline.close()
+    return pipeline

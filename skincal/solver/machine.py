@@ -114,7 +114,7 @@ class Call:
         self._rooms: dict[int, tuple[tuple[int, ...], np.dtype[Any]]] = {}
 
     def give(self, array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> int:
-        """Return the place of a copy of `array`, of 64-bit floats unless told."""
+        """Return the place of a copy of `array`, of 64-bit floats unless said otherwise."""
         place = self._free
         self._machine.write(place, array, kind)
         self._free = _after(place, array.size * kind.itemsize)

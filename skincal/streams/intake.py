@@ -1,12 +1,12 @@
-"""When a reading was made, on the host's clock, from when it arrived.
+"""Chunks and events of all links in, paired samples out: the one facade of the streams.
 
-Theory. Reading i is stamped x_i by the device and arrives at y_i = f(x_i) + d_i on the host's clock. f is a straight line
-over a minute (two crystals differ by a constant factor), and the delay d_i of sensor, wire, adapter and program is never
-less than a constant d. So the line that is wanted, f + d, lies under all points and touches some. Of all lines a + b x
-under all points the one with the least sum of y_i - a - b x_i is taken: with n points that sum is sum(y_i) - n (a + b m),
-m the mean of x_i, so it is the line that is highest at m, the edge of the lower convex hull above m. Queueing (a timer of
-16 ms in a serial adapter, bursts, a busy program) makes delays longer, never shorter, and drops out; what is left is the
-constant d, which no stamp of arrival can show. A least-squares line would keep the mean delay instead.
+*When was a reading made?* Reading i is stamped x_i by the device and arrives at y_i = f(x_i) + d_i on the host's clock. f is a
+straight line over a minute (two crystals differ by a constant factor), and the delay d_i of sensor, wire, adapter and program
+is never less than a constant d. So the line that is wanted, f + d, lies under all points and touches some. Of all lines a + b x
+under all points the one with the least sum of y_i - a - b x_i is taken: with n points that sum is sum(y_i) - n (a + b m), m the
+mean of x_i, so it is the line that is highest at m, the edge of the lower convex hull above m. Queueing (a timer of 16 ms in a
+serial adapter, bursts, a busy program) makes delays longer, never shorter, and drops out; what is left is the constant d, which
+no stamp of arrival can show. A least-squares line would keep the mean delay instead.
 
 Live, the points of the last minute count, and the line is carried on to the newest one. To keep the work per reading
 constant, readings are gathered in buckets of a quarter second, of which only the point lowest above the present line is
@@ -16,9 +16,7 @@ line pushes the line down at once, so no reading is ever dated after its arrival
 
 A device without a clock is dated by its count times its period, where it keeps a constant pace (`IndexClock`).
 
-Chunks and events of all links in, paired samples out: the one facade of the streams.
-
-Which wrench acted while a skin frame was taken? A frame's stamp ends its interval: the wrench of a frame is the mean of the
+*Which wrench acted while a skin frame was taken?* A frame's stamp ends its interval: the wrench of a frame is the mean of the
 readings in the interval of one frame period up to the stamp, so no reading from after the frame is needed and the means of
 neighbouring frames share no reading. Where the wrench is slower than the skin and no reading falls into an interval, the
 wrench at its middle is interpolated. A frame waits until the wrench stream has passed its stamp; a frame that waited too
@@ -31,7 +29,7 @@ gives the same samples bit for bit.
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -106,10 +104,7 @@ class HullClock:
     def map(self, device_s: float, arrival_s: float) -> float:
         """Return when the reading was made, up to the constant least delay, on the host's clock.
 
-        Parameters
-        ----------
-        device_s : stamp of the device, seconds; may step back a little, not by `JUMP_S`
-        arrival_s : host's clock at its arrival, seconds
+        The device's stamp, seconds, may step back a little, not by `JUMP_S`; `arrival_s` is the host's clock, seconds.
         """
         if self._origin is None:
             self._begin(device_s, arrival_s)
@@ -161,12 +156,9 @@ class HullClock:
 
 
 def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: float) -> tuple[float, float]:
-    """Find offset and slope of the line under all points that is highest at their mean x.
+    """Find offset and slope of the line under all `points` (x, y), seconds, ascending in x, that is highest at their mean x.
 
-    Parameters
-    ----------
-    points : at least one (x, y), seconds, ascending in x
-    slope_change_max : the slope is held within this of 1
+    The slope is held within `slope_change_max` of 1.
     """
     hull = _lower_hull(points)
     mean = math.fsum(x for x, _ in points) / len(points)
@@ -255,7 +247,7 @@ class Stamper:
 
     def __init__(self) -> None:
         self._device = HullClock()
-        self._index: dict[Stream, IndexClock] = {}
+        self._index = defaultdict[Stream, IndexClock](IndexClock)
         self._last: dict[Stream, float] = {}
 
     def reopened(self) -> None:
@@ -271,25 +263,16 @@ class Stamper:
     def stamp(self, stream: Stream, device_s: FloatArray, arrival_s: float) -> FloatArray:
         """Return the host's clock at each reading, seconds, strictly ascending from call to call.
 
-        Parameters
-        ----------
-        device_s : (n,) device's clock, seconds; NaN where it has none
-        arrival_s : host's clock when the last of them arrived
+        `device_s` is (n,), seconds, NaN where the device has no clock; the last of them arrived at `arrival_s`.
         """
         last = self._last.get(stream, -math.inf)
         stamps: list[float] = []
         for x in device_s.tolist():
-            made_s = self._index_of(stream).map(arrival_s) if math.isnan(x) else self._device.map(x, arrival_s)
+            made_s = self._index[stream].map(arrival_s) if math.isnan(x) else self._device.map(x, arrival_s)
             last = made_s if made_s >= last + STEP_S else last + STEP_S
             stamps.append(last)
         self._last[stream] = last
         return np.array(stamps)
-
-    def _index_of(self, stream: Stream) -> IndexClock:
-        index = self._index.get(stream)
-        if index is None:
-            index = self._index[stream] = IndexClock()
-        return index
 
 
 WAIT_S = 0.25
@@ -320,10 +303,7 @@ CLOCKLESS_LOSSES = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM, Loss.MIS
 class Intake:
     """Decodes, dates and pairs what the links of one session send.
 
-    Raises
-    ------
-    InputError
-        From the constructor: a format is not known, or two links have one name. From `feed`: see `check`.
+    The constructor raises InputError: a format is not known, or two links have one name; for `feed` see `check`.
     """
 
     def __init__(self, channels: int, links: Sequence[LinkSpec]) -> None:
@@ -374,12 +354,7 @@ class Intake:
         return self._pairing.ring.since(self._pairing.ring.newest_s - RECENT_S)
 
     def health(self, now_ns: int) -> tuple[LinkHealth, ...]:
-        """Say how each link does, in the order of their description.
-
-        Parameters
-        ----------
-        now_ns : host's monotonic clock, nanoseconds: the rate counts the last two seconds before it
-        """
+        """Say how each link does; the rate counts the two seconds before `now_ns` of the host's monotonic clock."""
         none: Counter[Loss] = Counter()
         return tuple(
             link.health(now_ns, self._pairing.counts if Stream.SKIN in link.spec.carries else none)
@@ -502,12 +477,7 @@ class Pairing:
             self.counts[Loss.UNPAIRED] += 1
 
     def advance(self, now_s: float) -> list[Sample]:
-        """Return the frames whose wrench is known, in order; count those that waited too long.
-
-        Parameters
-        ----------
-        now_s : s, arrival of the newest bytes of any link
-        """
+        """Return the frames whose wrench is known when bytes came at `now_s`, in order; count those that waited too long."""
         samples: list[Sample] = []
         while self._waiting:
             frame = self._waiting[0]
@@ -529,12 +499,10 @@ class Pairing:
         among = self.ring.between(frame.host_s - frame.period_s + EDGE_S, frame.host_s + EDGE_S)
         wrench, readings = self.ring.mean(among)
         if not readings:
-            middle_s = frame.host_s - frame.period_s / 2
-            pair = self.ring.usable_around(middle_s, INTERPOLATE_S)
-            if pair is None or self.ring.gap(pair) >= INTERPOLATE_S:
+            between = self.ring.interpolate(frame.host_s - frame.period_s / 2, INTERPOLATE_S)
+            if between is None:
                 return None
-            wrench, readings = self.ring.interpolate(pair, middle_s), len(pair)
-            among = slice(pair[0], pair[1] + 1)
+            (wrench, among), readings = between, 2
         return Sample(frame.host_s, frame.values, wrench, readings, self.ring.flagged(among), self._angles_at(frame.host_s))
 
     def _angles_at(self, host_s: float) -> FloatArray | None:
@@ -561,14 +529,9 @@ class WrenchRing:
         self._dropped = False
 
     def append(self, host_s: FloatArray, wrench: FloatArray, usable: NDArray[np.bool_], flagged: NDArray[np.bool_]) -> None:
-        """Add readings that are newer than all before.
+        """Add n readings that are newer than all before, N and N m, their stamps ascending, seconds.
 
-        Parameters
-        ----------
-        host_s : (n,) float, seconds, ascending
-        wrench : (n, 6) float, N and N m
-        usable : (n,) the reading may be averaged
-        flagged : (n,) the device says saturated or invalid
+        `usable` ones may be averaged; of `flagged` ones the device says that they are saturated or invalid.
         """
         kept = slice(max(len(host_s) - self._capacity, 0), None)
         count = len(host_s[kept])
@@ -621,26 +584,21 @@ class WrenchRing:
         """Say whether the device flagged a reading of a slice."""
         return bool(self._flagged[among].any())
 
-    def usable_around(self, host_s: float, within_s: float) -> tuple[int, int] | None:
-        """Return where the last usable reading before and the first at or after `host_s` lie; None if one is missing.
+    def interpolate(self, host_s: float, apart_s: float) -> tuple[FloatArray, slice] | None:
+        """Return the wrench on the straight line between the usable readings around `host_s`, and where these lie.
 
-        Parameters
-        ----------
-        within_s : s, how far to look on either side
+        None where one of them is missing, or where they are `apart_s` seconds apart or more.
         """
-        near = self.between(host_s - within_s, host_s + within_s)
+        near = self.between(host_s - apart_s, host_s + apart_s)
         usable = near.start + np.flatnonzero(self._usable[near])
         right = int(np.searchsorted(self._host_s[usable], host_s))
-        return None if right in (0, len(usable)) else (int(usable[right - 1]), int(usable[right]))
-
-    def interpolate(self, pair: tuple[int, int], host_s: float) -> FloatArray:
-        """Return the wrench at `host_s` on the straight line between two readings."""
-        (left_s, right_s), (left, right) = self._host_s[list(pair)], self._wrench[list(pair)]
-        return left + (right - left) * ((host_s - left_s) / (right_s - left_s))
-
-    def gap(self, pair: tuple[int, int]) -> float:
-        """Return the time between two readings, seconds."""
-        return float(self._host_s[pair[1]] - self._host_s[pair[0]])
+        if right in (0, len(usable)):
+            return None
+        pair = usable[right - 1 : right + 1]
+        (first_s, second_s), (first, second) = self._host_s[pair], self._wrench[pair]
+        if second_s - first_s >= apart_s:
+            return None
+        return first + (second - first) * ((host_s - first_s) / (second_s - first_s)), slice(int(pair[0]), int(pair[1]) + 1)
 
     def since(self, host_s: float) -> tuple[FloatArray, FloatArray]:
         """Return copies of the stamps (n,) and wrenches (n, 6) from `host_s` on, usable or not."""

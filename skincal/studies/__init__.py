@@ -28,13 +28,7 @@ class Study(Protocol):
     """What a study's module offers."""
 
     def run(self, quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-        """Measure, and return what JSON can hold: no NaN.
-
-        Parameters
-        ----------
-        quick : a shorter version, within 45 s
-        progress : takes a sentence now and then
-        """
+        """Measure, within 45 s if `quick`, and return what JSON can hold, no NaN; `progress` takes a sentence now and then."""
         ...
 
     def summary(self, result: dict[str, Any]) -> list[str]:

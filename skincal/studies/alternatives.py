@@ -5,7 +5,7 @@ taxel; and its normal equations, all taxels at once. For the surface method (II-
 triangles that face the pokes: every triangle by a closed form (brute force); only those that face the pokes, in numpy and
 compiled; only those of them that a bound on their balls does not rule out; and the paper's way, each triangle a constrained
 least squares, by quadprog and by scipy's SLSQP, only on the side that is pushed. All get the taxel's 3 x 3 factor, not its
-hundreds of rows, and none computes an uncertainty. Both favour the alternative.
+hundreds of rows, and none computes an uncertainty. Both favour the alternative. For the modules method: scipy's general solver.
 
 **The closed form** is the point of a triangle nearest to the origin. It holds for needles and for triangles without area, which
 a metric that does not see one direction makes of good ones. The interior point comes from an orthogonalised pair of edges,
@@ -18,18 +18,21 @@ solved beside it, and arrays of one component each are what numpy goes through f
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module, util
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray, move_wrench
+from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
 from skincal.mesh.search import GRAZING, nearest_to_rows
 from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
+from skincal.modules.pose import ModuleModel, ModulePoses, Pads
+from skincal.modules.pose_fit import Touches, find_touches
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.solve import solve
 
@@ -40,17 +43,13 @@ AT_ONCE = 1 << 11
 """Triangles solved at once: their intermediate numbers, 1 MB, stay in a core's cache. Measured: 1,000 and 16,000 are slower."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Systems:
-    """For each of t taxels |root p - offset|^2, and from where it is pushed."""
+class Systems(NamedTuple):
+    """For each of t taxels |root p - offset|^2, roots (t, 3, 3) and offsets (t, 3), and from where it is pushed, (t, 3)."""
 
     channels: list[int]
     roots: FloatArray
-    """(t, 3, 3) float."""
     offsets: FloatArray
-    """(t, 3) float."""
     pushes: FloatArray
-    """(t, 3) float."""
 
 
 def systems(contacts: Sequence[Contact], channels: Iterable[int], noise: NoiseSettings) -> Systems:
@@ -89,7 +88,7 @@ def bounded_triangles(surface: Surface, root: FloatArray, offset: FloatArray, pu
     lower = distance - float(np.linalg.norm(root, 2)) * surface.radii[which]
     left = which[lower <= distance.min()]
     images = (surface.corners[left] @ root.T - offset).transpose(2, 1, 0)
-    winner = int(left[closest_in_columns(np.ascontiguousarray(images)).squared.argmin()])
+    winner = int(left[closest_in_columns(np.ascontiguousarray(images))[0].argmin()])
     return _point(surface, root, offset, winner)
 
 
@@ -99,7 +98,7 @@ def _best(surface: Surface, root: FloatArray, offset: FloatArray, which: IntArra
     least, winner = np.inf, -1
     for first in range(0, len(which), AT_ONCE):
         some = which[first : first + AT_ONCE]
-        squared = closest_in_columns(images[:, surface.triangles[some].T]).squared
+        squared = closest_in_columns(images[:, surface.triangles[some].T])[0]
         squared[~counts[first : first + AT_ONCE]] = np.inf
         best = int(squared.argmin())
         if squared[best] < least:
@@ -113,16 +112,15 @@ def _point(surface: Surface, root: FloatArray, offset: FloatArray, triangle: int
     return shares[0] @ corners
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Problems:
-    """Triangles as quadratic programmes of two shares x: minimise x'G x/2 + g'x, x >= 0, x_1 + x_2 <= 1; in mm^2."""
+class Problems(NamedTuple):
+    """Triangles as quadratic programmes of two shares x: minimise x'G x/2 + g'x, x >= 0, x_1 + x_2 <= 1; in mm^2.
+
+    `grams` (n, 2, 2) are G, `slopes` (n, 2) g; `corners` (n, 3, 3), metres, those of the triangles themselves.
+    """
 
     grams: FloatArray
-    """(n, 2, 2) float: G."""
     slopes: FloatArray
-    """(n, 2) float: g."""
     corners: FloatArray
-    """(n, 3, 3) float, metres: of the triangles themselves."""
 
     def points(self, shares: FloatArray) -> FloatArray:
         """Return the points (n, 3) of `shares` (n, 2), metres."""
@@ -174,17 +172,16 @@ def by_slsqp(some: Problems) -> FloatArray:
     return np.array(solved).reshape(-1, 2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stacked:
-    """The paper's system (5) of each of t taxels, three rows an answer, one taxel after another."""
+class Stacked(NamedTuple):
+    """The paper's system (5) of each of t taxels, three rows an answer, one taxel after another.
+
+    `a` (3n, 3) is k S(u), `b` (3n,) is -k m/|f|; taxel i has the rows starts[i] to starts[i + 1] of `starts` (t + 1,).
+    """
 
     channels: list[int]
     a: FloatArray
-    """(3n, 3) float: k S(u)."""
     b: FloatArray
-    """(3n,) float: -k m/|f|."""
     starts: IntArray
-    """(t + 1,): taxel i has the rows starts[i] to starts[i + 1]."""
 
 
 def stacked(contacts: Sequence[Contact], channels: Iterable[int]) -> Stacked:
@@ -204,9 +201,7 @@ def stacked(contacts: Sequence[Contact], channels: Iterable[int]) -> Stacked:
     order = np.argsort(channel, kind="stable")
     owner, channel, k = owner[order], channel[order], k[order]
     begins = np.flatnonzero(np.r_[True, channel[1:] != channel[:-1], True])
-    cross = np.zeros((len(u), 3, 3))
-    cross[:, [2, 0, 1], [1, 2, 0]], cross[:, [1, 2, 0], [2, 0, 1]] = u, -u
-    a = k[:, None, None] * cross[owner]
+    a = k[:, None, None] * cross_matrix(u)[owner]
     return Stacked(channel[begins[:-1]].tolist(), a.reshape(-1, 3), (k[:, None] * right[owner]).ravel(), 3 * begins)
 
 
@@ -229,6 +224,41 @@ def by_normal_equations(rows: Stacked) -> FloatArray:
     return positions
 
 
+@dataclass(frozen=True, eq=False)
+class ModuleProblem:
+    """One module to be placed, from what the program begins with."""
+
+    model: ModuleModel
+    module: int
+    table: ContactTable
+    start: ModulePoses
+    noise: NoiseSettings
+
+    @cached_property
+    def touches(self) -> Touches:
+        """Its pokes."""
+        evidence = self.table.evidence(self.model.channels_of([self.module]))
+        return find_touches(evidence, self.table.totals(evidence.pokes), self.model, self.noise, [self.module])
+
+    def laid(self, pose: ModulePoses) -> Pads:
+        """Return where its pads lie at one pose."""
+        flat = self.model.pads[self.module]
+        return self.model.ground.laid(pose.take(np.zeros(len(flat), dtype=np.int64)), flat)
+
+    def by_least_squares(self, misses: Callable[[Pads], FloatArray], **settings: float) -> FloatArray:
+        """Return the pads (k, 3), metres, of least `misses`, by scipy's Levenberg-Marquardt with its differenced Jacobian."""
+        optimize: Any = import_module("scipy.optimize")
+
+        def reached(move: FloatArray) -> Pads:
+            return self.laid(self.model.ground.moved(self.start, move[None]))
+
+        def off(move: FloatArray) -> FloatArray:
+            return misses(reached(move)).ravel()
+
+        found = optimize.least_squares(off, np.zeros(self.model.ground.unknowns), method="lm", **settings)
+        return reached(np.asarray(found.x, dtype=np.float64)).points
+
+
 # ---- the closed form ----
 
 _ZERO = 1e-300
@@ -243,53 +273,29 @@ def closest_in_triangles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     shares : (n, 3) float, barycentric: the point is `shares @ corners`
     squared : (n,) float, its squared distance
     """
-    found = closest_in_columns(np.ascontiguousarray(corners.transpose(2, 1, 0)))
-    return np.ascontiguousarray(found.shares().T), found.squared
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Closest:
-    """The nearest points of n triangles, each as the better of a point on a side and one inside."""
-
-    squared: FloatArray
-    """(n,) float: squared distance from the origin."""
-    within: FloatArray
-    """(n,) float: that of the plane's nearest point; infinite where it is outside the triangle."""
-    side: IntArray
-    """(n,) the side with the nearest point of the outline; side s runs from corner s to corner (s + 1) mod 3."""
-    along: FloatArray
-    """(n,) where on that side, 0 to 1."""
-    longest: IntArray
-    """(n,) the longest side, from which u and v are taken."""
-    u: FloatArray
-    v: FloatArray
-
-    def shares(self) -> FloatArray:
-        """Return (3, n) the barycentric coordinates of the points."""
-        inside = self.within <= self.squared
-        first = np.where(inside, self.longest, self.side)
-        u, v = np.where(inside, self.u, self.along), np.where(inside, self.v, 0.0)
-        shares = np.empty((3, len(u)))
-        column = np.arange(len(u))
-        shares[first, column] = 1.0 - u - v
-        shares[_AFTER[first], column], shares[_BEFORE[first], column] = u, v
-        return shares
+    squared, within, side, along, longest, u, v = closest_in_columns(np.ascontiguousarray(corners.transpose(2, 1, 0)))
+    inside = within <= squared
+    first, u, v = np.where(inside, longest, side), np.where(inside, u, along), np.where(inside, v, 0.0)
+    shares, row = np.empty((len(u), 3)), np.arange(len(u))
+    shares[row, first], shares[row, _AFTER[first]], shares[row, _BEFORE[first]] = 1.0 - u - v, u, v
+    return shares, squared
 
 
 _AFTER = np.array([1, 2, 0])
 _BEFORE = np.array([2, 0, 1])
 
 
-def closest_in_columns(corners: FloatArray) -> Closest:
-    """Do the same for `corners` (3, 3, n): component, corner, triangle."""
-    count = corners.shape[2]
-    if count <= AT_ONCE:
-        return _closest(corners)
-    parts = [_closest(np.ascontiguousarray(corners[:, :, at : at + AT_ONCE])) for at in range(0, count, AT_ONCE)]
-    return Closest(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Closest)))
+def closest_in_columns(
+    corners: FloatArray,
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, IntArray, FloatArray, FloatArray]:
+    """Find the nearest points of triangles `corners` (3, 3, n): component, corner, triangle.
 
-
-def _closest(corners: FloatArray) -> Closest:
+    Returns
+    -------
+    squared distance (n,); that of the plane's nearest point, infinite where it is outside; the side, from corner s to corner
+    (s + 1) mod 3, with the outline's nearest point, and where on it, 0 to 1; the longest side, and from it the shares u, v of
+    the plane's nearest point
+    """
     count = int(corners.shape[2])
     column = np.arange(count)
     edges = np.empty_like(corners)
@@ -316,7 +322,7 @@ def _closest(corners: FloatArray) -> Closest:
         starts.ravel().take(at, mode="clip"),
     )
     along = along.ravel().take(side * count + column, mode="clip")
-    return Closest(np.minimum(best, within), within, side, along, longest, u, v)
+    return np.minimum(best, within), within, side, along, longest, u, v
 
 
 def _second_or_third(second: NDArray[np.bool_], third: NDArray[np.bool_]) -> IntArray:

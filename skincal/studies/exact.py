@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from skincal.mesh.search import GRAZING
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModulePoses
 from skincal.modules.pose_fit import ACROSS, MIDDLE
-from skincal.studies.stability_cases import Case, ModuleCase, ModuleReadings, RawMesh, TaxelReadings, moved
+from skincal.studies.stability_cases import Case, ModuleCase, RawMesh, Readings, moved
 from skincal.taxels.result import MISS_MAX, SD_MAX
 
 DIGITS = 80
@@ -104,8 +104,7 @@ def between(p: Exact, q: Exact) -> float:
 # ---- a taxel ----
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NormalEquations:
+class NormalEquations(NamedTuple):
     """N (3, 3), h (3,) and c of one taxel."""
 
     n: Exact
@@ -115,35 +114,40 @@ class NormalEquations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """The exact answer of a case and how far it moves when the inputs' last digits do."""
+    """The exact places of a taxel, or of a module's k pads, and how far they move when the inputs' last digits do."""
 
-    answer: Exact
-    change: float
-    """m, the largest over the draws."""
-    blind: Exact | None = None
-    """The direction that the readings say nothing of."""
+    points: Exact
+    """(k, 3)."""
+    changes: tuple[float, ...]
+    """m, of each the largest over the draws."""
+    determined: tuple[bool, ...] = (True,)
+    """Whether the contacts determine the place at all, however badly, so that it is compared."""
+    blind: tuple[bool, ...] = (False,)
+    """Whether a pad must be called blind: known worse than `SD_MAX`, or missed by the axes by more than `MISS_MAX`."""
+    direction: Exact | None = None
+    """The direction that a taxel's readings say nothing of."""
     turn: float = 0.0
-    """rad, the largest change of the blind direction over the draws."""
+    """rad, the largest change of that over the draws."""
 
 
 def find_truth(case: Case, draws: int, rng: np.random.Generator) -> Truth:
     """Return the exact answer of a case and its largest change over `draws` draws of the inputs' last digits."""
-    equations = normal_equations(case.readings)
+    if isinstance(case, ModuleCase):
+        return _module_truth(case, draws, rng)
+    readings, equations = case.readings, normal_equations(case.readings)
+    if case.mesh is not None:
+        answer, change = _on_mesh(readings, case.mesh, equations, draws, rng)
+        return Truth(answer[None], (change,))
     if case.many:
         answer = solve(equations)
-        return Truth(answer, _first_order(case.readings, equations, answer, draws, rng))
-    if case.mesh is not None:
-        return _on_mesh(case.readings, case.mesh, equations, draws, rng)
-    others = (normal_equations(case.readings.moved(rng)) for _ in range(draws))
-    if not case.blind:
-        answer = solve(equations)
-        return Truth(answer, max(distance(answer, solve(other)) for other in others))
-    answer, blind = solve_blind(equations)
-    drawn = [solve_blind(other) for other in others]
-    return Truth(answer, max(distance(answer, p) for p, _ in drawn), blind, max(between(blind, turned) for _, turned in drawn))
+        return Truth(answer[None], (_first_order(readings, equations, answer, draws, rng),))
+    every = [equations, *(normal_equations(readings.moved(rng)) for _ in range(draws))]
+    (answer, direction), *drawn = [solve_blind(some) if case.blind else (solve(some), None) for some in every]
+    turn = max(between(direction, turned) for _, turned in drawn) if case.blind else 0.0
+    return Truth(answer[None], (max(distance(answer, p) for p, _ in drawn),), direction=direction, turn=turn)
 
 
-def normal_equations(readings: TaxelReadings) -> NormalEquations:
+def normal_equations(readings: Readings) -> NormalEquations:
     """Return the normal equations of (5), all three rows of every contact, each carried by eq. (6)."""
     n, h, c = exactly(np.zeros((3, 3))), exactly(np.zeros(3)), MP.mpf(0)
     for first in range(0, len(readings.forces), _AT_ONCE):
@@ -158,7 +162,7 @@ def normal_equations(readings: TaxelReadings) -> NormalEquations:
     return NormalEquations(n, h, c)
 
 
-def _carried(readings: TaxelReadings | ModuleReadings) -> tuple[Exact, Exact]:
+def _carried(readings: Readings) -> tuple[Exact, Exact]:
     """Return f and m (n, 3) in the link frame: f_w = R f_s and m_w = R m_s + t x f_w with p_w = R p_s + t, eq. (6) turned."""
     f, m = exactly(readings.forces), exactly(readings.moments)
     for number, pose in enumerate(readings.poses):
@@ -170,11 +174,11 @@ def _carried(readings: TaxelReadings | ModuleReadings) -> tuple[Exact, Exact]:
     return f, m
 
 
-def _weights(readings: TaxelReadings) -> Exact:
+def _weights(readings: Readings) -> Exact:
     return exactly(readings.responses) / exactly(readings.strongest)
 
 
-def mean_push(readings: TaxelReadings) -> Exact:
+def mean_push(readings: Readings) -> Exact:
     """Return the sum of k u: the mean push but for its length."""
     return _weights(readings) @ unit(_carried(readings)[0])
 
@@ -229,7 +233,9 @@ def best(equations: NormalEquations, corners: Exact) -> Exact:
     return points[values.argmin()]
 
 
-def _on_mesh(readings: TaxelReadings, mesh: RawMesh, equations: NormalEquations, draws: int, rng: np.random.Generator) -> Truth:
+def _on_mesh(
+    readings: Readings, mesh: RawMesh, equations: NormalEquations, draws: int, rng: np.random.Generator
+) -> tuple[Exact, float]:
     triangles = mesh.triangles[_facing(mesh, mean_push(readings))]
     values, points = nearest(equations, exactly(mesh.vertices[triangles]))
     roots = np.sqrt(np.maximum(values, MP.zero))
@@ -240,10 +246,10 @@ def _on_mesh(readings: TaxelReadings, mesh: RawMesh, equations: NormalEquations,
     for _ in range(draws):
         corners = exactly(moved(mesh.vertices, rng)[left])
         changes.append(distance(answer, best(normal_equations(readings.moved(rng)), corners)))
-    return Truth(answer, max(changes))
+    return answer, max(changes)
 
 
-def _margin(readings: TaxelReadings, mesh: RawMesh) -> float:
+def _margin(readings: Readings, mesh: RawMesh) -> float:
     """Return by how much the root of a sum of squares may move in a draw."""
     levers = np.linalg.norm(readings.moments, axis=1) / np.linalg.norm(readings.forces, axis=1)
     reach = float(np.abs(mesh.vertices).max() + np.abs(readings.poses[:, :3, 3]).max() + levers.max())
@@ -260,9 +266,7 @@ def _facing(mesh: RawMesh, push: Exact) -> IntArray:
     return np.flatnonzero(normals @ push < -GRAZING * lengths)
 
 
-def _first_order(
-    readings: TaxelReadings, equations: NormalEquations, answer: Exact, draws: int, rng: np.random.Generator
-) -> float:
+def _first_order(readings: Readings, equations: NormalEquations, answer: Exact, draws: int, rng: np.random.Generator) -> float:
     """Return the largest change of the exact answer over the draws by its derivative.
 
     For a sensor in the link frame and weights of 1: the answer has sum w f x r = 0 with r = f x p + m and w = 1/|f|^2, so
@@ -299,27 +303,22 @@ def _drawn_sum(effects: FloatArray, draws: int, rng: np.random.Generator) -> flo
 # ---- where a module's pads lie ----
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExactPads:
-    """Where k pads lie."""
+class ExactPads(NamedTuple):
+    """Where k pads lie (k, 3), how that changes with each unknown (k, 3, d), and the normals there (k, 3)."""
 
     points: Exact
-    """(k, 3)."""
     changes: Exact
-    """(k, 3, d): of each pad, with each unknown."""
     normals: Exact
-    """(k, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPlane:
-    """A flat module anywhere: a shift and a turn about its origin."""
+    """A flat module with pads (k, 2) anywhere: a shift and a turn about its origin."""
 
     origin: Exact
     x: Exact
     normal: Exact
     flat: Exact
-    """(k, 2)."""
 
     @classmethod
     def begin(cls, at: ModulePoses, flat: FloatArray) -> InPlane:
@@ -379,7 +378,7 @@ class ExactMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnMesh:
-    """A module on a mesh: a place on it, and a turn in its plane.
+    """A module with pads (k, 2) on a mesh: a place on it, and a turn in its plane.
 
     A way to a pad is straight in space: at an edge its direction keeps its share along the edge, and its share across the edge
     is carried from the one triangle's plane into the other's. Past the rim it goes on in the last triangle's plane.
@@ -390,7 +389,6 @@ class OnMesh:
     origin: Exact
     x: Exact
     flat: Exact
-    """(k, 2)."""
 
     @classmethod
     def begin(cls, at: ModulePoses, flat: FloatArray, mesh: RawMesh) -> OnMesh:
@@ -473,28 +471,23 @@ _KNOWN = 1e5
 """m: a pad whose place is known worse than this is not known at all."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExactPokes:
-    """What n pokes say of their module, whatever its pose."""
+class ExactPokes(NamedTuple):
+    """What n pokes say of their module, whatever its pose.
+
+    `answered` (n, m) are the pads that answered, `shares` (n, m) of the middle; where a poke has fewer, the first pad with a
+    share of zero. `pairs` (n, 2, 3) are two orthonormal directions across u. `moment` and `offset` (n,) are in m^2:
+    (sm/|f|)^2 and s^2; `force` (n,) is (sf/|f|)^2.
+    """
 
     answered: IntArray
-    """(n, m): pads that answered; where a poke has fewer, the first pad with a share of zero."""
     shares: Exact
-    """(n, m): of the middle."""
     u: Exact
-    """(n, 3)."""
     a: Exact
-    """(n, 3)."""
     pairs: Exact
-    """(n, 2, 3): two orthonormal directions across u."""
     sensor: Exact
-    """(n, 3)."""
     moment: Exact
-    """(n,) m^2: (sm/|f|)^2."""
     force: Exact
-    """(n,): (sf/|f|)^2."""
     offset: Exact
-    """(n,) m^2: s^2."""
 
     def middles(self, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
         """Return the middles of the pads that answered, their change with each unknown (n, 3, d), and the normals there."""
@@ -504,21 +497,7 @@ class ExactPokes:
         return places, changes, unit(normals)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleTruth:
-    """The exact places of a module's k pads, and how far they move when the inputs' last digits do."""
-
-    pads: Exact
-    """(k, 3)."""
-    changes: tuple[float, ...]
-    """m, of each pad the largest over the draws."""
-    determined: tuple[bool, ...]
-    """Whether the pokes determine the pad's place at all, however badly."""
-    blind: tuple[bool, ...]
-    """Whether it must be called blind: known worse than `SD_MAX`, or missed by the axes by more than `MISS_MAX`."""
-
-
-def pokes_of(readings: ModuleReadings, noise: NoiseSettings) -> ExactPokes:
+def pokes_of(readings: Readings, noise: NoiseSettings) -> ExactPokes:
     """Return the pokes in 80 digits."""
     f, m = _carried(readings)
     size = np.sqrt(dot(f, f))
@@ -611,16 +590,26 @@ def find(pokes: ExactPokes, pose: ExactPose) -> tuple[ExactPose, Exact]:
     raise ArithmeticError("Newton's method does not converge from where the pokes were made.")
 
 
-def find_module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> ModuleTruth:
+def _module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> Truth:
     """Return the exact answer of a case and how far its pads move over draws of the inputs' last digits."""
-    module, pokes = case.module, pokes_of(case.readings, case.noise)
-    pose = _begin(case)
-    if case.lost:
-        return _said(pokes, pose, np.zeros((1, len(module.flat))))
-    pose, matrix = find(pokes, pose)
-    here = pose.pads().points
-    changes = [_drawn(case, pose, here, matrix, rng) for _ in range(draws)]
-    return _said(pokes, pose, np.array([np.zeros(len(module.flat)), *changes]))
+    pokes, pose = pokes_of(case.readings, case.noise), _begin(case)
+    changes = [[0.0] * len(case.module.flat)]
+    if not case.lost:
+        pose, matrix = find(pokes, pose)
+        here = pose.pads().points
+        changes += [_drawn(case, pose, here, matrix, rng) for _ in range(draws)]
+    pads = pose.pads()
+    matrix, one = information(pokes, pads), exactly(np.eye(len(pads.changes[0, 0])))
+    inverse = solved(matrix + _TRACE * abs(_np.diag(matrix)).max() * one, one, MP.zero)
+    covariances = floats(pads.changes @ inverse @ pads.changes.swapaxes(1, 2))
+    sds = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1]).tolist()
+    away = pokes.a - pokes.middles(pads)[0]
+    off = away - dot(away, pokes.u)[:, None] * pokes.u
+    missed = bool(MP.sqrt(dot(off, off).mean()) > MISS_MAX)
+    return Truth(
+        pads.points, tuple(np.max(changes, axis=0).tolist()), tuple(sd < _KNOWN and not case.lost for sd in sds),
+        tuple(missed or sd > SD_MAX for sd in sds),
+    )  # fmt: skip
 
 
 def _begin(case: ModuleCase) -> ExactPose:
@@ -634,18 +623,3 @@ def _drawn(case: ModuleCase, pose: ExactPose, here: Exact, matrix: Exact, rng: n
     there = pose.given(moved(case.module.flat, rng), None if mesh is None else moved(mesh.vertices, rng)).pads()
     step = solved(matrix, pull(pokes_of(case.readings.moved(rng), case.noise), there))
     return [distance(old, new) for old, new in zip(here, there.points + there.changes @ step, strict=True)]
-
-
-def _said(pokes: ExactPokes, pose: ExactPose, changes: FloatArray) -> ModuleTruth:
-    pads = pose.pads()
-    matrix, one = information(pokes, pads), exactly(np.eye(len(pads.changes[0, 0])))
-    inverse = solved(matrix + _TRACE * abs(_np.diag(matrix)).max() * one, one, MP.zero)
-    covariances = floats(pads.changes @ inverse @ pads.changes.swapaxes(1, 2))
-    sds = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1]).tolist()
-    away = pokes.a - pokes.middles(pads)[0]
-    off = away - dot(away, pokes.u)[:, None] * pokes.u
-    missed = bool(MP.sqrt(dot(off, off).mean()) > MISS_MAX)
-    return ModuleTruth(
-        pads.points, tuple(changes.max(axis=0).tolist()), tuple(sd < _KNOWN for sd in sds),
-        tuple(missed or sd > SD_MAX for sd in sds),
-    )  # fmt: skip

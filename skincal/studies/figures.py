@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from skincal.model.errors import InputError
 from skincal.studies.measuring import time_words
@@ -234,30 +234,27 @@ def draw_paper(result: dict[str, Any], figure: Figure) -> None:
     _draw_times(times, shown, result["bad_course_ms"])
 
 
-def _method_bars(
-    axes: Axes, names: Sequence[str], means: Mapping[str, Sequence[float]], sds: Mapping[str, Sequence[float]] | None = None
-) -> None:
+def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]], label: str) -> None:
     """Draw bars of each method beside each other; without deviations their height is written above them."""
     for offset, (method, colour) in enumerate(METHOD_COLOURS.items()):
         places = [place + (offset - 1) * 0.26 for place in range(len(names))]
-        error = {} if sds is None else {"yerr": sds[method], "error_kw": {"ecolor": GREY, "elinewidth": 1.0}}
-        bars = axes.bar(places, means[method], width=0.26, color=colour, label=method, **error)
-        if sds is None:
+        sds = [row["sd"] for row in rows[method] if "sd" in row]
+        error = {"yerr": sds, "error_kw": {"ecolor": GREY, "elinewidth": 1.0}} if sds else {}
+        bars = axes.bar(places, [row["mean"] for row in rows[method]], width=0.26, color=colour, label=method, **error)
+        if not sds:
             axes.bar_label(bars, fmt="%.1f", fontsize=8.5)
     axes.set_xticks(range(len(names)), names)
     axes.grid(visible=True, axis="y")
+    axes.set_ylabel(label)
 
 
-def _spread_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]]) -> None:
-    means, sds = ({method: [row[key] for row in own] for method, own in rows.items()} for key in ("mean", "sd"))
-    _method_bars(axes, names, means, sds)
-    axes.set_ylabel("error of 84 taxels (mm): mean and sd")
+OF_TAXELS = "error of 84 taxels (mm): mean and sd"
 
 
 def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
     minutes: dict[str, float] = result["minutes"]
     rows = {method: [poses[pose] for pose in minutes] for method, poses in result["per_pose_mm"].items()}
-    _spread_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows)
+    _method_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows, OF_TAXELS)
     for place, (method, (low, high)) in zip((6.75, 6.95), result["published"]["per_pose_mean_mm"].items(), strict=True):
         axes.plot([place, place], [low, high], color=METHOD_COLOURS[method], linewidth=5.0, solid_capstyle="butt")
     axes.text(6.85, -0.02, "paper's\nrange", transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8.5)
@@ -267,7 +264,8 @@ def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
 
 
 def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
-    _spread_bars(axes, [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)], result["averaged_mm"])
+    names = [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)]
+    _method_bars(axes, names, result["averaged_mm"], OF_TAXELS)
     for method, value in result["published"]["averaged_mean_mm"].items():
         axes.axhline(value, color=METHOD_COLOURS[method], linestyle="--", linewidth=1.2, label=f"paper, {method} {value}")
     axes.set(xlabel="arm poses averaged one after another", title="Averaged (figure 5)")
@@ -275,10 +273,10 @@ def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
 
 
 def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
-    rows: list[Measured] = [{"landmark_pokes": 0, "mean_mm": result["mean_mm"]}, *result["landmarks"]]
-    means: dict[str, list[float]] = {method: [row["mean_mm"][method] for row in rows] for method in METHOD_COLOURS}
-    _method_bars(axes, [f"{row['landmark_pokes']} landmark pokes" for row in rows], means)
-    axes.set(ylabel="mean error (mm), all poses pooled", title="The rig corrected from pokes at landmarks")
+    some: list[Measured] = [{"landmark_pokes": 0, "mean_mm": result["mean_mm"]}, *result["landmarks"]]
+    rows = {method: [{"mean": row["mean_mm"][method]} for row in some] for method in METHOD_COLOURS}
+    _method_bars(axes, [f"{row['landmark_pokes']} landmark pokes" for row in some], rows, "mean error (mm), all poses pooled")
+    axes.set_title("The rig corrected from pokes at landmarks")
     axes.legend()
 
 
@@ -321,24 +319,36 @@ def _lines(
 
 # ---- run time ----
 
-MARKS: dict[str, tuple[str, str, str]] = {
-    "surface": ("*", BLUE, "surface, as shipped"),
-    "free": ("*", VERMILION, "free, as shipped"),
-    "brute": ("s", SKY, "every triangle, closed form"),
-    "facing": ("p", SKY, "those that are pushed"),
-    "compiled": ("X", SKY, "pushed ones, compiled"),
-    "bounded": ("D", SKY, "every triangle's bound first"),
-    "quadprog": ("o", ORANGE, "the paper's way: quadprog"),
-    "slsqp": ("o", BLACK, "the paper's way: SLSQP"),
-    "modules": ("*", GREEN, "modules, as shipped"),
-    "modules-general": ("d", GREEN, "modules, scipy's Levenberg-Marquardt"),
-    "modules-per-pose": ("^", GREEN, "modules, poses averaged"),
-    "surface-per-pose": ("^", BLUE, "surface, poses averaged"),
-    "free-per-pose": ("^", VERMILION, "free, poses averaged"),
-    "lstsq": ("v", ORANGE, "numpy lstsq"),
-    "normal": ("P", PINK, "normal equations"),
+
+class MarkLook(NamedTuple):
+    """How a method is drawn and named."""
+
+    mark: str
+    colour: str
+    words: str
+    """In the figure."""
+    label: str
+    """In a table."""
+
+
+LOOKS: dict[str, MarkLook] = {
+    "surface": MarkLook("*", BLUE, "surface, as shipped", "surface, as shipped"),
+    "free": MarkLook("*", VERMILION, "free, as shipped", "free, as shipped"),
+    "brute": MarkLook("s", SKY, "every triangle, closed form", "surface: every triangle, closed form"),
+    "facing": MarkLook("p", SKY, "those that are pushed", "surface: every triangle that is pushed, closed form"),
+    "compiled": MarkLook("X", SKY, "pushed ones, compiled", "surface: every triangle that is pushed, compiled"),
+    "bounded": MarkLook("D", SKY, "every triangle's bound first", "surface: every triangle's bound, then closed form"),
+    "quadprog": MarkLook("o", ORANGE, "the paper's way: quadprog", "surface: each triangle by quadprog"),
+    "slsqp": MarkLook("o", BLACK, "the paper's way: SLSQP", "surface: each triangle by SLSQP"),
+    "modules": MarkLook("*", GREEN, "modules, as shipped", "modules, as shipped"),
+    "modules-general": MarkLook("d", GREEN, "modules, scipy's Levenberg-Marquardt", "modules: scipy's Levenberg-Marquardt"),
+    "modules-per-pose": MarkLook("^", GREEN, "modules, poses averaged", "modules: each pose alone, averaged"),
+    "surface-per-pose": MarkLook("^", BLUE, "surface, poses averaged", "surface: each pose alone, averaged"),
+    "free-per-pose": MarkLook("^", VERMILION, "free, poses averaged", "free: each pose alone, averaged"),
+    "lstsq": MarkLook("v", ORANGE, "numpy lstsq", "free: numpy's lstsq for each taxel"),
+    "normal": MarkLook("P", PINK, "normal equations", "free: normal equations"),
 }
-"""Mark, colour and words of each method."""
+"""By the method's name in JSON."""
 PARTS = {"icub-forearm": "forearm", "whole-body": "whole body"}
 GROWTH_AXES = {"triangles": "triangles of the mesh", "taxels": "taxels", "pokes_per_taxel": "pokes per taxel"}
 KEY = (
@@ -363,7 +373,7 @@ def draw_runtime(result: dict[str, Any], rows: Sequence[Measured], figure: Figur
 
 def _error_against_time(axes: Axes, rows: Sequence[Measured]) -> None:
     for row in rows:
-        mark, colour, words = MARKS[row["method"]]
+        mark, colour, words, _ = LOOKS[row["method"]]
         (x, across), (y, along) = _around([row["time_ms"]]), _around([row["error_mm"]])
         axes.errorbar(
             x, y, along, across, color=colour, fmt=mark, label=words, linewidth=1.6, capsize=2.5,
@@ -373,11 +383,10 @@ def _error_against_time(axes: Axes, rows: Sequence[Measured]) -> None:
     _log(axes, {at: time_words(at) for at in TIMES_MS if min(times) / 5 <= at <= max(times) * 5})
     axes.yaxis.set_minor_formatter(_minor_tick)
     axes.yaxis.set_major_formatter("{x:g}")
+    part = PARTS.get(rows[0]["part"], rows[0]["part"])
     size = "{taxels:,} taxels, {triangles:,} triangles, {pokes_per_taxel} pokes a taxel".format_map(rows[0])
-    axes.set(
-        xlabel="time to solve all taxels from their contacts", ylabel="mean error against the truth (mm)",
-        title=f"{PARTS.get(rows[0]['part'], rows[0]['part'])}: {size}",
-    )  # fmt: skip
+    axes.set(xlabel="time to solve all taxels from their contacts", ylabel="mean error against the truth (mm)")
+    axes.set_title(f"{part}: {size}")
 
 
 def _around(spreads: Sequence[Mapping[str, float]]) -> tuple[list[float], list[list[float]]]:
@@ -396,7 +405,7 @@ def _growth(axes: Axes, points: Sequence[Measured], name: str, words: str) -> No
     for point in points:
         series.setdefault((point["part"], point["method"]), []).append(point)
     for (part, method), own in series.items():
-        mark, colour, _ = MARKS[method]
+        mark, colour, *_ = LOOKS[method]
         if len(own) > 1:
             costs, ways = _around([point["us_per_taxel"] for point in own])
             axes.errorbar(

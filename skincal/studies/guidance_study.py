@@ -17,7 +17,7 @@ from skincal.geometry import FloatArray
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import FOLLOWED, WAYS, Conditions, ErrorCourse, run_course
 from skincal.studies.figures import draw_guidance
-from skincal.studies.measuring import bar_lines, bars_of, processes
+from skincal.studies.measuring import bar_lines, bars_of, finite, processes
 from skincal.taxels.result import Method
 
 STANDARD = "standard"
@@ -104,7 +104,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: GuidanceSizes | Non
     # Longest first would be quicker; in order a person sees what is done.
     with processes() as pool:
         found = zip(tasks, pool.map(_run, tasks), strict=True)
-        for (case, method, way), group in groupby(found, key=lambda pair: _key(pair[0])):
+        for (case, method, way), group in groupby(found, key=lambda pair: (pair[0].case, pair[0].method.value, pair[0].way)):
             own = list(group)
             courses = kept[case, method, way] = [course for _, course in own]
             rows.append(_row(own[0][0], courses))
@@ -122,26 +122,25 @@ def run(quick: bool, progress: Callable[[str], None], sizes: GuidanceSizes | Non
 
 
 def _tasks(sizes: GuidanceSizes) -> Iterator[CourseTask]:
-    standard = Conditions()
-    for way in ("guided", *WAYS, "diversity", "optimal"):
-        seeds = sizes.seeds if way == "guided" else sizes.other_seeds
-        limit = sizes.guided_limit if way == "guided" else sizes.free_limit if way in FOLLOWED else sizes.long
-        yield from (CourseTask(way, Method.FREE, STANDARD, standard, seed, limit) for seed in range(1, seeds + 1))
-    for way in ("guided", "round_robin", "random", "clumped"):
+    """Give the seeds of each way, method and case one after another."""
+
+    def seeds(way: str, method: Method, count: int, limit: int, case: str = STANDARD) -> Iterator[CourseTask]:
+        conditions = sizes.cases.get(case, Conditions())
+        return (CourseTask(way, method, case, conditions, seed, limit) for seed in range(1, count + 1))
+
+    yield from seeds("guided", Method.FREE, sizes.seeds, sizes.guided_limit)
+    for way in (*WAYS, "diversity", "optimal"):
+        yield from seeds(way, Method.FREE, sizes.other_seeds, sizes.free_limit if way in FOLLOWED else sizes.long)
+    ways = ("guided", "round_robin", "random", "clumped")
+    for way in ways:
         # Two are compared to a tenth: that takes more seeds than the others.
-        seeds = range(1, (sizes.seeds if way in ("guided", "round_robin") else sizes.other_seeds) + 1)
-        yield from (CourseTask(way, Method.SURFACE, STANDARD, standard, seed, sizes.surface_limit) for seed in seeds)
-    for way in ("guided", "round_robin", "random", "clumped"):
-        seeds = range(1, sizes.modules_seeds + 1)
-        yield from (CourseTask(way, Method.MODULES, STANDARD, standard, seed, sizes.modules_limit) for seed in seeds)
-    for case, conditions in sizes.cases.items():
+        count = sizes.seeds if way in ("guided", "round_robin") else sizes.other_seeds
+        yield from seeds(way, Method.SURFACE, count, sizes.surface_limit)
+    for way in ways:
+        yield from seeds(way, Method.MODULES, sizes.modules_seeds, sizes.modules_limit)
+    for case in sizes.cases:
         for way, method in COMPARED:
-            seeds = range(1, sizes.case_seeds + 1)
-            yield from (CourseTask(way, method, case, conditions, seed, sizes.free_limit) for seed in seeds)
-
-
-def _key(task: CourseTask) -> tuple[str, str, str]:
-    return task.case, task.method.value, task.way
+            yield from seeds(way, method, sizes.case_seeds, sizes.free_limit, case)
 
 
 def _run(task: CourseTask) -> ErrorCourse:
@@ -186,11 +185,7 @@ def _interval(numbers: Sequence[float]) -> dict[str, float | None]:
     reach = 1.96 * np.sqrt(count) / 2.0
     low, high = max(int(np.floor(count / 2 - reach)), 0), min(int(np.ceil(count / 2 + reach)), count - 1)
     middle = float(np.median(ordered)) if np.isfinite(ordered).all() else float(ordered[count // 2])
-    return {"median": _finite(middle), "low": _finite(ordered[low]), "high": _finite(ordered[high])}
-
-
-def _finite(number: float) -> float | None:
-    return float(number) if np.isfinite(number) else None
+    return {"median": finite(middle), "low": finite(ordered[low]), "high": finite(ordered[high])}
 
 
 def _bars(
@@ -200,32 +195,22 @@ def _bars(
     guided, to_3 = to["guided"] or np.inf, free["guided"]["pokes_to_3mm"]["median"] or np.inf
     # Where a way does not get there, it takes more than its limit.
     times = {way: (to[way] or free[way]["limit"]) / guided for way in ("random", "round_robin", "tilt_recipe")}
-    numbers = {
+    ours, theirs = (kept[STANDARD, "surface", way] for way in ("guided", "round_robin"))
+    late = ours[0].pokes >= _TAXELS
+    surface = float((_over(ours, "mean")[late] / _over(theirs, "mean")[late]).max())
+    # At the last poke with drift, over the seeds that both cases have.
+    drifting = kept["drift 0.25 N", "free", "guided"]
+    still = [course.mean_at(drifting[0].pokes[-1]) for course in kept[STANDARD, "free", "guided"][: len(drifting)]]
+    return bars_of({
         "guided_pokes_to_5mm": (guided, "<=", TO_5_MAX),
         "guided_pokes_to_3mm": (to_3, "<=", TO_3_MAX),
         "random_over_guided": (times["random"], ">=", TIMES_RANDOM),
         "round_robin_over_guided": (times["round_robin"], ">=", TIMES_RANDOM),
         "tilt_recipe_over_guided": (times["tilt_recipe"], ">=", TIMES_RECIPE),
-        "surface_over_round_robin": (_surface_ratio(kept), "<=", SURFACE_MAX),
-        "drift_over_none": (_drift_ratio(kept), "<=", DRIFT_MAX),
+        "surface_over_round_robin": (surface, "<=", SURFACE_MAX),
+        "drift_over_none": (float(np.mean([course.mean[-1] for course in drifting]) / np.mean(still)), "<=", DRIFT_MAX),
         "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", FALSE_MAX),
-    }
-    return bars_of(numbers)
-
-
-def _surface_ratio(kept: Mapping[tuple[str, str, str], list[ErrorCourse]]) -> float:
-    ours, theirs = (kept[STANDARD, "surface", way] for way in ("guided", "round_robin"))
-    late = ours[0].pokes >= _TAXELS
-    return float((_over(ours, "mean")[late] / _over(theirs, "mean")[late]).max())
-
-
-def _drift_ratio(kept: Mapping[tuple[str, str, str], list[ErrorCourse]]) -> float:
-    """Return the ratio of the errors at the last poke with drift, over the seeds that both cases have."""
-    drifting = kept["drift 0.25 N", "free", "guided"]
-    still = kept[STANDARD, "free", "guided"][: len(drifting)]
-    end = drifting[0].pokes[-1]
-    without = [course.mean_at(end) for course in still]
-    return float(np.mean([course.mean[-1] for course in drifting]) / np.mean(without))
+    })  # fmt: skip
 
 
 def _in_words(row: Mapping[str, Any]) -> str:

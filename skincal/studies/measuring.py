@@ -14,10 +14,27 @@ import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, TypeVar, cast
 
 import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.session.session import Session
+
+
+def finite(number: float) -> float | None:
+    """Return a number as JSON can hold it: None where it is not finite."""
+    return float(number) if np.isfinite(number) else None
+
+
+def side_by_side(trees: Sequence[Any]) -> Any:
+    """Return mappings and lists of one shape as one of them, which holds the list of all their numbers in place of each."""
+    first = trees[0]
+    if isinstance(first, dict):
+        shape = cast("dict[Any, Any]", first)
+        return {name: side_by_side([tree[name] for tree in trees]) for name in shape}
+    return [side_by_side(some) for some in zip(*trees, strict=True)] if isinstance(first, list) else list(trees)
 
 
 def bars_of(numbers: Mapping[str, tuple[float, str, float]]) -> dict[str, dict[str, Any]]:
@@ -29,7 +46,7 @@ def bars_of(numbers: Mapping[str, tuple[float, str, float]]) -> dict[str, dict[s
     """
     return {
         name: {
-            "value": float(value) if np.isfinite(value) else None, "sign": sign, "limit": limit,
+            "value": finite(value), "sign": sign, "limit": limit,
             "holds": bool(value >= limit if sign == ">=" else value <= limit),
         }
         for name, (value, sign, limit) in numbers.items()
@@ -64,33 +81,10 @@ CLOCK = (
 """The clock in words."""
 
 
-@dataclass(frozen=True, slots=True)
-class Quartiles:
-    """A median and its quartiles."""
-
-    median: float
-    q1: float
-    q3: float
-    count: int
-    """How many numbers it is of."""
-
-    @classmethod
-    def of(cls, numbers: Sequence[float]) -> Quartiles:
-        """Return the spread of at least one number."""
-        low, middle, high = np.percentile(np.asarray(numbers, dtype=float), [25, 50, 75])
-        return cls(float(middle), float(low), float(high), len(numbers))
-
-    def times(self, factor: float) -> Quartiles:
-        """Return the spread of the numbers times `factor`."""
-        return Quartiles(self.median * factor, self.q1 * factor, self.q3 * factor, self.count)
-
-    def plus(self, number: float) -> Quartiles:
-        """Return the spread of the numbers plus `number`."""
-        return Quartiles(self.median + number, self.q1 + number, self.q3 + number, self.count)
-
-    def json(self) -> dict[str, Any]:
-        """Return what JSON can hold."""
-        return asdict(self)
+def quartiles(numbers: Sequence[float]) -> dict[str, Any]:
+    """Return median, quartiles and count of at least one number."""
+    low, middle, high = np.percentile(np.asarray(numbers, dtype=float), [25, 50, 75]).tolist()
+    return {"median": middle, "q1": low, "q3": high, "count": len(numbers)}
 
 
 @contextmanager
@@ -105,30 +99,29 @@ def at_rest() -> Generator[None]:
             gc.enable()
 
 
-def timed(work: Callable[[], Result], repeats: int) -> tuple[list[float], Result]:
-    """Return the seconds of each of `repeats` runs, at least one, and what the last one gave."""
+def timed(works: Iterable[Callable[[], Result]], budget_s: float = float("inf")) -> tuple[list[float], list[Result]]:
+    """Do one piece of work after another, at least one, until `budget_s` has passed; return seconds and result of each."""
     seconds: list[float] = []
-    with at_rest():
-        while True:
-            start = clock()
-            result = work()
-            seconds.append(clock() - start)
-            if len(seconds) >= repeats:
-                return seconds, result
-
-
-def sampled(works: Iterable[Callable[[], object]], budget_s: float) -> list[float]:
-    """Run one piece of work after another until `budget_s` has passed, or all are done; return the seconds of each."""
-    seconds: list[float] = []
+    results: list[Result] = []
     end = time.perf_counter() + budget_s
     with at_rest():
         for work in works:
             if seconds and time.perf_counter() >= end:
                 break
             start = clock()
-            work()
+            results.append(work())
             seconds.append(clock() - start)
-    return seconds
+    return seconds, results
+
+
+def poke_seconds(session: Session, contacts: Iterable[Contact]) -> list[float]:
+    """Return the seconds that each contact takes: taken in by the session, solved, shown."""
+
+    def poke(contact: Contact) -> None:
+        session.add(contact)
+        session.snapshot()
+
+    return timed([partial(poke, contact) for contact in contacts])[0]
 
 
 def time_words(ms: float) -> str:

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any
+from itertools import accumulate
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -28,9 +29,11 @@ from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.figures import draw_paper
-from skincal.studies.measuring import at_rest, bar_lines, bars_of, clock, processes
+from skincal.studies.measuring import bar_lines, bars_of, finite, poke_seconds, processes, side_by_side
 from skincal.taxels.result import Method
 
+Measured: TypeAlias = dict[str, Any]
+"""Numbers as JSON can hold them; errors are what `spread` gives of them."""
 METHODS = tuple(Method)
 LANDMARKS = (3, 10)
 """Landmark pokes in each of the seven arm poses: 21 and 70."""
@@ -102,7 +105,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
     """
     sizes = sizes or (QUICK if quick else FULL)
     with processes() as pool:
-        trials: list[Trial] = []
+        trials: list[Measured] = []
         for trial in pool.map(partial(run_trial, share=sizes.share), range(1, sizes.seeds + 1)):
             trials.append(trial)
             progress(_in_words(trial))
@@ -115,53 +118,41 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         follow = partial(run_course, counts=sizes.steps, share=sizes.share)
         courses = list(pool.map(follow, range(1, sizes.courses + 1), timed))
         progress(f"{len(courses)} rigs followed from poke to poke")
+    rig, good = side_by_side(trials), side_by_side(goods)
+    pooled = {**rig["pooled"], **{f"modules_{some['landmarks'][0]}": some["errors"]["modules"] for some in rig["landmarks"]}}
+    before, after = _mean(good["before"]), _mean(good["after"])
+    clocked = [course for course in courses if np.isfinite(course["seconds"]["free"][0])]
     result = {
         "study": "paper",
         "quick": quick,
         "seeds": len(trials),
-        "pokes": trials[0].pokes,
+        "pokes": trials[0]["pokes"],
         "minutes": dict(TABLE_I),
-        "mean_mm": _means(trials),
-        "good_rig_mm": {name: _mean([good.course[GOOD_POKES][name].mean for good in goods]) for name in NAMES},
-        "per_pose_mm": {
-            name: {pose: _over([trial.alone[name][pose] for trial in trials]) for pose in TABLE_I} for name in NAMES
-        },
-        "averaged_mm": {
-            name: [_over([trial.averaged[name][step] for trial in trials]) for step in range(len(TABLE_I))] for name in NAMES
-        },
-        "landmarks": [_landmarks([trial.landmarks[index] for trial in trials]) for index in range(len(LANDMARKS))],
-        "course_mm": _good_course(goods),
-        "bad_course_mm": {"rigs": len(courses), **_course_means(courses, [course.errors for course in courses], 1.0)},
-        "bad_course_ms": _course_times(courses),
-        "runtime_ms": {name: 1e3 * float(np.median([trial.seconds[name] for trial in trials])) for name in NAMES},
-        "safety": _safety(safeties),
-        "no_error": _no_error(goods),
-        "trials": [asdict(trial) for trial in trials],
+        "mean_mm": {name: _mean(errors["mean"]) for name, errors in pooled.items()},
+        "good_rig_mm": {name: _mean(good["course"][GOOD_POKES][name]["mean"]) for name in NAMES},
+        "per_pose_mm": {name: {pose: _over(errors) for pose, errors in of.items()} for name, of in rig["alone"].items()},
+        "averaged_mm": {name: [_over(errors) for errors in steps] for name, steps in rig["averaged"].items()},
+        "landmarks": [_landmarks(some) for some in rig["landmarks"]],
+        "course_mm": _good_course(good["course"]),
+        "bad_course_mm": _course_means(courses, courses, "errors", 1.0),
+        "bad_course_ms": _course_means(courses, clocked, "seconds", 1e3),
+        "runtime_ms": {name: 1e3 * float(np.median(seconds)) for name, seconds in rig["seconds"].items()},
+        "safety": {"seeds": len(safeties), **{name: _mean(numbers) for name, numbers in side_by_side(safeties).items()}},
+        "no_error": {"before_mm": before, "after_mm": after, "ratio": after / before},
+        "trials": trials,
         "published": PUBLISHED,
     }
-    return {**result, "bars": _bars(result, trials)}
+    return {**result, "bars": _bars(result, rig["alone"])}
 
 
-# ---- one rig ----
+# ---- one rig; what comes of it is JSON, errors by method ----
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorSpread:
-    """Errors of the taxels that have an estimate, millimetres."""
-
-    mean: float
-    sd: float
-    largest: float
-    missing: int
-
-    @classmethod
-    def of(cls, off: FloatArray) -> ErrorSpread:
-        """Return that of errors (n,), metres, NaN where there is no estimate."""
-        known = 1e3 * off[np.isfinite(off)]
-        missing = len(off) - len(known)
-        if not len(known):
-            return cls(float("nan"), float("nan"), float("nan"), missing)
-        return cls(float(known.mean()), float(known.std()), float(known.max()), missing)
+def spread(off: FloatArray) -> dict[str, float]:
+    """Return mean, deviation and maximum, millimetres, of errors (n,), metres, and how many there are not (NaN)."""
+    known = 1e3 * off[np.isfinite(off)]
+    of = (known.mean(), known.std(), known.max()) if len(known) else (np.nan, np.nan, np.nan)
+    return {**dict(zip(("mean", "sd", "largest"), map(float, of), strict=True)), "missing": len(off) - len(known)}
 
 
 @lru_cache(maxsize=1)
@@ -181,18 +172,17 @@ def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = ME
     }
 
 
-def spread(positions: FloatArray, rig: Rig) -> ErrorSpread:
-    """Return the errors of positions (n, 3)."""
-    return ErrorSpread.of(np.linalg.norm(positions - rig.places, axis=1))
+def _off(positions: FloatArray, rig: Rig) -> dict[str, float]:
+    return spread(np.linalg.norm(positions - rig.places, axis=1))
 
 
-def _spreads(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[str, ErrorSpread]:
-    return {name: spread(found, rig) for name, found in solved(contacts, rig, methods).items()}
+def _errors(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> Measured:
+    return {name: _off(found, rig) for name, found in solved(contacts, rig, methods).items()}
 
 
 def _by_modules(contacts: Sequence[Contact], rig: Rig) -> float:
     """Return the mean error of the modules method, mm."""
-    return _spreads(contacts, rig, [Method.MODULES])[Method.MODULES.value].mean
+    return _errors(contacts, rig, [Method.MODULES])["modules"]["mean"]
 
 
 def _begin(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random.Generator]:
@@ -208,285 +198,212 @@ def _poke_landmarks(
     return poke_landmarks(rig, bench().scene.landmarks, each, rng, FIRST_LANDMARK, off)
 
 
-@dataclass(frozen=True, slots=True)
-class Corrected:
-    """What landmark pokes did."""
-
-    landmarks: int
-    used: bool
-    held_before: float
-    """mm: at what distance the axes pass the landmarks as the rig reports."""
-    held_after: float
-    """mm: the same of held-out pokes, corrected."""
-    doubted: tuple[int, ...]
-    """Landmark pokes that are named as off."""
-    errors: Mapping[str, ErrorSpread]
-    """By method, pooled; those without a correction where it is not used."""
-    seconds: float
-    """s of processor time, of the correction alone."""
+def _poke_all_poses(rig: Rig, each: int, rng: np.random.Generator) -> list[Contact]:
+    """Return the contacts of as many pokes in each arm pose of `TABLE_I`."""
+    return [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, each, rng, 1 + k * each)]
 
 
 def corrected(
     rig: Rig, contacts: Sequence[Contact], known: Sequence[LandmarkPoke], methods: Sequence[Method] = METHODS
-) -> Corrected:
-    """Correct a rig by landmark pokes, and solve what was poked on its skin."""
+) -> Measured:
+    """Correct a rig by landmark pokes, and solve what was poked on its skin.
+
+    Returns
+    -------
+    `held_before` and `held_after`, mm: at what distance the axes of held-out landmark pokes pass the landmarks; `doubted`:
+    landmark pokes that are named as off; `errors`, those without a correction where it is not used; `seconds` of processor
+    time, of the correction alone
+    """
     begin = time.process_time()
     answer = correct_rig(RigRequest(bench().scene, bench().surface, contacts, known))
     seconds = time.process_time() - begin
     right = contacts
     if answer.used and answer.correction is not None:
         right = [answer.correction.corrected(contact) for contact in contacts]
-    doubted = tuple(poke for poke, trust in answer.trust.items() if trust < DOUBTED)
-    before, after = 1e3 * answer.before, 1e3 * answer.after
-    return Corrected(len(known), answer.used, before, after, doubted, _spreads(right, rig, methods), seconds)
+    return {
+        "landmarks": len(known), "used": answer.used, "held_before": 1e3 * answer.before, "held_after": 1e3 * answer.after,
+        "doubted": tuple(poke for poke, trust in answer.trust.items() if trust < DOUBTED),
+        "errors": _errors(right, rig, methods), "seconds": seconds,
+    }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """What came of one rig with the paper's errors; errors by method."""
+def run_trial(seed: int, share: float = 1.0) -> Measured:
+    """Poke a rig with the paper's errors for `share` of the paper's minutes.
 
-    seed: int
-    pokes: int
-    alone: Mapping[str, Mapping[str, ErrorSpread]]
-    """For each method, of each arm pose."""
-    averaged: Mapping[str, tuple[ErrorSpread, ...]]
-    """For each method after each arm pose (IV-B)."""
-    pooled: Mapping[str, ErrorSpread]
-    landmarks: tuple[Corrected, ...]
-    seconds: Mapping[str, float]
-    """s of processor time, of a solve of all contacts, by method."""
-
-
-def run_trial(seed: int, share: float = 1.0) -> Trial:
-    """Poke a rig with the paper's errors for `share` of the paper's minutes."""
+    Returns
+    -------
+    errors of each arm pose `alone`, `averaged` over the poses until then (IV-B), `pooled`; `landmarks` what `corrected` gives;
+    `seconds` of processor time, of a solve of all contacts
+    """
     rig, rng = _begin(seed, 11, RigErrors.paper())
     of_pose = poke_table(rig, share, rng)
     places = {pose: solved(contacts, rig) for pose, contacts in of_pose.items()}
     every = [contact for contacts in of_pose.values() for contact in contacts]
-    pooled, seconds = dict[str, ErrorSpread](), dict[str, float]()
+    pooled, seconds = dict[str, dict[str, float]](), dict[str, float]()
     for method in METHODS:
         begin = time.process_time()
         found = solved(every, rig, [method])[method.value]
         seconds[method.value] = time.process_time() - begin
-        pooled[method.value] = spread(found, rig)
+        pooled[method.value] = _off(found, rig)
     known = [_poke_landmarks(rig, rng, each) for each in LANDMARKS]
-    return Trial(
-        seed=seed,
-        pokes=len(every),
-        alone={name: {pose: spread(found[name], rig) for pose, found in places.items()} for name in NAMES},
-        averaged={name: _averaged([found[name] for found in places.values()], rig) for name in NAMES},
-        pooled=pooled,
-        landmarks=tuple(corrected(rig, every, some) for some in known),
-        seconds=seconds,
-    )
+    return {
+        "seed": seed,
+        "pokes": len(every),
+        "alone": {name: {pose: _off(found[name], rig) for pose, found in places.items()} for name in NAMES},
+        "averaged": {name: _averaged([found[name] for found in places.values()], rig) for name in NAMES},
+        "pooled": pooled,
+        "landmarks": [corrected(rig, every, some) for some in known],
+        "seconds": seconds,
+    }
 
 
-def _averaged(places: Sequence[FloatArray], rig: Rig) -> tuple[ErrorSpread, ...]:
+def _averaged(places: Sequence[FloatArray], rig: Rig) -> list[dict[str, float]]:
     """Return the errors after each arm pose, the positions of all so far averaged; a taxel's poses without one left out."""
     sums, counts = np.zeros_like(rig.places), np.zeros((len(rig.places), 1))
-    course: list[ErrorSpread] = []
+    course: list[dict[str, float]] = []
     for found in places:
         known = np.isfinite(found).all(axis=1, keepdims=True)
         sums, counts = sums + np.where(known, found, 0.0), counts + known
         with np.errstate(invalid="ignore"):
-            course.append(spread(sums / np.where(counts > 0, counts, np.nan), rig))
-    return tuple(course)
+            course.append(_off(sums / np.where(counts > 0, counts, np.nan), rig))
+    return course
 
 
-@dataclass(frozen=True, slots=True)
-class RigCourse:
-    """One rig after more and more pokes; numbers by method, and `CORRECTED`."""
-
-    counts: tuple[int, ...]
-    errors: Mapping[str, tuple[float, ...]]
-    """mm: mean of the taxels that have an estimate, after so many pokes; NaN where none has."""
-    seconds: Mapping[str, tuple[float, ...]]
-    """s of processor time until then, each poke solved as it came; NaN beyond the pokes that are timed. A correction of the rig
-    is made once, then."""
-
-
-def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> RigCourse:
+def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> Measured:
     """Solve the rig of `run_trial` after each of `counts` pokes, and after all of them, in an order that mixes the arm poses.
 
     Parameters
     ----------
     timed : pokes that are solved one by one as well, with the time that takes; 0 for none
     share : of the paper's minutes
+
+    Returns
+    -------
+    `pokes`; by method and `CORRECTED`: `errors`, mm, the mean of the taxels that have an estimate; `seconds` of processor
+    time until then, each poke solved as it came, NaN beyond the pokes that are timed; a correction of the rig once, then
     """
     rig, rng = _begin(seed, 11, RigErrors.paper())
     every = [contact for some in poke_table(rig, share, rng).values() for contact in some]
     known = _poke_landmarks(rig, rng)
     order: list[int] = np.random.default_rng([seed, 2014]).permutation(len(every)).tolist()
     mixed = [every[i] for i in order]
-    steps = (*(count for count in counts if count < len(mixed)), len(mixed))
-    plain = [_spreads(mixed[:count], rig) for count in steps]
-    right = [corrected(rig, mixed[:count], known, [Method.MODULES]) for count in steps]
-    errors = {name: tuple(spreads[name].mean for spreads in plain) for name in NAMES}
-    errors[CORRECTED] = tuple(step.errors[Method.MODULES.value].mean for step in right)
+    steps = [*(count for count in counts if count < len(mixed)), len(mixed)]
+    plain = side_by_side([_errors(mixed[:count], rig) for count in steps])
+    right = side_by_side([corrected(rig, mixed[:count], known, [Method.MODULES]) for count in steps])
+    errors = {name: plain[name]["mean"] for name in NAMES} | {CORRECTED: right["errors"]["modules"]["mean"]}
     seconds = {method.value: _seconds(mixed[:timed], together, steps) for method, together in TOGETHER.items()}
-    with_them = zip(seconds[Method.MODULES.value], right, strict=True)
-    seconds[CORRECTED] = tuple(until + step.seconds for until, step in with_them)
-    return RigCourse(steps, errors, seconds)
+    seconds[CORRECTED] = [until + more for until, more in zip(seconds["modules"], right["seconds"], strict=True)]
+    return {"pokes": steps, "errors": errors, "seconds": seconds}
 
 
-def _seconds(contacts: Sequence[Contact], methods: Sequence[Method], steps: Sequence[int]) -> tuple[float, ...]:
+def _seconds(contacts: Sequence[Contact], methods: Sequence[Method], steps: Sequence[int]) -> list[float]:
     """Return the processor time, s, until each step of a session that solves each contact as it comes."""
-    session, total, at = Session(bench().scene, bench().surface, methods), 0.0, dict[int, float]()
-    with at_rest():
-        for count, contact in enumerate(contacts, start=1):
-            start = clock()
-            session.add(replace(contact, poke=count))
-            session.snapshot()
-            total += clock() - start
-            at[count] = total
-    return tuple(at.get(step, float("nan")) for step in steps)
+    session = Session(bench().scene, bench().surface, methods)
+    numbered = [replace(contact, poke=count) for count, contact in enumerate(contacts, start=1)]
+    until = list(accumulate(poke_seconds(session, numbered)))
+    return [until[step - 1] if step <= len(until) else float("nan") for step in steps]
 
 
-@dataclass(frozen=True, slots=True)
-class Safety:
-    """Whether a correction did harm, by the modules' mean error, mm."""
+def run_safety(seed: int, pokes: int = 84) -> dict[str, float]:
+    """Correct a rig with the paper's errors by 21 landmark pokes, all right and one wrong.
 
-    before: float
-    after: float
-    """With 21 landmark pokes."""
-    after_wrong: float
-    """One of which lies `OFF` beside its landmark."""
-    wrong_named: bool
-    """That poke is named as off."""
-    others_named: int
-    """Right ones that are named, of both."""
-
-
-def run_safety(seed: int, pokes: int = 84) -> Safety:
-    """Correct a rig with the paper's errors by 21 landmark pokes, all right and one wrong."""
+    Returns
+    -------
+    the modules' mean errors, mm; whether they are no worse; how many wrong and right landmark pokes are named as off
+    """
     rig, rng = _begin(seed, 12, RigErrors.paper())
-    contacts = [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, pokes, rng, 1 + k * pokes)]
+    contacts = _poke_all_poses(rig, pokes, rng)
     wrong = np.zeros(len(TABLE_I) * LANDMARKS[0])
     bad = int(rng.integers(len(wrong)))
     wrong[bad] = OFF
     before = _by_modules(contacts, rig)
     clean, mixed = (corrected(rig, contacts, _poke_landmarks(rig, rng, off=off), [Method.MODULES]) for off in (None, wrong))
-    others = len(clean.doubted) + len(set(mixed.doubted) - {FIRST_LANDMARK + bad})
-    after, after_wrong = (answer.errors["modules"].mean for answer in (clean, mixed))
-    return Safety(before, after, after_wrong, FIRST_LANDMARK + bad in mixed.doubted, others)
+    after, after_wrong = (answer["errors"]["modules"]["mean"] for answer in (clean, mixed))
+    others = len(clean["doubted"]) + len(set(mixed["doubted"]) - {FIRST_LANDMARK + bad})
+    return {
+        "before_mm": before, "after_mm": after, "after_wrong_mm": after_wrong,
+        "no_worse_share": float(after <= before), "no_worse_wrong_share": float(after_wrong <= before),
+        "wrong_told_share": float(FIRST_LANDMARK + bad in mixed["doubted"]), "right_told_mean": others / 2,
+    }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class GoodRig:
-    """A rig that is only noisy; errors by method."""
+def run_good(seed: int, counts: Sequence[int]) -> Measured:
+    """Poke a rig with sensor noise alone in one arm pose; then in all of them with landmarks, though nothing is wrong.
 
-    course: Mapping[int, Mapping[str, ErrorSpread]]
-    """After so many pokes."""
-    before: float
-    """mm: the modules' mean error over seven arm poses, as the rig reports."""
-    after: float
-    """mm: with 21 landmark pokes."""
-
-
-def run_good(seed: int, counts: Sequence[int]) -> GoodRig:
-    """Poke a rig with sensor noise alone in one arm pose; then in all of them with landmarks, though nothing is wrong."""
+    Returns
+    -------
+    `course`, the errors after so many pokes; the modules' mean errors, mm, over all arm poses `before` and `after` a correction
+    """
     rig, rng = _begin(seed, 13, RigErrors.noise())
     contacts = poke_rounds(rig, "2", max(*counts, GOOD_POKES), rng, 1)
-    course = {count: _spreads(contacts[:count], rig) for count in counts}
-    each = GOOD_POKES // len(TABLE_I)
-    every = [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, each, rng, 1 + k * each)]
+    course = {count: _errors(contacts[:count], rig) for count in counts}
+    every = _poke_all_poses(rig, GOOD_POKES // len(TABLE_I), rng)
     before = _by_modules(every, rig)
-    after = corrected(rig, every, _poke_landmarks(rig, rng), [Method.MODULES]).errors["modules"].mean
-    return GoodRig(course, before, after)
+    after = corrected(rig, every, _poke_landmarks(rig, rng), [Method.MODULES])["errors"]["modules"]["mean"]
+    return {"course": course, "before": before, "after": after}
 
 
 # ---- what is said of them ----
 
 
-def _in_words(trial: Trial) -> str:
-    pooled = ", ".join(f"{method} {errors.mean:.1f}" for method, errors in trial.pooled.items())
-    with_them = ", ".join(f"{rig.landmarks} landmark pokes {rig.errors['modules'].mean:.2f}" for rig in trial.landmarks)
-    return f"rig {trial.seed}, {trial.pokes} pokes: {pooled} mm; modules with {with_them} mm"
+def _in_words(trial: Measured) -> str:
+    pooled = ", ".join(f"{method} {errors['mean']:.1f}" for method, errors in trial["pooled"].items())
+    with_them = [f"{rig['landmarks']} landmark pokes {rig['errors']['modules']['mean']:.2f}" for rig in trial["landmarks"]]
+    return f"rig {trial['seed']}, {trial['pokes']} pokes: {pooled} mm; modules with {', '.join(with_them)} mm"
 
 
 def _mean(numbers: Sequence[float]) -> float:
     return float(np.mean(numbers))
 
 
-def _means(trials: Sequence[Trial]) -> dict[str, float]:
-    means = {name: _mean([trial.pooled[name].mean for trial in trials]) for name in NAMES}
-    for index, each in enumerate(LANDMARKS):
-        means[f"modules_{7 * each}"] = _mean([trial.landmarks[index].errors["modules"].mean for trial in trials])
-    return means
-
-
-def _over(spreads: Sequence[ErrorSpread]) -> dict[str, Any]:
-    means = [spread.mean for spread in spreads]
+def _over(errors: Measured) -> dict[str, float]:
     return {
-        "mean": _mean(means),
-        "sd": _mean([spread.sd for spread in spreads]),
-        "largest": float(np.max([spread.largest for spread in spreads])),
-        "low": float(np.percentile(means, 5)),
-        "high": float(np.percentile(means, 95)),
-        "missing": _mean([spread.missing for spread in spreads]),
+        "mean": _mean(errors["mean"]),
+        "sd": _mean(errors["sd"]),
+        "largest": max(errors["largest"]),
+        "low": float(np.percentile(errors["mean"], 5)),
+        "high": float(np.percentile(errors["mean"], 95)),
+        "missing": _mean(errors["missing"]),
     }
 
 
-def _landmarks(some: Sequence[Corrected]) -> dict[str, Any]:
-    errors = {name: [rig.errors[name].mean for rig in some] for name in NAMES}
+def _landmarks(some: Measured) -> Measured:
+    means = {name: errors["mean"] for name, errors in some["errors"].items()}
     return {
-        "landmark_pokes": some[0].landmarks,
-        "used_share": _mean([float(rig.used) for rig in some]),
-        "held_out_before_mm": _mean([rig.held_before for rig in some]),
-        "held_out_after_mm": _mean([rig.held_after for rig in some]),
-        "correction_ms": 1e3 * float(np.median([rig.seconds for rig in some])),
-        "mean_mm": {name: _mean(own) for name, own in errors.items()},
-        "worst_mm": {name: max(own) for name, own in errors.items()},
+        "landmark_pokes": some["landmarks"][0],
+        "used_share": _mean(some["used"]),
+        "held_out_before_mm": _mean(some["held_before"]),
+        "held_out_after_mm": _mean(some["held_after"]),
+        "correction_ms": 1e3 * float(np.median(some["seconds"])),
+        "mean_mm": {name: _mean(own) for name, own in means.items()},
+        "worst_mm": {name: max(own) for name, own in means.items()},
     }
 
 
-def _good_course(goods: Sequence[GoodRig]) -> dict[str, Any]:
-    course: dict[str, Any] = {"pokes": list(goods[0].course)}
+def _good_course(course: Mapping[int, Measured]) -> Measured:
+    found: dict[str, Any] = {"pokes": list(course)}
     for name in NAMES:
-        of = [[good.course[count][name] for good in goods] for count in course["pokes"]]
-        means = [_mean([spread.mean for spread in some]) for some in of]
-        course[name] = [mean if np.isfinite(mean) else None for mean in means]
-        course[f"{name}_missing"] = [_mean([spread.missing for spread in some]) for some in of]
-    return course
+        found[name] = [finite(_mean(errors[name]["mean"])) for errors in course.values()]
+        found[f"{name}_missing"] = [_mean(errors[name]["missing"]) for errors in course.values()]
+    return found
 
 
-def _course_times(courses: Sequence[RigCourse]) -> dict[str, Any]:
-    """Return the mean processor times, ms, of the rigs that are timed; None beyond the pokes that are."""
-    timed = [course for course in courses if np.isfinite(course.seconds["free"]).any()]
-    return {"rigs": len(timed), **_course_means(courses, [course.seconds for course in timed], 1e3)}
+def _course_means(courses: Sequence[Measured], some: Sequence[Measured], key: str, unit: float) -> Measured:
+    means = {name: np.mean([own[key][name] for own in some], axis=0).tolist() for name in COURSES} if some else {}
+    means = {name: [None if finite(value) is None else unit * value for value in own] for name, own in means.items()}
+    return {"rigs": len(some), "pokes": courses[0]["pokes"], **means}
 
 
-def _course_means(
-    courses: Sequence[RigCourse], numbers: Sequence[Mapping[str, tuple[float, ...]]], unit: float
-) -> dict[str, Any]:
-    means = {name: np.mean([own[name] for own in numbers], axis=0).tolist() for name in COURSES} if numbers else {}
-    finite = {name: [unit * value if np.isfinite(value) else None for value in some] for name, some in means.items()}
-    return {"pokes": list(courses[0].counts), **finite}
-
-
-def _safety(safeties: Sequence[Safety]) -> dict[str, Any]:
-    return {
-        "seeds": len(safeties),
-        "before_mm": _mean([safety.before for safety in safeties]),
-        "after_mm": _mean([safety.after for safety in safeties]),
-        "after_wrong_mm": _mean([safety.after_wrong for safety in safeties]),
-        "no_worse_share": _mean([float(safety.after <= safety.before) for safety in safeties]),
-        "no_worse_wrong_share": _mean([float(safety.after_wrong <= safety.before) for safety in safeties]),
-        "wrong_told_share": _mean([float(safety.wrong_named) for safety in safeties]),
-        "right_told_mean": _mean([safety.others_named / 2 for safety in safeties]),
-    }
-
-
-def _no_error(goods: Sequence[GoodRig]) -> dict[str, float]:
-    before, after = _mean([good.before for good in goods]), _mean([good.after for good in goods])
-    return {"before_mm": before, "after_mm": after, "ratio": after / before}
-
-
-def _bars(result: dict[str, Any], trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
+def _bars(result: Measured, alone: Measured) -> Measured:
     mean, good, safety = result["mean_mm"], result["good_rig_mm"], result["safety"]
+    # The share of the poses of all rigs whose mean error lies where the published ones do.
+    within = {
+        name: _mean([low <= mean <= high for errors in alone[name].values() for mean in errors["mean"]])
+        for name, (low, high) in WITHIN.items()
+    }
     return bars_of({
-        "free_within_published_share": (_within(trials, "free"), ">=", MOST),
-        "surface_within_published_share": (_within(trials, "surface"), ">=", MOST),
+        "free_within_published_share": (within["free"], ">=", MOST),
+        "surface_within_published_share": (within["surface"], ">=", MOST),
         "modules_over_surface": (mean["modules"] / mean["surface"], "<=", 1.0),
         "good_modules_over_surface": (good["modules"] / good["surface"], "<=", 0.5),
         "modules_21_mm": (mean["modules_21"], "<=", 3.3),
@@ -497,14 +414,7 @@ def _bars(result: dict[str, Any], trials: Sequence[Trial]) -> dict[str, dict[str
     })  # fmt: skip
 
 
-def _within(trials: Sequence[Trial], method: str) -> float:
-    """Return the share of the poses of all rigs whose mean error lies where the published ones do."""
-    low, high = WITHIN[method]
-    means = np.array([spread.mean for trial in trials for spread in trial.alone[method].values()])
-    return float(np.mean((means >= low) & (means <= high)))
-
-
-def summary(result: dict[str, Any]) -> list[str]:
+def summary(result: Measured) -> list[str]:
     """Return lines for a person."""
 
     def mm(values: Mapping[str, float]) -> str:

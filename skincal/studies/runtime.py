@@ -17,11 +17,11 @@ import os
 import platform
 import time
 import tracemalloc
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from importlib.metadata import version
+from itertools import chain, groupby
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,35 +31,17 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import build_tree
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels
-from skincal.modules.pose import ModuleModel, ModulePoses, Pads
-from skincal.modules.pose_fit import Touches, find_touches, start_of, whitened
+from skincal.modules.pose import ModuleModel
+from skincal.modules.pose_fit import start_of, whitened
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.studies import alternatives
-from skincal.studies.alternatives import Problems, Systems, problems
-from skincal.studies.figures import Figure, draw_runtime
-from skincal.studies.measuring import CLOCK, Quartiles, at_rest, bar_lines, bars_of, clock, sampled, time_words, timed
+from skincal.studies.alternatives import ModuleProblem, Problems, problems
+from skincal.studies.figures import LOOKS, Figure, draw_runtime
+from skincal.studies.measuring import CLOCK, bar_lines, bars_of, poke_seconds, quartiles, time_words, timed
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
-LABELS = {
-    "surface": "surface, as shipped",
-    "free": "free, as shipped",
-    "brute": "surface: every triangle, closed form",
-    "facing": "surface: every triangle that is pushed, closed form",
-    "compiled": "surface: every triangle that is pushed, compiled",
-    "bounded": "surface: every triangle's bound, then closed form",
-    "quadprog": "surface: each triangle by quadprog",
-    "slsqp": "surface: each triangle by SLSQP",
-    "modules": "modules, as shipped",
-    "modules-general": "modules: scipy's Levenberg-Marquardt",
-    "modules-per-pose": "modules: each pose alone, averaged",
-    "surface-per-pose": "surface: each pose alone, averaged",
-    "free-per-pose": "free: each pose alone, averaged",
-    "lstsq": "free: numpy's lstsq for each taxel",
-    "normal": "free: normal equations",
-}
-"""Name of each method in JSON, and in words."""
 SEARCHES: Mapping[str, Callable[..., FloatArray]] = {
     "brute": alternatives.every_triangle,
     "facing": alternatives.facing_triangles,
@@ -75,7 +57,7 @@ WHOLE = 100_000
 """Pairs of taxel and triangle. Where there are no more, all may be solved; else a sample of them."""
 SPREAD_OVER = 24
 """Taxels over which a sample of triangles is spread, and whose answers are compared."""
-GENERAL: dict[str, Any] = {"method": "lm", "xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
+GENERAL = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
 """Unknowns are metres: it stops where a step is a hundredth of a micrometre of a pose some centimetres away."""
 TOUCHED = 7
 """Taxels that a timed poke touches: what a tip of 4 mm between pads 5 mm apart reaches at most."""
@@ -170,7 +152,7 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
         "growth": growth_of(rows, sizes.per_taxel),
         "agreement_m": off,
         **lively,
-        "tree_build_ms": {name: 1e3 * timed(partial(build_tree, mesh), 1)[0][0] for name, mesh in fresh.items()},
+        "tree_build_ms": {name: 1e3 * timed([partial(build_tree, mesh)])[0][0] for name, mesh in fresh.items()},
         "ratios": ratios,
         "bars": runtime_bars(ratios, off, lively),
         "left_out": left_out,
@@ -208,62 +190,78 @@ class Cell:
     budget_s: float
     """s. How long each slow alternative may run."""
 
-    def row(
-        self, method: str, seconds: Quartiles, found: Sequence[Positions], part: Mapping[str, Any] | None = None, **more: Any
-    ) -> Row:
+    def row(self, method: str, seconds: Sequence[float], found: Sequence[Positions], **more: Any) -> Row:
         """Return a row of the table.
 
         Parameters
         ----------
-        seconds : of a whole solve, from contacts to positions
+        seconds : of whole solves, from contacts to positions
         found : positions by channel, one a seed
-        part : what the seconds were extrapolated from; None where nothing was left out
         """
         means = [1e3 * float(np.mean(errors)) for errors in map(self.bench.errors, found) if len(errors)]
         return {
             "part": self.bench.name, "taxels": len(self.channels), "triangles": len(self.surface.triangles),
-            "pokes_per_taxel": self.per_taxel, "contacts": len(self.runs[0]), "method": method, "label": LABELS[method],
-            "time_ms": seconds.times(1e3).json(), "error_mm": Quartiles.of(means).json() if means else None,
+            "pokes_per_taxel": self.per_taxel, "contacts": len(self.runs[0]), "method": method, "label": LOOKS[method].label,
+            "time_ms": ms_of(seconds), "error_mm": quartiles(means) if means else None,
             "error_of_taxels": len(found[0]) if found else 0, "from_session_ms": None, "off_ours_m": None,
-            "error_beside_ours_mm": None, "extrapolated_from": part, **more,
+            "error_beside_ours_mm": None, "extrapolated_from": None, **more,
         }  # fmt: skip
 
-    def each_run(self, solve: Callable[[Sequence[Contact]], Any], repeats: int) -> tuple[list[float], list[Any]]:
-        """Return the seconds of all runs of `solve` on each seed's contacts, and what the last one of each gave."""
-        both = [timed(partial(solve, contacts), repeats) for contacts in self.runs]
-        return [second for seconds, _ in both for second in seconds], [result for _, result in both]
+    def measured(self, method: str, solve: Callable[[Sequence[Contact]], Positions], repeats: int, **more: Any) -> Row:
+        """Return the row of what is fast enough to be run whole, `repeats` times on each seed's contacts."""
+        both = [timed([partial(solve, contacts)] * repeats) for contacts in self.runs]
+        return self.row(method, [second for seconds, _ in both for second in seconds], [found[-1] for _, found in both], **more)
 
-    def slow(
-        self, name: str, solve: Callable[[int], object], order: Sequence[int], what: str, front: float
-    ) -> Mapping[str, Any]:
-        """Run `solve` on each of `order` as far as the budget goes; return what `row` takes of it.
+    def sampled(
+        self, method: str, ours: Row, pieces: Iterable[tuple[Callable[[], object], int]], whole: tuple[int, str, float]
+    ) -> Callable[..., Row]:
+        """Do pieces of a slow solve as far as the budget goes; return what makes the row of the positions that they gave.
 
         Parameters
         ----------
-        what : they are, in words
-        front : s, from contacts to what each of them begins from
+        ours : row of the method that it is compared with
+        pieces : what is done, and how many of `whole` it is
+        whole : how many there are, what they are, and the seconds from contacts to what each of them begins from
         """
-        seconds = sampled((partial(solve, piece) for piece in order), self.budget_s)
-        part = None
-        if len(seconds) < len(order):
-            part = {what: len(seconds), f"of_{what}": len(order), "seconds": float(np.sum(seconds))}
-        return {"method": name, "seconds": Quartiles.of(seconds).times(len(order)).plus(front), "part": part}
+        works, sizes = zip(*pieces, strict=True)
+        seconds, _ = timed(works, self.budget_s)
+        (count, what, front), done = whole, sum(sizes[: len(seconds)])
+        part = None if done >= count else {what: done, f"of_{what}": count, "seconds": float(np.sum(seconds))}
+        spent = [second / size * count + front for second, size in zip(seconds, sizes, strict=False)]
+
+        def row(found: Positions, near: Positions, beside: Positions) -> Row:
+            # How far the answers lie from ours, and what they err more: the row's error is our row's plus that.
+            off = [float(np.linalg.norm(found[channel] - point)) for channel, point in near.items()]
+            made = self.row(method, spent, [found], off_ours_m=max(off, default=None), extrapolated_from=part)
+            if beside:
+                errors, error = self.bench.errors, ours["error_mm"]
+                more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in beside})) - np.mean(errors(beside)))
+                made["error_beside_ours_mm"] = more
+                if error is not None:
+                    made["error_mm"] = {**error, **{key: error[key] + more for key in ("median", "q1", "q3")}}
+            return made
+
+        return row
+
+
+def ms_of(seconds: Sequence[float]) -> dict[str, Any]:
+    """Return quartiles, ms."""
+    return quartiles([1e3 * second for second in seconds])
 
 
 def _table(benches: Sequence[tuple[Bench, PartSizes]], sizes: RuntimeSizes, progress: Say, leave_out: Say) -> Iterator[Row]:
     """Measure what the ratios need, then how cost grows, as far as there is time."""
     began = time.perf_counter()
-    mains: list[Cell] = []
+    growths: list[Iterator[Iterator[Row]]] = []
     for bench, part in benches:
         progress(f"poking {part.scene}: {len(bench.channels)} taxels, {sizes.per_taxel} pokes each")
         runs = [bench.contacts(sizes.per_taxel, seed) for seed in range(1, part.seeds + 1)]
-        mains.append(Cell(bench, bench.surface, sizes.per_taxel, runs, bench.channels, part.repeats, part.budget_s))
-        yield from _free(mains[-1])
-        yield from _surface(mains[-1], True)
-        yield from _modules(replace(mains[-1], repeats=max(1, part.repeats // 2)))
-    pairs = list(zip(mains, (part for _, part in benches), strict=True))
-    growth = (on_size for main, part in reversed(pairs) for on_size in _growth(main, part, sizes))
-    for number, on_size in enumerate(growth):
+        main = Cell(bench, bench.surface, sizes.per_taxel, runs, bench.channels, part.repeats, part.budget_s)
+        yield from _free(main)
+        yield from _surface(main, True)
+        yield from _modules(replace(main, repeats=max(1, part.repeats // 2)))
+        growths.insert(0, _growth(main, part, sizes))
+    for number, on_size in enumerate(chain(*growths)):
         if number > 0 and time.perf_counter() - began > sizes.growth_until_s:
             leave_out("the machine is slow: some sizes of the problem are left out")
             return
@@ -274,36 +272,17 @@ def _growth(main: Cell, part: PartSizes, sizes: RuntimeSizes) -> Iterator[Iterat
     """Give the cells on which one size differs; the first of the large part is needed for the ratios."""
     short = replace(main, runs=main.runs[:1], repeats=max(1, part.repeats // 2), budget_s=part.budget_s / 5)
     for triangles in part.meshes:
-        yield _on_mesh(replace(short, surface=main.bench.mesh(triangles)), sizes.everywhere)
+        cell = replace(short, surface=main.bench.mesh(triangles))
+        yield chain(_surface(cell, sizes.everywhere), _shipped(cell, [Method.MODULES] if sizes.everywhere else []))
     for taxels in part.taxels:
         channels = main.channels[:taxels]
         answered = [contact for contact in main.runs[0] if not set(channels).isdisjoint(contact.channels.tolist())]
-        yield _as_shipped(replace(short, channels=channels, runs=[answered]))
+        yield _shipped(replace(short, channels=channels, runs=[answered]))
     for per_taxel in part.pokes:
         seeds = part.seeds if per_taxel < SLOW_TO_POKE else 1
-        yield _poked(short, per_taxel, seeds, sizes.everywhere)
-
-
-def _poked(cell: Cell, per_taxel: int, seeds: int, everything: bool) -> Iterator[Row]:
-    runs = [cell.bench.contacts(per_taxel, seed) for seed in range(1, seeds + 1)]
-    cell = replace(cell, runs=runs, per_taxel=per_taxel)
-    if not everything:
-        yield from _as_shipped(cell)
-        return
-    yield shipped(cell, Method.SURFACE)
-    yield shipped(cell, Method.MODULES)
-    yield from _free(cell)
-
-
-def _on_mesh(cell: Cell, everything: bool) -> Iterator[Row]:
-    yield from _surface(cell, everything)
-    if everything:
-        yield shipped(cell, Method.MODULES)
-
-
-def _as_shipped(cell: Cell) -> Iterator[Row]:
-    for method in Method:
-        yield shipped(cell, method)
+        runs = [main.bench.contacts(per_taxel, seed) for seed in range(1, seeds + 1)]
+        cell = replace(short, runs=runs, per_taxel=per_taxel)
+        yield chain(_shipped(cell, [Method.SURFACE, Method.MODULES]), _free(cell)) if sizes.everywhere else _shipped(cell)
 
 
 # ---- the methods as shipped, and each pose alone ----
@@ -314,66 +293,36 @@ def positions_of(estimates: Mapping[int, Estimate]) -> Positions:
     return {channel: found.position for channel, found in estimates.items() if found.position is not None}
 
 
-class Shipped:
-    """A method of the program on a cell, from contacts to estimates with their uncertainty.
+def shipped(cell: Cell, method: Method, repeats: int) -> Row:
+    """Measure a method of the program, from contacts to estimates with their uncertainty."""
+    model, noise, more = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise, {}
 
-    It may be run again after what it is compared with, so that a machine that slows down meanwhile slows both.
-    """
+    def solve(contacts: Sequence[Contact], channels: Sequence[int] = cell.channels) -> Positions:
+        return positions_of(estimate_taxels(contacts, channels, [method], noise, cell.surface, model=model)[method])
 
-    def __init__(self, cell: Cell, method: Method) -> None:
-        self.cell, self.method = cell, method
-        self._seconds: list[float] = []
-        self._results: list[dict[int, Estimate]] = []
-        self._model = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None
-        # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
-        self._solve(cell.runs[0][:WARM], cell.channels[:WARM])
-
-    def _solve(self, contacts: Sequence[Contact], channels: Sequence[int]) -> dict[int, Estimate]:
-        noise = self.cell.bench.scene.noise
-        return estimate_taxels(contacts, channels, [self.method], noise, self.cell.surface, model=self._model)[self.method]
-
-    def run(self) -> dict[int, Estimate]:
-        """Measure, and return the first seed's estimates."""
-        cell = self.cell
-        seconds, self._results = cell.each_run(lambda contacts: self._solve(contacts, cell.channels), cell.repeats)
-        self._seconds += seconds
-        return self._results[0]
-
-    def row(self) -> Row:
-        """Return the row of all that was measured; of the surface method also from what a session keeps of its contacts."""
-        cell, more = self.cell, dict[str, Any]()
-        if self.method is Method.SURFACE:
-            table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
-            again, _ = timed(lambda: estimate_from(table, cell.channels, [self.method], noise, cell.surface), cell.repeats)
-            more["from_session_ms"] = Quartiles.of(again).times(1e3).json()
-        found = [positions_of(estimates) for estimates in self._results]
-        return cell.row(self.method.value, Quartiles.of(self._seconds), found, **more)
+    # Builds the surface's tree, once for all solves (`tree_build_ms` of the JSON), and loads what is loaded once.
+    solve(cell.runs[0][:WARM], cell.channels[:WARM])
+    if method is Method.SURFACE:
+        # The same from what a session keeps of its contacts.
+        again = partial(estimate_from, ContactTable(cell.runs[0]), cell.channels, [method], noise, cell.surface)
+        more["from_session_ms"] = ms_of(timed([again] * cell.repeats)[0])
+    return cell.measured(method.value, solve, repeats, **more)
 
 
-def shipped(cell: Cell, method: Method) -> Row:
-    """Measure a method of the program."""
-    measured = Shipped(cell, method)
-    measured.run()
-    return measured.row()
+def _shipped(cell: Cell, methods: Iterable[Method] = Method) -> Iterator[Row]:
+    return (shipped(cell, method, cell.repeats) for method in methods)
 
 
-def per_pose(cell: Cell, method: Method) -> Row:
-    """Measure the paper's averaging over arm poses (IV-B)."""
-    model, noise = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None, cell.bench.scene.noise
+def _per_pose(cell: Cell, methods: Iterable[Method]) -> Iterator[Row]:
+    """Measure the paper's averaging over arm poses (IV-B), where there are some."""
+    for method in methods if len(cell.bench.rig.stances) > 1 else ():
+        model = cell.bench.modules_on(cell.surface) if method is Method.MODULES else None
 
-    def solve(contacts: Sequence[Contact]) -> Positions:
-        return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=model))
+        def solve(contacts: Sequence[Contact], method: Method = method, model: ModuleModel | None = model) -> Positions:
+            noise = cell.bench.scene.noise
+            return positions_of(average_over_poses(contacts, cell.channels, method, noise, cell.surface, model=model))
 
-    seconds, found = cell.each_run(solve, cell.repeats)
-    return cell.row(f"{method.value}-per-pose", Quartiles.of(seconds), found)
-
-
-def _beside(row: Row, ours: Row) -> Row:
-    """Return the row of an alternative that solved some taxels: its error is ours plus what differs on these."""
-    more, error = row["error_beside_ours_mm"], ours["error_mm"]
-    if more is None or error is None:
-        return row
-    return {**row, "error_mm": {**error, **{key: error[key] + more for key in ("median", "q1", "q3")}}}
+        yield cell.measured(f"{method.value}-per-pose", solve, cell.repeats)
 
 
 # ---- the free method beside its alternatives ----
@@ -381,7 +330,7 @@ def _beside(row: Row, ours: Row) -> Row:
 
 def _free(cell: Cell) -> Iterator[Row]:
     """Measure the free method beside its alternatives, and both methods with each pose alone."""
-    yield shipped(cell, Method.FREE)
+    yield from _shipped(cell, [Method.FREE])
     for name, way in {"lstsq": alternatives.by_lstsq, "normal": alternatives.by_normal_equations}.items():
 
         def solve(contacts: Sequence[Contact], way: Callable[..., FloatArray] = way) -> Positions:
@@ -390,11 +339,8 @@ def _free(cell: Cell) -> Iterator[Row]:
             pairs = zip(system.channels, way(system), np.diff(system.starts) > 3, strict=True)
             return {channel: p for channel, p, enough in pairs if enough and np.isfinite(p).all()}
 
-        seconds, found = cell.each_run(solve, max(1, cell.repeats // 2))
-        yield cell.row(name, Quartiles.of(seconds), found)
-    if len(cell.bench.rig.stances) > 1:
-        for method in PER_TAXEL:
-            yield per_pose(cell, method)
+        yield cell.measured(name, solve, max(1, cell.repeats // 2))
+    yield from _per_pose(cell, PER_TAXEL)
 
 
 # ---- the surface method beside other searches ----
@@ -402,40 +348,28 @@ def _free(cell: Cell) -> Iterator[Row]:
 
 def _surface(cell: Cell, all_ways: bool) -> Iterator[Row]:
     """Measure the surface method beside the other ways to search the surface."""
-    ours = Shipped(cell, Method.SURFACE)
-    searches = Searches.of(cell, ours.run())
-    found = [searches.over_triangles("brute", SEARCHES["brute"])]
-    ours.run()
-    row = ours.row()
+    row = shipped(cell, Method.SURFACE, 2 * cell.repeats)
     yield row
-    found += [searches.over_triangles(name, SEARCHES[name]) for name in ("facing", "compiled", "bounded")]
+    searches = Searches(cell, row)
+    for name, way in SEARCHES.items():
+        yield searches.over_triangles(name, way)
     if all_ways:
-        found.append(searches.each_triangle("slsqp", alternatives.by_slsqp))
+        yield searches.each_triangle("slsqp", alternatives.by_slsqp)
     if all_ways and alternatives.has_quadprog():
-        found.append(searches.each_triangle("quadprog", alternatives.by_quadprog))
-    yield from (_beside(other, row) for other in found)
+        yield searches.each_triangle("quadprog", alternatives.by_quadprog)
 
 
-@dataclass(frozen=True, eq=False)
 class Searches:
-    """The other ways to search the surface on one cell, with what they begin from."""
+    """The other ways to search the surface on one cell, from the contacts of the first seed; `row` is the shipped method's."""
 
-    cell: Cell
-    systems: Systems
-    front: float
-    """s. From contacts to the taxels' factors, which every alternative needs too."""
-    ours: Mapping[int, Estimate]
-    """The shipped method's answers."""
-    order: list[int]
-    """Taxels in random order."""
-
-    @classmethod
-    def of(cls, cell: Cell, ours: Mapping[int, Estimate]) -> Searches:
-        """Prepare the first seed's contacts."""
-        contacts, noise = cell.runs[0], cell.bench.scene.noise
-        seconds, begun = timed(lambda: alternatives.systems(contacts, cell.channels, noise), cell.repeats)
-        order = np.random.default_rng(1).permutation(len(begun.channels))
-        return cls(cell, begun, Quartiles.of(seconds).median, ours, order.tolist())
+    def __init__(self, cell: Cell, row: Row) -> None:
+        self.cell, self.row = cell, row
+        contacts, noise, method = cell.runs[0], cell.bench.scene.noise, Method.SURFACE
+        seconds, begun = timed([lambda: alternatives.systems(contacts, cell.channels, noise)] * cell.repeats)
+        # From contacts to the taxels' factors, which every alternative needs too.
+        self.systems, self.front = begun[0], float(np.median(seconds))
+        self.ours = estimate_taxels(contacts, cell.channels, [method], noise, cell.surface)[method]
+        self.order: list[int] = np.random.default_rng(1).permutation(len(self.systems.channels)).tolist()
 
     def over_triangles(self, name: str, way: Callable[..., FloatArray]) -> Row:
         """Measure a way that goes through a taxel's triangles by itself."""
@@ -445,37 +379,25 @@ class Searches:
             found[self.systems.channels[taxel]] = way(self.cell.surface, *self._system(taxel))
 
         solve(self.order[0])
-        return self._row(found, **self.cell.slow(name, solve, self.order, "taxels", self.front))
+        pieces = [(partial(solve, taxel), 1) for taxel in self.order]
+        return self._row(found, self.cell.sampled(name, self.row, pieces, (len(self.order), "taxels", self.front)))
 
     def each_triangle(self, name: str, solver: Callable[[Problems], FloatArray]) -> Row:
         """Measure the paper's way: each triangle a constrained least squares."""
         few = self.order[:SPREAD_OVER]
         total = round(float(np.mean([len(self._facing(taxel)) for taxel in few])) * len(self.order))
-        sizes: list[int] = []
 
         def solve(taxel: int, triangles: IntArray) -> None:
             solver(self._problems(taxel, triangles))
-            sizes.append(len(triangles))
 
         solve(few[0], self._facing(few[0])[:CHUNK])
-        sizes.clear()
-        pieces = self._pieces(self.order if total <= WHOLE else few)
-        seconds = sampled((partial(solve, *piece) for piece in pieces), self.cell.budget_s)
-        rates = Quartiles.of([spent / size for spent, size in zip(seconds, sizes, strict=True)])
-        found: Positions = {self.systems.channels[taxel]: self._winner(taxel, solver) for taxel in few}
-        part = None
-        if sum(sizes) < total:
-            part = {"triangles": sum(sizes), "of_triangles": total, "seconds": float(np.sum(seconds))}
-        return self._row(found, method=name, seconds=rates.times(total).plus(self.front), part=part)
+        pieces = [(partial(solve, *piece), len(piece[1])) for piece in self._pieces(self.order if total <= WHOLE else few)]
+        row = self.cell.sampled(name, self.row, pieces, (total, "triangles", self.front))
+        return self._row({self.systems.channels[taxel]: self._winner(taxel, solver) for taxel in few}, row)
 
-    def _row(self, found: Positions, **measured: Any) -> Row:
+    def _row(self, found: Positions, row: Callable[..., Row]) -> Row:
         ours = {channel: point for channel, point in positions_of(self.ours).items() if channel in found}
-        off = [float(np.linalg.norm(found[channel] - point)) for channel, point in ours.items()]
-        more = None
-        if ours:
-            errors = self.cell.bench.errors
-            more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in ours})) - np.mean(errors(ours)))
-        return self.cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
+        return row(found, ours, ours)
 
     def _system(self, taxel: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         return self.systems.roots[taxel], self.systems.offsets[taxel], self.systems.pushes[taxel]
@@ -515,64 +437,36 @@ class Searches:
 
 def _modules(cell: Cell) -> Iterator[Row]:
     """Measure the modules method from contacts, with the surface method that it begins from; then what it is compared with."""
-    row = shipped(cell, Method.MODULES)
+    row = shipped(cell, Method.MODULES, cell.repeats)
     yield row
-    if len(cell.bench.rig.stances) > 1:
-        yield per_pose(cell, Method.MODULES)
-    yield _beside(_general(cell), row)
-
-
-def _general(cell: Cell) -> Row:
-    model, found = cell.bench.modules_on(cell.surface), Positions()
-    front, start = timed(lambda: _begin(cell, model), 1)
+    yield from _per_pose(cell, [Method.MODULES])
+    model, found, noise = cell.bench.modules_on(cell.surface), Positions(), cell.bench.scene.noise
+    (front,), (start,) = timed([lambda: _begin(cell, model)])
 
     def solve(module: int) -> None:
-        found.update(_solved(*start[module], model, module, cell))
+        places = start[module].by_least_squares(lambda pads: whitened(start[module].touches, pads, noise).misses, **GENERAL)
+        found.update(zip(model.channels_of([module]), places, strict=True))
 
-    measured = cell.slow(
-        "modules-general", solve, np.random.default_rng(3).permutation(list(start)).tolist(), "modules", front[0]
-    )
-    plain, doubting = (
-        positions_of(
-            estimate_taxels(
-                cell.runs[0], sorted(found), [Method.MODULES], cell.bench.scene.noise, cell.surface, {}, doubts, model
-            )[Method.MODULES]
+    pieces = [(partial(solve, module), 1) for module in np.random.default_rng(3).permutation(list(start)).tolist()]
+    general = cell.sampled("modules-general", row, pieces, (len(start), "modules", front))
+
+    def ours(doubting: bool) -> Positions:
+        channels, methods = sorted(found), [Method.MODULES]
+        return positions_of(
+            estimate_taxels(cell.runs[0], channels, methods, noise, cell.surface, {}, doubting, model)[methods[0]]
         )
-        for doubts in (False, True)
-    )
-    # How far the answers lie from ours, every poke counting fully, and what they err more than ours as shipped.
-    off = [float(np.linalg.norm(found[channel] - point)) for channel, point in plain.items()]
-    errors = cell.bench.errors
-    more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in doubting})) - np.mean(errors(doubting)))
-    return cell.row(found=[found], off_ours_m=max(off, default=None), error_beside_ours_mm=more, **measured)
+
+    # Near to ours, every poke counting fully; the errors beside ours as shipped.
+    yield general(found, ours(doubting=False), ours(doubting=True))
 
 
-def _begin(cell: Cell, model: ModuleModel) -> dict[int, tuple[Touches, ModulePoses]]:
-    """Solve by the surface method, and return the pokes and the start of each module that can be solved."""
+def _begin(cell: Cell, model: ModuleModel) -> dict[int, ModuleProblem]:
+    """Solve by the surface method, and return pokes and start of each module that can be solved."""
     table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
     others = [estimate_from(table, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
-    found: dict[int, tuple[Touches, ModulePoses]] = {}
-    for module in model.modules_of(cell.channels):
-        evidence, pose = table.evidence(model.channels_of([module])), start_of(model, module, others)
-        touches = find_touches(evidence, table.totals(evidence.pokes), model, noise, [module])
-        if pose is not None and len(touches.of) > 1:
-            found[module] = touches, pose
-    return found
-
-
-def _solved(touches: Touches, start: ModulePoses, model: ModuleModel, module: int, cell: Cell) -> Positions:
-    """Return where a general solver puts a module's pads."""
-    flat, of = model.pads[module], np.zeros(len(model.pads[module]), dtype=np.int64)
-
-    def laid(move: FloatArray) -> Pads:
-        return model.ground.laid(model.ground.moved(start, move[None]).take(of), flat)
-
-    def misses(move: FloatArray) -> FloatArray:
-        return whitened(touches, laid(move), cell.bench.scene.noise).misses.ravel()
-
-    optimize: Any = import_module("scipy.optimize")
-    move: FloatArray = optimize.least_squares(misses, np.zeros(model.ground.unknowns), **GENERAL).x
-    return dict(zip(model.channels_of([module]), laid(move).points, strict=True))
+    starts = {module: start_of(model, module, others) for module in model.modules_of(cell.channels)}
+    begun = [ModuleProblem(model, module, table, start, noise) for module, start in starts.items() if start is not None]
+    return {problem.module: problem for problem in begun if len(problem.touches.of) > 1}
 
 
 # ---- what the window waits for ----
@@ -600,8 +494,7 @@ def poke_time(bench: Bench, per_taxel: int, pokes: int) -> dict[str, Any]:
     JSON: `time_ms` by the two methods of the paper, `with_modules_ms` by all that the scene has
     """
     ways = {"time_ms": PER_TAXEL, "with_modules_ms": None}
-    spent = {key: Quartiles.of(_poke_seconds(bench, per_taxel, pokes, methods)) for key, methods in ways.items()}
-    times = {key: seconds.times(1e3).json() for key, seconds in spent.items()}
+    times = {key: ms_of(_poke_seconds(bench, per_taxel, pokes, methods)) for key, methods in ways.items()}
     return {"pokes_per_taxel": per_taxel, "taxels_touched": TOUCHED, **times}
 
 
@@ -609,14 +502,7 @@ def _poke_seconds(bench: Bench, per_taxel: int, pokes: int, methods: Collection[
     session = solved_session(bench, bench.contacts(per_taxel, seed=1), methods)
     others = bench.contacts(-(-2 * pokes // len(bench.channels)), seed=2)[: 2 * pokes]
     fresh = [replace(touching(bench, contact), poke=session.last_poke + 1 + i) for i, contact in enumerate(others)]
-    seconds: list[float] = []
-    with at_rest():
-        for contact in fresh:
-            start = clock()
-            session.add(contact)
-            session.snapshot()
-            seconds.append(clock() - start)
-    return seconds[pokes:]
+    return poke_seconds(session, fresh)[pokes:]
 
 
 def touching(bench: Bench, contact: Contact) -> Contact:
@@ -639,7 +525,7 @@ def resolve_time(bench: Bench, pokes: int, repeats: int) -> dict[str, Any]:
 
     solve()
     works = {"time_ms": solve, "session_ms": lambda: solved_session(bench, contacts)}
-    times = {name: Quartiles.of(timed(work, repeats)[0]).times(1e3).json() for name, work in works.items()}
+    times = {name: ms_of(timed([work] * max(1, repeats))[0]) for name, work in works.items()}
     return {"contacts": len(contacts), **times}
 
 
@@ -662,31 +548,21 @@ def memory(bench: Bench, pokes: int) -> dict[str, Any]:
 # ---- what the table says ----
 
 
-def _find(rows: Sequence[Row], part: str, method: str, per_taxel: int, triangles: int | None = None) -> Row | None:
-    """Return the row of a method on the whole part; on its own mesh, or on the one nearest to so many triangles."""
-    of_part = [row for row in rows if (row["part"], row["pokes_per_taxel"]) == (part, per_taxel)]
-    taxels = max(row["taxels"] for row in of_part)
-    found = [row for row in of_part if row["taxels"] == taxels and row["method"] == method]
-    if triangles is None:
-        return found[0] if found else None
-    return min(found, key=lambda row: abs(row["triangles"] - triangles))
-
-
 def ratios_of(rows: Sequence[Row], part: str, per_taxel: int) -> dict[str, float]:
-    """Return the ratios of median times on the large part's own mesh, and the growth with its triangles."""
-
-    def ms(method: str, triangles: int | None = None, key: str = "time_ms") -> float | None:
-        row = _find(rows, part, method, per_taxel, triangles)
-        return None if row is None else row[key]["median"]
-
-    ours, free, coarse = ms("surface"), ms("free"), ms("surface", 1_000)
+    """Return the ratios of median times on the whole large part's own mesh, and the growth with its triangles."""
+    whole = [row for row in rows if (row["part"], row["pokes_per_taxel"]) == (part, per_taxel)]
+    taxels = max(row["taxels"] for row in whole)
+    # Its own mesh comes first.
+    own = {row["method"]: row for row in reversed(whole) if row["taxels"] == taxels}
+    ms = {name: row["time_ms"]["median"] for name, row in own.items()}
+    sizes = [row for row in whole if (row["taxels"], row["method"]) == (taxels, "surface")]
+    coarse = min(sizes, key=lambda row: abs(row["triangles"] - 1_000))["time_ms"]["median"]
     # A re-solve begins from what a session keeps of its contacts.
-    again = ms("surface", key="from_session_ms")
-    pairs = {f"{name}_over_surface": (ms(name), again) for name in (*SEARCHES, "slsqp", "quadprog")}
-    pairs |= {f"{name}_over_free": (ms(name), free) for name in ("lstsq", "normal")}
-    pairs["brute_over_surface_from_contacts"] = (ms("brute"), ours)
-    pairs["per_taxel_100k_over_1k"] = (ours, coarse)
-    return {name: top / bottom for name, (top, bottom) in pairs.items() if top is not None and bottom is not None}
+    again = own["surface"]["from_session_ms"]["median"]
+    ratios = {f"{name}_over_surface": ms[name] / again for name in (*SEARCHES, "slsqp", "quadprog") if name in ms}
+    ratios |= {f"{name}_over_free": ms[name] / ms["free"] for name in ("lstsq", "normal")}
+    ratios["brute_over_surface_from_contacts"] = ms["brute"] / ms["surface"]
+    return {**ratios, "per_taxel_100k_over_1k": ms["surface"] / coarse}
 
 
 def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -706,22 +582,13 @@ def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: 
 
 
 def growth_of(rows: Sequence[Row], per_taxel: int) -> dict[str, list[dict[str, Any]]]:
-    """Return what a taxel costs against triangles, taxels and pokes, the other two held."""
-    whole: dict[str, int] = {}
-    own: dict[str, int] = {}
+    """Return what a taxel costs against triangles, taxels and pokes, the other two held as on the part's first row."""
+    first = {row["part"]: {**row, "pokes_per_taxel": per_taxel} for row in reversed(rows)}
+    growth: dict[str, list[dict[str, Any]]] = {name: [] for name in ("triangles", "taxels", "pokes_per_taxel")}
     for row in rows:
-        whole[row["part"]] = max(row["taxels"], whole.get(row["part"], 0))
-        own.setdefault(row["part"], row["triangles"])
-    growth: dict[str, list[dict[str, Any]]] = {"triangles": [], "taxels": [], "pokes_per_taxel": []}
-    for row in rows:
-        held = {
-            "triangles": row["triangles"] == own[row["part"]],
-            "taxels": row["taxels"] == whole[row["part"]],
-            "pokes_per_taxel": row["pokes_per_taxel"] == per_taxel,
-        }
         cost = {key: row["time_ms"][key] * 1e3 / row["taxels"] for key in ("median", "q1", "q3")}
         for name, points in growth.items():
-            if all(is_held for other, is_held in held.items() if other != name):
+            if all(row[other] == first[row["part"]][other] for other in growth if other != name):
                 points.append({"part": row["part"], "method": row["method"], name: row[name], "us_per_taxel": cost})
     return {name: sorted(points, key=lambda point: point[name]) for name, points in growth.items()}
 
@@ -730,7 +597,7 @@ def _in_words(row: Row) -> str:
     error = row["error_mm"]
     return (
         f"{row['part']}, {row['taxels']} taxels, {row['triangles']} triangles, {row['pokes_per_taxel']} pokes: "
-        f"{LABELS[row['method']]}: {time_words(row['time_ms']['median'])}"
+        f"{row['label']}: {time_words(row['time_ms']['median'])}"
         + (" (extrapolated)" if row["extrapolated_from"] else "")
         + ("" if error is None else f", {error['median']:.2f} mm")
         + ("" if row["off_ours_m"] is None else f", at most {row['off_ours_m']:.1e} m from ours")
@@ -740,24 +607,18 @@ def _in_words(row: Row) -> str:
 def summary(result: dict[str, Any]) -> list[str]:
     """Return the two cells on which everything is measured, the bars, and what was left out."""
     lines: list[str] = []
-    last: tuple[Any, ...] | None = None
-    for row in main_rows(result):
-        size = (row["part"], *_size(row))
-        if size != last:
-            lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))
-            last = size
-        error = "" if row["error_mm"] is None else f"{row['error_mm']['median']:6.2f} mm"
-        part = "  extrapolated" if row["extrapolated_from"] else ""
-        lines.append(f"  {row['label']:52s}{time_words(row['time_ms']['median']):>10s} {error}{part}")
+    for size, rows in groupby(main_rows(result), key=lambda row: (row["part"], *_size(row))):
+        lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))
+        for row in rows:
+            error = "" if row["error_mm"] is None else f"{row['error_mm']['median']:6.2f} mm"
+            part = "  extrapolated" if row["extrapolated_from"] else ""
+            lines.append(f"  {row['label']:52s}{time_words(row['time_ms']['median']):>10s} {error}{part}")
     return [*lines, *bar_lines(result["bars"], digits=4), AS_SHIPPED, *result["left_out"]]
 
 
 def main_rows(result: dict[str, Any]) -> list[Row]:
     """Return the rows of the cells on which everything is measured: those of the lstsq rows' size, one a part."""
-    sizes: dict[str, tuple[Any, ...]] = {}
-    for row in result["table"]:
-        if row["method"] == "lstsq":
-            sizes.setdefault(row["part"], _size(row))
+    sizes = {row["part"]: _size(row) for row in reversed(result["table"]) if row["method"] == "lstsq"}
     return [row for row in result["table"] if _size(row) == sizes.get(row["part"])]
 
 

@@ -13,9 +13,8 @@ Exact is 80 digits (`exact`). With a million readings, and for modules, the draw
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from importlib import import_module
 from itertools import chain, count
 from typing import Any, TypeAlias
 
@@ -29,10 +28,11 @@ from skincal.mesh.surface import Surface, heights, make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Anchor, Layout, Module
 from skincal.modules.estimate import estimate_modules
-from skincal.modules.pose import ModuleModel, ModulePoses, Pads
-from skincal.modules.pose_fit import Touches, bends_of, find_touches, fit_modules, whitened
+from skincal.modules.pose import ModuleModel, Pads
+from skincal.modules.pose_fit import bends_of, fit_modules, whitened
 from skincal.studies import exact
-from skincal.studies.exact import NO_NUMBER, ModuleTruth, Truth, distance, distance_to
+from skincal.studies.alternatives import ModuleProblem
+from skincal.studies.exact import NO_NUMBER, Truth, distance, distance_to
 from skincal.studies.figures import draw_stability
 from skincal.studies.measuring import processes
 from skincal.studies.stability_cases import (
@@ -43,10 +43,8 @@ from skincal.studies.stability_cases import (
     Case,
     CaseSizes,
     ModuleCase,
-    ModuleReadings,
     RawMesh,
-    SensorReadings,
-    TaxelReadings,
+    Readings,
     all_cases,
     all_module_cases,
 )
@@ -78,7 +76,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: CaseSizes | None = 
     progress(f"the bar: {FACTOR:g} times what the inputs' last digit does to the exact answer, plus {OF_SIZE:g} of its size")
     with processes() as pool:
         taxels = pool.map(partial(_measured, draws=sizes.draws), count(), all_cases(sizes))
-        modules = pool.map(partial(_measured_module, draws=sizes.draws // 4), count(), all_module_cases(sizes))
+        modules = pool.map(partial(_measured, draws=sizes.draws // 4), count(), all_module_cases(sizes))
         for own, others in chain(taxels, modules):
             cases += own
             alternatives += others
@@ -90,13 +88,9 @@ def run(quick: bool, progress: Callable[[str], None], sizes: CaseSizes | None = 
 
 
 def _measured(number: int, case: Case, draws: int) -> tuple[list[Record], list[Record]]:
-    truth = exact.find_truth(case, draws, np.random.default_rng([_SEED, number]))
-    return judge(case, truth, shipped), compare(case, truth)
-
-
-def _measured_module(number: int, case: ModuleCase, draws: int) -> tuple[list[Record], list[Record]]:
-    truth = exact.find_module_truth(case, draws, np.random.default_rng([_SEED, 1, number]))
-    return [judge_module(case, truth, shipped_module)], compare_module(case, truth)
+    seed = [_SEED, 1, number] if isinstance(case, ModuleCase) else [_SEED, number]
+    truth = exact.find_truth(case, draws, np.random.default_rng(seed))
+    return judge(case, truth), compare(case, truth)
 
 
 def bar(change: float, size: float) -> float:
@@ -109,149 +103,152 @@ def over_bar(error: float, bound: float) -> float:
     return NO_NUMBER if error >= NO_NUMBER else error / bound
 
 
-def _record(name: str, case: Case | ModuleCase, error: float, bound: float, size: float, same: bool, **more: Any) -> Record:
-    return {
-        "name": name, "solver": _solver(case), "error": error, "bound": bound, "error_over_bound": over_bar(error, bound),
-        "holds": bool(error <= bound and same), "same_bits": same, "size": size,
-        "readings": len(case.readings.forces) * case.copies, **more,
-    }  # fmt: skip
-
-
-def _solver(case: Case | ModuleCase) -> str:
-    if isinstance(case, ModuleCase):
-        return "modules"
-    return "free" if case.mesh is None else "surface"
-
-
 def _surface(mesh: RawMesh | None) -> Surface | None:
     """Return the surface; triangles without area are left out, as in loading, but none that has any."""
     return None if mesh is None else make_surface(mesh.vertices, mesh.triangles[heights(mesh.corners)[0] > 0])
 
 
-def _orders(readings: SensorReadings, copies: int, heavy: FloatArray | None = None) -> Iterator[IntArray]:
-    """Yield the orders in which the contacts come: as they are, reversed, shuffled; heavy first and light first, if said."""
-    contacts = len(readings.forces)
-    own = np.tile(np.arange(contacts), copies)
+def _orders(case: Case) -> Iterator[IntArray]:
+    """Yield the orders in which the contacts come: as they are, reversed, shuffled; of a taxel heavy and light ones first."""
+    contacts = len(case.readings.forces)
+    own = np.tile(np.arange(contacts), case.copies)
     yield own
     yield own[::-1]
     if contacts > 1:
         yield np.random.default_rng(contacts).permutation(own)
-    if contacts > 1 and heavy is not None:
-        by_weight = np.argsort(heavy, kind="stable")
-        yield np.tile(by_weight[::-1], copies)
-        yield np.tile(by_weight, copies)
+    if contacts > 1 and not case.many and not isinstance(case, ModuleCase):
+        by_weight = np.argsort(case.readings.responses / case.readings.strongest, kind="stable")
+        yield np.tile(by_weight[::-1], case.copies)
+        yield np.tile(by_weight, case.copies)
 
 
-def _contacts(readings: SensorReadings, answers: FloatArray) -> list[Contact]:
-    """Return the contacts; `answers` (n, channels), zero where a channel did not answer."""
+def _contacts(case: Case, order: IntArray) -> list[Contact]:
+    """Return the contacts; the channel behind those of the taxel, or of the module's pads, is the one beside them."""
+    readings = case.readings.ordered(order)
     # The same array for all contacts of a pose: a million of them need no copies.
     poses, pose_of = list(readings.poses), readings.pose_of.tolist()
+    answers = np.column_stack([readings.responses, readings.beside])
+    # A taxel's contacts keep their numbers, a module's are numbered anew.
+    numbers = np.arange(len(order)) if isinstance(case, ModuleCase) else order
     return [
         Contact(
-            number + 1, 0.0, 1.0, readings.forces[number], readings.moments[number], np.flatnonzero(row), row[row > 0],
-            poses[pose], f"pose {pose}", 0.0, True,
+            number + 1, 0.0, 1.0, readings.forces[at], readings.moments[at], np.flatnonzero(answers[at]),
+            answers[at][answers[at] > 0], poses[pose], f"pose {pose}", 0.0, True,
         )
-        for number, (row, pose) in enumerate(zip(answers, pose_of, strict=True))
+        for at, (number, pose) in enumerate(zip(numbers.tolist(), pose_of, strict=True))
     ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What a solver says of a taxel, or of a module's k pads."""
+
+    points: FloatArray
+    """(k, 3) float, metres; wherever it is, of pads that are not known."""
+    blind: NDArray[np.bool_] = field(default_factory=partial(np.zeros, 1, np.bool_))
+    """(k,) whether no estimate is given."""
+    direction: FloatArray | None = None
+    """(3,) float, unit: that of a taxel of which the readings say nothing, where the rank is 2."""
+
+
+Solver: TypeAlias = Callable[[Case, IntArray, Surface | None], Found]
+Way: TypeAlias = Callable[[Case, IntArray, Surface | None], FloatArray]
+"""Returns the points alone."""
+
+
+def judge(case: Case, truth: Truth, solver: Solver | None = None) -> list[Record]:
+    """Return the records of a case: of the position, and of the blind direction where there is one."""
+    surface = _surface(case.mesh)
+    found = [(solver or SHIPPED[case.solver])(case, order, surface) for order in _orders(case)]
+    same = all(np.array_equal(answer.points, found[0].points, equal_nan=True) for answer in found)
+    right = all(np.array_equal(answer.blind, truth.blind) for answer in found)
+    error, bound, size = _worst(truth, [answer.points for answer in found])
+    more: Record = {"draws_by": "derivative" if case.many else "digits"}
+    if isinstance(case, ModuleCase):
+        more = {"draws_by": "step", "blind_right": right, "compared": sum(truth.determined)}
+    measured = [("", error if right else NO_NUMBER, bound, size)]
+    if truth.direction is not None:
+        turned = max(_turned(answer, truth.direction) for answer in found)
+        measured.append((": blind direction", turned, bar(truth.turn, 1.0), 1.0))
+    return [
+        {
+            "name": case.name + what, "solver": case.solver, "error": error, "bound": bound,
+            "error_over_bound": over_bar(error, bound), "holds": bool(error <= bound and same), "same_bits": same, "size": size,
+            "readings": len(case.readings.forces) * case.copies, **more,
+        }
+        for what, error, bound, size in measured
+    ]  # fmt: skip
+
+
+def _turned(answer: Found, blind: exact.Exact) -> float:
+    return NO_NUMBER if answer.direction is None else exact.between(exact.exactly(answer.direction), blind)
+
+
+def _worst(truth: Truth, found: Sequence[FloatArray]) -> tuple[float, float, float]:
+    """Return error, bar and norm of the point with the largest error over its bar, of those that are compared."""
+    sizes = [distance(place) for place in truth.points]
+    worst = 0.0, bar(0.0, min(sizes)), min(sizes)
+    errors = [
+        (max(distance_to(points[at], truth.points[at]) for points in found), bar(truth.changes[at], sizes[at]), sizes[at])
+        for at in np.flatnonzero(truth.determined).tolist()
+    ]
+    return max(errors, key=lambda error: error[0] / error[1], default=worst)
+
+
+def compare(case: Case, truth: Truth) -> list[Record]:
+    """Return how other ways do on the case, if the contacts determine every point: none of them says what is blind."""
+    module = isinstance(case, ModuleCase)
+    if truth.direction is not None or not all(truth.determined):
+        return []
+    surface, orders = _surface(case.mesh), list(_orders(case))[: 1 if case.many or module else None]
+    records: list[Record] = []
+    for name, way in (MODULE_ALTERNATIVES if module else ALTERNATIVES).items():
+        found = [way(case, order, surface) for order in orders]
+        error, bound, _ = _worst(truth, found)
+        share = over_bar(error, bound)
+        records.append({"name": case.name, "solver": case.solver, "method": name, "error": error, "error_over_bound": share})
+    return records
 
 
 # ---- taxels ----
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FoundTaxel:
-    """What a solver says of a taxel."""
-
-    point: FloatArray
-    """(3,) float, metres."""
-    rank: int = 3
-    blind: FloatArray | None = None
-    """(3,) float, unit, where the rank is 2."""
-
-
-Solver: TypeAlias = Callable[[Sequence[Contact], Surface | None], FoundTaxel]
-
-
-def shipped(contacts: Sequence[Contact], surface: Surface | None) -> FoundTaxel:
-    """Solve taxel 0 as the program does: free without a surface, else on it."""
+def shipped_taxel(case: Case, order: IntArray, surface: Surface | None) -> Found:
+    """Solve a taxel as the program does: free without a surface, else on it."""
     # Each reading counts as it is: what is doubted is not a question of digits.
     method = Method.FREE if surface is None else Method.SURFACE
-    found = solve(ContactTable(contacts).evidence([0]), [method], NoiseSettings(), surface, doubting=False)
+    found = solve(ContactTable(_contacts(case, order)).evidence([0]), [method], NoiseSettings(), surface, doubting=False)
     if found.surface is not None:
-        return FoundTaxel(found.surface.points[0])
-    return FoundTaxel(found.factors.solutions[0], int(found.factors.ranks[0]), found.factors.blind[0])
+        return Found(found.surface.points[:1])
+    return Found(found.factors.solutions[:1], direction=found.factors.blind[0] if found.factors.ranks[0] == 2 else None)
 
 
-def judge(case: Case, truth: Truth, solver: Solver) -> list[Record]:
-    """Return the records of a case: of the position, and of the blind direction where there is answer."""
-    readings, surface = case.readings, _surface(case.mesh)
-    # Channel 0 is the taxel, channel 1 the answer that answered most.
-    others = np.where(readings.responses == readings.strongest, 0.0, readings.strongest)
-    contacts = _contacts(readings, np.stack([readings.responses, others], axis=1))
-    found = [solver([contacts[int(place)] for place in order], surface) for order in _taxel_orders(case)]
-    same = all(np.array_equal(answer.point, found[0].point, equal_nan=True) for answer in found)
-    error, size = max(distance_to(answer.point, truth.answer) for answer in found), distance(truth.answer)
-    how = {"draws_by": "derivative" if case.many else "digits"}
-    records = [_record(case.name, case, error, bar(truth.change, size), size, same, **how)]
-    if truth.blind is not None:
-        blind = truth.blind
-        angle = max(
-            NO_NUMBER if answer.rank != 2 or answer.blind is None else exact.between(exact.exactly(answer.blind), blind)
-            for answer in found
-        )
-        records.append(_record(f"{case.name}: blind direction", case, angle, bar(truth.turn, 1.0), 1.0, same, **how))
-    return records
-
-
-def _taxel_orders(case: Case) -> Iterator[IntArray]:
-    return _orders(case.readings, case.copies, None if case.many else case.readings.responses / case.readings.strongest)
-
-
-RowsOf: TypeAlias = Callable[[TaxelReadings], tuple[FloatArray, FloatArray]]
+RowsOf: TypeAlias = Callable[[Readings], tuple[FloatArray, FloatArray]]
 RowSolver: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A way to solve A p = b: the point, and a root and an offset with |A p - b|^2 = |root p - offset|^2 + a constant."""
 
 
-def compare(case: Case, truth: Truth) -> list[Record]:
-    """Return how other ways do on the case, rows in the order of the contacts; none reports a blind direction."""
-    if case.blind:
-        return []
-    surface = _surface(case.mesh)
-    push = None if surface is None else exact.floats(exact.mean_push(case.readings))[None]
-    orders, bound = list(_taxel_orders(case))[: 1 if case.many else None], bar(truth.change, distance(truth.answer))
-    records: list[Record] = []
-    for name, (rows, way) in ALTERNATIVES.items():
-        found = [_other(rows, way, case.readings.ordered(order), surface, push) for order in orders]
-        records.append(_alternative(case, name, max(distance_to(point, truth.answer) for point in found), bound))
-    return records
+def _by_rows(rows: RowsOf, way: RowSolver, case: Case, order: IntArray, surface: Surface | None) -> FloatArray:
+    point, root, offset = way(*rows(case.readings.ordered(order)))
+    if surface is None:
+        return point[None]
+    return nearest_to_rows(surface, root[None], offset[None], exact.floats(exact.mean_push(case.readings))[None]).points
 
 
-def _alternative(case: Case | ModuleCase, method: str, error: float, bound: float) -> Record:
-    share = over_bar(error, bound)
-    return {"name": case.name, "solver": _solver(case), "method": method, "error": error, "error_over_bound": share}
-
-
-def _other(
-    rows: RowsOf, way: RowSolver, readings: TaxelReadings, surface: Surface | None, push: FloatArray | None
-) -> FloatArray:
-    point, root, offset = way(*rows(readings))
-    return point if surface is None else nearest_to_rows(surface, root[None], offset[None], push).points[0]
-
-
-def _link_frame(readings: TaxelReadings) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _link_frame(readings: Readings) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return u and m/|f| (n, 3) in the link frame, and k (n,)."""
     force, moment = move_wrench(readings.poses[readings.pose_of], readings.forces, readings.moments)
     size = np.sqrt(np.sum(force * force, axis=1, keepdims=True))
     return force / size, moment / size, readings.responses / readings.strongest
 
 
-def three_rows(readings: TaxelReadings) -> tuple[FloatArray, FloatArray]:
+def three_rows(readings: Readings) -> tuple[FloatArray, FloatArray]:
     """Return the rows of (5): A (3n, 3) and b (3n,)."""
     u, m, k = _link_frame(readings)
     return (k[:, None, None] * cross_matrix(u)).reshape(-1, 3), (-k[:, None] * m).ravel()
 
 
-def two_rows(readings: TaxelReadings) -> tuple[FloatArray, FloatArray]:
+def two_rows(readings: Readings) -> tuple[FloatArray, FloatArray]:
     """Return two rows a contact: A (2n, 3) and b (2n,)."""
     u, m, k = _link_frame(readings)
     rows = k[:, None, None] * across(u)
@@ -296,109 +293,48 @@ def by_sorted_qr(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, 
     return factors.solutions[0], factors.roots[0], factors.offsets[0]
 
 
-ALTERNATIVES: dict[str, tuple[RowsOf, RowSolver]] = {
-    "normal equations": (two_rows, by_normal_equations),
-    "QR, rows as they come": (two_rows, by_qr),
-    "QR, three rows a contact, as they come": (three_rows, by_qr),
-    "lstsq, three rows a contact": (three_rows, by_svd),
-    "sorted and pivoted QR, three rows a contact": (three_rows, by_sorted_qr),
+ALTERNATIVES: dict[str, Way] = {
+    "normal equations": partial(_by_rows, two_rows, by_normal_equations),
+    "QR, rows as they come": partial(_by_rows, two_rows, by_qr),
+    "QR, three rows a contact, as they come": partial(_by_rows, three_rows, by_qr),
+    "lstsq, three rows a contact": partial(_by_rows, three_rows, by_svd),
+    "sorted and pivoted QR, three rows a contact": partial(_by_rows, three_rows, by_sorted_qr),
 }
 
 
 # ---- modules ----
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FoundPads:
-    """What a solver says of a module's k pads."""
-
-    pads: FloatArray
-    """(k, 3) float, metres; wherever it is, of pads that are not known."""
-    blind: NDArray[np.bool_]
-    """(k,) whether no estimate is given."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleProblem:
-    """A case as the program has it."""
-
-    model: ModuleModel
-    table: ContactTable
-    touches: Touches
-    start: ModulePoses
-    noise: NoiseSettings
-
-    def laid(self, pose: ModulePoses) -> Pads:
-        """Return where the pads of the module at one pose lie."""
-        return self.model.ground.laid(pose.take(np.zeros(PADS, dtype=np.int64)), self.model.pads[0])
-
-    def reached(self, move: FloatArray) -> Pads:
-        """Return where the pads lie after a step from the start."""
-        return self.laid(self.model.ground.moved(self.start, move[None]))
-
-
-ModuleSolver: TypeAlias = Callable[[ModuleProblem], FoundPads]
-
-
-def problem_of(case: ModuleCase, readings: ModuleReadings, surface: Surface | None) -> ModuleProblem:
+def problem_of(case: Case, order: IntArray, surface: Surface | None) -> ModuleProblem:
     """Return pokes as the program gets them, the module's start as its plan."""
+    assert isinstance(case, ModuleCase)
     at = case.start
     anchor = Anchor(np.zeros(2), at.points[0], at.x[0], at.normals[0])
     layout = Layout((Module(0, KIND, 0, np.zeros(2), 0.0, case.module.mirror),), PADS + 1)
     model = ModuleModel(layout, anchor, surface)
-    table = ContactTable(_contacts(readings, np.column_stack([readings.responses, readings.beside])))
-    evidence = table.evidence(model.channels_of([0]))
-    touches = find_touches(evidence, table.totals(evidence.pokes), model, case.noise, [0])
     start = model.plan(0)
     if start is None:
         raise ValueError(f"{case.name}: the search begins off the mesh")
-    return ModuleProblem(model, table, touches, start, case.noise)
+    return ModuleProblem(model, 0, ContactTable(_contacts(case, order)), start, case.noise)
 
 
-def shipped_module(problem: ModuleProblem) -> FoundPads:
+def shipped_module(case: Case, order: IntArray, surface: Surface | None) -> Found:
     """Place the module as the program does; every poke counts fully."""
+    problem = problem_of(case, order, surface)
     said = estimate_modules(problem.table, problem.model, [0], problem.noise, [], {}, doubting=False)
-    return FoundPads(_fitted(problem).points, np.array([said[channel].position is None for channel in range(PADS)]))
+    return Found(_fitted(problem).points, np.array([said[channel].position is None for channel in range(PADS)]))
 
 
 def _fitted(problem: ModuleProblem) -> Pads:
     return fit_modules(problem.touches, problem.model, problem.start, problem.noise, doubting=False).pads
 
 
-def judge_module(case: ModuleCase, truth: ModuleTruth, solver: ModuleSolver) -> Record:
-    """Return the record of a case."""
-    surface = _surface(case.module.mesh)
-    orders = _orders(case.readings, case.copies)
-    found = [solver(problem_of(case, case.readings.ordered(order), surface)) for order in orders]
-    same = all(np.array_equal(answer.pads, found[0].pads, equal_nan=True) for answer in found)
-    right = all(np.array_equal(answer.blind, np.array(truth.blind)) for answer in found)
-    error, bound, size = _worst(case, truth, [answer.pads for answer in found])
-    compared = 0 if case.lost else sum(truth.determined)
-    more = {"draws_by": "step", "blind_right": right, "compared": compared}
-    return _record(case.name, case, error if right else NO_NUMBER, bound, size, same, **more)
+SHIPPED: dict[str, Solver] = {"free": shipped_taxel, "surface": shipped_taxel, "modules": shipped_module}
 
 
-def _worst(case: ModuleCase, truth: ModuleTruth, found: list[FloatArray]) -> tuple[float, float, float]:
-    """Return error, bar and norm of the pad with the largest error over its bar."""
-    sizes = [distance(place) for place in truth.pads]
-    worst = 0.0, bar(0.0, min(sizes)), min(sizes)
-    for pad in [] if case.lost else np.flatnonzero(truth.determined).tolist():
-        error = max(distance_to(pads[pad], truth.pads[pad]) for pads in found)
-        worst = max(worst, (error, bar(truth.changes[pad], sizes[pad]), sizes[pad]), key=lambda found: found[0] / found[1])
-    return worst
-
-
-def compare_module(case: ModuleCase, truth: ModuleTruth) -> list[Record]:
-    """Return how other ways do on the case, if the pokes determine every pad: none of them says what is blind."""
-    if case.lost or not all(truth.determined):
-        return []
-    problem = problem_of(case, case.readings.ordered(next(_orders(case.readings, case.copies))), _surface(case.module.mesh))
-    ways = MODULE_ALTERNATIVES.items()
-    return [_alternative(case, name, *_worst(case, truth, [way(problem)])[:2]) for name, way in ways]
-
-
-def modules_by_normal_equations(problem: ModuleProblem) -> FloatArray:
+def modules_by_normal_equations(case: Case, order: IntArray, surface: Surface | None) -> FloatArray:
     """Take the program's own steps from its own rows, by A'A - B and A'b."""
+    problem = problem_of(case, order, surface)
     pose = problem.start
     for _ in range(STEPS):
         rows = whitened(problem.touches, problem.laid(pose), problem.noise)
@@ -416,26 +352,23 @@ def modules_by_normal_equations(problem: ModuleProblem) -> FloatArray:
     return problem.laid(pose).points
 
 
-def modules_by_differences(problem: ModuleProblem) -> FloatArray:
+def modules_by_differences(case: Case, order: IntArray, surface: Surface | None) -> FloatArray:
     """Minimise by `scipy.optimize.least_squares` with its differenced Jacobian.
 
     The noise is held as it is at the answer, so that the minimum is where the program looks for it.
     """
+    problem = problem_of(case, order, surface)
     rows = whitened(problem.touches, _fitted(problem), problem.noise)
     at, pairs = problem.touches.rows, problem.touches.evidence.pairs[problem.touches.rows]
 
-    def misses(move: FloatArray) -> FloatArray:
-        places = problem.touches.middles(problem.reached(move))[0]
-        off = np.sum(pairs * (problem.touches.evidence.nearest[at] - places)[:, None], axis=2)
-        return np.sum(rows.whiten * off[:, None], axis=2).ravel()
+    def misses(pads: Pads) -> FloatArray:
+        off = np.sum(pairs * (problem.touches.evidence.nearest[at] - problem.touches.middles(pads)[0])[:, None], axis=2)
+        return np.sum(rows.whiten * off[:, None], axis=2)
 
-    optimize: Any = import_module("scipy.optimize")
-    zero = np.zeros(problem.model.ground.unknowns)
-    found = optimize.least_squares(misses, zero, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    return problem.reached(np.asarray(found.x, dtype=np.float64)).points
+    return problem.by_least_squares(misses, xtol=1e-15, ftol=1e-15, gtol=1e-15)
 
 
-MODULE_ALTERNATIVES: dict[str, Callable[[ModuleProblem], FloatArray]] = {
+MODULE_ALTERNATIVES: dict[str, Way] = {
     "normal equations": modules_by_normal_equations,
     "least_squares, differenced": modules_by_differences,
 }

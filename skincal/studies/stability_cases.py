@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -20,13 +20,14 @@ from skincal.modules.pose import ModuleGround, ModulePoses, ModulesInSpace, Modu
 
 TAXEL = np.array([0.031, -0.047, 0.083])
 """m, link frame: where a forearm's taxel may be."""
+DOWN = np.array([0.0, 0.0, -1.0])
 KIND = KINDS["triangle_12"]
 PADS = len(KIND.pads)
 _TAXEL_SEED, _MODULE_SEED = 20260721, 20261122
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SensorReadings:
+class Readings:
     """The numbers that n contacts come with: every one of them is an input."""
 
     forces: FloatArray
@@ -39,52 +40,36 @@ class SensorReadings:
     """(g, 4, 4) float: link_from_sensor of each arm pose."""
     pose_of: IntArray
     """(n,) int: which of `poses` a contact has."""
+    beside: FloatArray
+    """(n,) float: of another taxel, stronger than the one, or of another module; zero where none answered."""
 
-    def ordered(self, order: IntArray) -> Self:
+    @property
+    def strongest(self) -> FloatArray:
+        """(n,) float: max_y t_y of a taxel's contacts."""
+        return np.maximum(self.responses, self.beside)
+
+    def ordered(self, order: IntArray) -> Readings:
         """Return the contacts in another order; one named twice is there twice."""
         return replace(self, **{own.name: getattr(self, own.name)[order] for own in fields(self) if own.name != "poses"})
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TaxelReadings(SensorReadings):
-    """Those of one taxel."""
-
-    strongest: FloatArray
-    """(n,) float: max_y t_y of the contact; where it equals t_j, the taxel is the strongest itself."""
-
-    def moved(self, rng: np.random.Generator) -> TaxelReadings:
+    def moved(self, rng: np.random.Generator) -> Readings:
         """Return the readings with every number moved by one unit in its last place, up or down."""
-        own = self.responses == self.strongest
-        strongest = moved(self.strongest, rng)
-        responses = np.where(own, strongest, moved(self.responses, rng))
-        poses = _moved_poses(self.poses, rng)
-        return TaxelReadings(moved(self.forces, rng), moved(self.moments, rng), responses, poses, self.pose_of, strongest)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleReadings(SensorReadings):
-    """Those of the pads of one module."""
-
-    beside: FloatArray
-    """(n,) float: of a taxel of another module; zero where none answered."""
-
-    def moved(self, rng: np.random.Generator) -> ModuleReadings:
-        """Return the readings with every number moved by one unit in its last place, up or down."""
-        poses = _moved_poses(self.poses, rng)
-        forces, moments, responses = (moved(numbers, rng) for numbers in (self.forces, self.moments, self.responses))
-        return ModuleReadings(forces, moments, responses, poses, self.pose_of, moved(self.beside, rng))
+        answers = None
+        if self.responses.ndim == 1:
+            # The strongest first: it may be the taxel itself, which then has that one number.
+            own, top = self.beside == 0, moved(self.strongest, rng)
+            answers = np.where(own, top, moved(self.responses, rng)), np.where(own, 0.0, top)
+        poses = self.poses.copy()
+        poses[:, :3] = moved(poses[:, :3], rng)
+        forces, moments = moved(self.forces, rng), moved(self.moments, rng)
+        responses, beside = answers or (moved(self.responses, rng), moved(self.beside, rng))
+        return Readings(forces, moments, responses, poses, self.pose_of, beside)
 
 
 def moved(values: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return each of `values` moved by one unit in its last place, up or down; zero has none and stays."""
     towards = np.where(rng.integers(0, 2, values.shape) == 0, -np.inf, np.inf)
     return np.where(values == 0, 0.0, np.nextafter(values, towards))
-
-
-def _moved_poses(poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-    poses = poses.copy()
-    poses[:, :3] = moved(poses[:, :3], rng)
-    return poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +92,7 @@ class Case:
     """One taxel, to be solved by the free method, or on a mesh by the surface method."""
 
     name: str
-    readings: TaxelReadings
+    readings: Readings
     mesh: RawMesh | None = None
     blind: bool = False
     """All axes are parallel to the last digit: rank 2 is right."""
@@ -116,6 +101,11 @@ class Case:
     many: bool = False
     """Too many readings to solve them 200 times in 80 digits: the draws take the exact answer's derivative. The sensor is
     in the link frame, which stays, and the taxel is the strongest."""
+
+    @property
+    def solver(self) -> str:
+        """The method that has to solve it."""
+        return "free" if self.mesh is None else "surface"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,20 +130,21 @@ class PlacedModule:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleCase:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModuleCase(Case):
     """One module, to be placed."""
 
-    name: str
-    readings: ModuleReadings
     module: PlacedModule
     start: ModulePoses
     """Where the search begins, one pose."""
     noise: NoiseSettings = field(default_factory=NoiseSettings)
-    copies: int = 1
-    """How many times each poke is there, to the last digit, in the draws too."""
     lost: bool = False
     """The answer is farther off than a search goes: what is said of the pads is compared, and not their places."""
+
+    @property
+    def solver(self) -> str:
+        """The method that has to solve it."""
+        return "modules"
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +210,7 @@ def press(
     scatter: FloatArray | float = 0.001,
     poses: FloatArray | None = None,
     pitch: float = 0.0,
-) -> TaxelReadings:
+) -> Readings:
     """Press a taxel in `directions` (n, 3) unit, link frame; what the sensor reads, poses in turn.
 
     Parameters
@@ -233,8 +224,13 @@ def press(
     felt, moments, pose_of = _sensed(rng, directions, places, forces, poses)
     strongest = rng.uniform(50.0, 200.0, count)
     weights = np.broadcast_to(weights, count)
-    responses = np.where(weights == 1.0, strongest, strongest * weights)
-    return TaxelReadings(felt, moments + pitch * felt, responses, poses, pose_of, strongest)
+    responses, beside = np.where(weights == 1.0, [strongest, 0.0 * strongest], [strongest * weights, strongest])
+    return Readings(felt, moments + pitch * felt, responses, poses, pose_of, beside)
+
+
+def pressed(name: str, rng: np.random.Generator, directions: FloatArray, mesh: RawMesh | None = None, **how: Any) -> Case:
+    """Return the case of a taxel that is pressed so."""
+    return Case(name, press(rng, directions, **how), mesh)
 
 
 # ---- cases of the free method ----
@@ -243,88 +239,77 @@ def press(
 def _parallel(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     n = sizes.contacts
     for digits in range(1, 10):
-        angle = 10.0**-digits
-        yield Case(f"axes within 1e-{digits} rad", press(rng, cone(rng, n, angle), scatter=0.0))
+        yield pressed(f"axes within 1e-{digits} rad", rng, cone(rng, n, 10.0**-digits), scatter=0.0)
     for digits in (2, 4, 6, 8):
-        yield Case(f"axes within 1e-{digits} rad, contacts 1 mm off", press(rng, cone(rng, n, 10.0**-digits)))
+        yield pressed(f"axes within 1e-{digits} rad, contacts 1 mm off", rng, cone(rng, n, 10.0**-digits))
     for digits in (3, 7):
-        down = np.array([0.0, 0.0, -1.0])
-        yield Case(f"axes within 1e-{digits} rad of z", press(rng, cone(rng, n, 10.0**-digits, down), scatter=0.0))
+        yield pressed(f"axes within 1e-{digits} rad of z", rng, cone(rng, n, 10.0**-digits, DOWN), scatter=0.0)
     poses = arm_poses(rng, 4, 0.3)
-    yield Case("axes within 1e-5 rad, 4 arm poses", press(rng, cone(rng, n, 1e-5), scatter=0.0, poses=poses))
+    yield pressed("axes within 1e-5 rad, 4 arm poses", rng, cone(rng, n, 1e-5), scatter=0.0, poses=poses)
 
 
 def _few_axes(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
-    one = cone(rng, 1, 0.5)
-    yield Case("one axis", press(rng, one), blind=True)
-    yield Case("one axis, far sensor, general pose", press(rng, one, poses=arm_poses(rng, 1, 30.0)), blind=True)
-    yield Case("one axis, read many times", press(rng, one), blind=True, copies=sizes.contacts)
-    forces = np.geomspace(0.01, 100.0, sizes.contacts)
-    several = press(rng, np.repeat(one, sizes.contacts, axis=0), forces=forces, scatter=0.0)
-    yield Case("one axis, many forces", several, blind=True)
-    light = press(rng, np.repeat(one, sizes.contacts, axis=0), weights=np.geomspace(1, 1e-12, sizes.contacts), scatter=0.0)
-    yield Case("one axis, weights 1 to 1e-12", light, blind=True)
-    yield Case("two axes that cross", press(rng, cone(rng, 2, 0.8), scatter=0.0))
-    yield Case("two axes 1 mm apart", press(rng, cone(rng, 2, 0.8)))
-    yield Case("two axes within 1e-6 rad", press(rng, cone(rng, 2, 1e-6), scatter=0.0))
-    yield Case("two axes, one weighs 1e-12", press(rng, cone(rng, 2, 0.8), weights=np.array([1.0, 1e-12])))
+    n, axis = sizes.contacts, cone(rng, 1, 0.5)
+    same, forces, weights = np.repeat(axis, n, axis=0), np.geomspace(0.01, 100.0, n), np.geomspace(1, 1e-12, n)
+    yield replace(pressed("one axis", rng, axis), blind=True)
+    yield replace(pressed("one axis, far sensor, general pose", rng, axis, poses=arm_poses(rng, 1, 30.0)), blind=True)
+    yield replace(pressed("one axis, read many times", rng, axis), blind=True, copies=n)
+    yield replace(pressed("one axis, many forces", rng, same, forces=forces, scatter=0.0), blind=True)
+    yield replace(pressed("one axis, weights 1 to 1e-12", rng, same, weights=weights, scatter=0.0), blind=True)
+    yield pressed("two axes that cross", rng, cone(rng, 2, 0.8), scatter=0.0)
+    yield pressed("two axes 1 mm apart", rng, cone(rng, 2, 0.8))
+    yield pressed("two axes within 1e-6 rad", rng, cone(rng, 2, 1e-6), scatter=0.0)
+    yield pressed("two axes, one weighs 1e-12", rng, cone(rng, 2, 0.8), weights=np.array([1.0, 1e-12]))
 
 
 def _stiff(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
-    n = sizes.contacts
-    wide = cone(rng, n, 0.8)
-    yield Case("weights 1 to 1e-12", press(rng, wide, weights=np.geomspace(1, 1e-12, n)))
-    yield Case("weights 1 or 1e-12", press(rng, wide, weights=np.where(np.arange(n) % 2, 1.0, 1e-12)))
+    n, at = sizes.contacts, np.arange(sizes.contacts)
+    wide, falling = cone(rng, n, 0.8), np.geomspace(1, 1e-12, n)
+    yield pressed("weights 1 to 1e-12", rng, wide, weights=falling)
+    yield pressed("weights 1 or 1e-12", rng, wide, weights=np.where(at % 2, 1.0, 1e-12))
     for digits in (3, 6, 9, 12):
-        weights = np.where(np.arange(n) == 0, 1.0, 10.0**-digits)
-        yield Case(f"one heavy axis, the rest weigh 1e-{digits}", press(rng, wide, weights=weights))
+        yield pressed(f"one heavy axis, the rest weigh 1e-{digits}", rng, wide, weights=np.where(at == 0, 1.0, 10.0**-digits))
     for digits in (3, 6, 9):
-        parts = [cone(rng, n // 2, 10.0**-digits, wide[0]), cone(rng, n - n // 2, 0.8, wide[0])]
+        parts = np.concatenate([cone(rng, n // 2, 10.0**-digits, wide[0]), cone(rng, n - n // 2, 0.8, wide[0])])
         for light in (1e-6, 1e-12):
-            weights = np.where(np.arange(n) < n // 2, 1.0, light)
-            readings = press(rng, np.concatenate(parts), weights=weights, scatter=0.0)
-            yield Case(f"heavy axes within 1e-{digits} rad, light ones of {light:.0e} fix the depth", readings)
+            name = f"heavy axes within 1e-{digits} rad, light ones of {light:.0e} fix the depth"
+            yield pressed(name, rng, parts, weights=np.where(at < n // 2, 1.0, light), scatter=0.0)
     for digits in (2, 4):
-        weights = np.where(np.arange(n) == 0, 1.0, 1e-12)
-        close = press(rng, cone(rng, n, 10.0**-digits), weights=weights, scatter=0.0)
-        yield Case(f"one heavy axis, 1e-12 within 1e-{digits} rad of it", close)
+        close, weights = cone(rng, n, 10.0**-digits), np.where(at == 0, 1.0, 1e-12)
+        yield pressed(f"one heavy axis, 1e-12 within 1e-{digits} rad of it", rng, close, weights=weights, scatter=0.0)
     for light in (1e-3, 1e-6, 1e-9):
-        weights = np.where(np.arange(n) == 0, 1.0, light)
-        twisted = press(rng, wide, weights=weights, pitch=0.02)
-        yield Case(f"one heavy axis with a torque, the rest weigh {light:.0e}", twisted)
-    down = np.array([0.0, 0.0, -1.0])
-    parts = [cone(rng, 3, 1e-9, down), cone(rng, n - 3, 0.04, down)]
-    weights, scatter = np.where(np.arange(n) < 3, 1.0, 1e-4), np.where(np.arange(n) < 3, 0.01, 0.0)
-    along_z = press(rng, np.concatenate(parts), weights=weights, scatter=scatter)
-    yield Case("heavy axes within 1e-9 rad of z and 1 cm off, light ones of 1e-4", along_z)
-    poses = arm_poses(rng, 5, 0.4)
-    yield Case("weights 1 to 1e-12, 5 arm poses", press(rng, wide, weights=np.geomspace(1, 1e-12, n), poses=poses))
+        name, weights = f"one heavy axis with a torque, the rest weigh {light:.0e}", np.where(at == 0, 1.0, light)
+        yield pressed(name, rng, wide, weights=weights, pitch=0.02)
+    parts, weights = np.concatenate([cone(rng, 3, 1e-9, DOWN), cone(rng, n - 3, 0.04, DOWN)]), np.where(at < 3, 1.0, 1e-4)
+    name = "heavy axes within 1e-9 rad of z and 1 cm off, light ones of 1e-4"
+    yield pressed(name, rng, parts, weights=weights, scatter=np.where(at < 3, 0.01, 0.0))
+    yield pressed("weights 1 to 1e-12, 5 arm poses", rng, wide, poses=arm_poses(rng, 5, 0.4), weights=falling)
 
 
 def _scales(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     n = sizes.contacts
     wide = cone(rng, n, 0.6)
     for lever in (1e-3, 1e-1, 1e1, 1e4):
-        yield Case(f"levers of {lever:g} m", press(rng, wide, poses=arm_poses(rng, 3, lever)))
-        yield Case(f"taxel {lever:g} m from the link", press(rng, wide, taxel=TAXEL + lever * unit(rng.normal(size=3))))
+        yield pressed(f"levers of {lever:g} m", rng, wide, poses=arm_poses(rng, 3, lever))
+        yield pressed(f"taxel {lever:g} m from the link", rng, wide, taxel=TAXEL + lever * unit(rng.normal(size=3)))
     for force in (1e-6, 1e-3, 1e2, 1e4):
-        yield Case(f"forces of {force:g} N", press(rng, wide, forces=force, poses=arm_poses(rng, 2, 0.3)))
-    yield Case("forces 1e-6 to 1e4 N", press(rng, wide, forces=np.geomspace(1e-6, 1e4, n), poses=arm_poses(rng, 2, 0.3)))
+        yield pressed(f"forces of {force:g} N", rng, wide, forces=force, poses=arm_poses(rng, 2, 0.3))
+    yield pressed("forces 1e-6 to 1e4 N", rng, wide, forces=np.geomspace(1e-6, 1e4, n), poses=arm_poses(rng, 2, 0.3))
     good = press(rng, wide, poses=arm_poses(rng, 3, 0.3))
-    in_mm = good.poses.copy()
-    in_mm[:, :3, 3] *= 1e3
+    in_mm = good.poses * np.array([1.0, 1.0, 1.0, 1e3])
+    in_mm[:, 3, 3] = 1.0
     yield Case("arm in millimetres by mistake", replace(good, poses=in_mm))
     yield Case("newton millimetres by mistake", replace(good, moments=good.moments * 1e3))
-    close = press(rng, cone(rng, n, 1e-4), poses=arm_poses(rng, 3, 1e3), scatter=0.0)
-    yield Case("axes within 1e-4 rad, levers of 1000 m", close)
+    close = cone(rng, n, 1e-4)
+    yield pressed("axes within 1e-4 rad, levers of 1000 m", rng, close, poses=arm_poses(rng, 3, 1e3), scatter=0.0)
 
 
 def _counts(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     poses = arm_poses(rng, 7, 0.3)
-    yield Case("7 arm poses", press(rng, cone(rng, sizes.contacts, 0.5), poses=poses))
+    yield pressed("7 arm poses", rng, cone(rng, sizes.contacts, 0.5), poses=poses)
     twice = press(rng, cone(rng, sizes.contacts, 0.5), poses=poses)
     yield Case("every reading there 10 times", twice.ordered(np.tile(np.arange(sizes.contacts), 10)))
-    yield Case(f"{sizes.many} readings", press(rng, cone(rng, sizes.many, 0.5)), many=True)
+    yield replace(pressed(f"{sizes.many} readings", rng, cone(rng, sizes.many, 0.5)), many=True)
 
 
 # ---- cases of the surface method ----
@@ -352,14 +337,16 @@ def _near(mesh: RawMesh, point: FloatArray = TAXEL) -> int:
     return int(np.linalg.norm(mesh.corners.mean(axis=1) - point, axis=1).argmin())
 
 
-def _at(mesh: RawMesh, triangle: int, shares: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
-    """Return a point of a triangle and the direction straight into it."""
-    corners = mesh.corners[triangle]
+INSIDE, EDGE, VERTEX = (0.2, 0.5, 0.3), (0.4, 0.6, 0.0), (1.0, 0.0, 0.0)
+
+
+def _at(
+    mesh: RawMesh, shares: tuple[float, float, float] = INSIDE, triangle: int | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return a point of a triangle, for None the middle one, and the direction straight into it."""
+    corners = mesh.corners[_near(mesh) if triangle is None else triangle]
     normal = np.asarray(np.cross(corners[1] - corners[0], corners[2] - corners[0]), dtype=float)
     return np.array(shares) @ corners, -unit(normal)
-
-
-INSIDE, EDGE, VERTEX = (0.2, 0.5, 0.3), (0.4, 0.6, 0.0), (1.0, 0.0, 0.0)
 
 
 def _on_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
@@ -367,97 +354,91 @@ def _on_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     for name, bend in (("a bent sheet", 20.0), ("a hollow", -20.0), ("a flat sheet", 0.0)):
         mesh = sheet(rng, sizes.grid, bend)
         for place, shares in (("inside a triangle", INSIDE), ("on an edge", EDGE), ("on a vertex", VERTEX)):
-            taxel, push = _at(mesh, _near(mesh), shares)
+            taxel, push = _at(mesh, shares)
             scatter = 0.0005 if place == "inside a triangle" else 0.0
-            yield Case(f"{name}, {place}", press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=scatter), mesh)
+            yield pressed(f"{name}, {place}", rng, cone(rng, n, 0.5, push), mesh, taxel=taxel, scatter=scatter)
         for place, shares in (("an edge", EDGE), ("a vertex", VERTEX)):
-            taxel, push = _at(mesh, _near(mesh), shares)
-            yield Case(f"{name}, 0.3 mm over {place}", press(rng, cone(rng, n, 0.5, push), taxel=taxel - 3e-4 * push), mesh)
+            taxel, push = _at(mesh, shares)
+            yield pressed(f"{name}, 0.3 mm over {place}", rng, cone(rng, n, 0.5, push), mesh, taxel=taxel - 3e-4 * push)
 
 
 def _stiff_on_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     n = sizes.contacts
     mesh = sheet(rng, sizes.grid)
-    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    taxel, push = _at(mesh)
     wide = cone(rng, n, 0.6, push)
     for digits in (1, 3, 6, 9):
-        yield Case(f"surface, axes within 1e-{digits} rad", press(rng, cone(rng, n, 10.0**-digits, push), taxel=taxel), mesh)
-    yield Case("surface, one axis", press(rng, wide[:1], taxel=taxel), mesh)
-    yield Case("surface, two axes", press(rng, wide[:2], taxel=taxel), mesh)
-    yield Case("surface, weights 1 to 1e-12", press(rng, wide, taxel=taxel, weights=np.geomspace(1, 1e-12, n)), mesh)
+        yield pressed(f"surface, axes within 1e-{digits} rad", rng, cone(rng, n, 10.0**-digits, push), mesh, taxel=taxel)
+    yield pressed("surface, one axis", rng, wide[:1], mesh, taxel=taxel)
+    yield pressed("surface, two axes", rng, wide[:2], mesh, taxel=taxel)
+    yield pressed("surface, weights 1 to 1e-12", rng, wide, mesh, taxel=taxel, weights=np.geomspace(1, 1e-12, n))
     weights = np.where(np.arange(n) == 0, 1.0, 1e-9)
-    yield Case("surface, one heavy axis, the rest weigh 1e-9", press(rng, wide, taxel=taxel, weights=weights), mesh)
+    yield pressed("surface, one heavy axis, the rest weigh 1e-9", rng, wide, mesh, taxel=taxel, weights=weights)
     poses = arm_poses(rng, 5, 0.4)
-    yield Case("surface, 5 arm poses", press(rng, wide, taxel=taxel, poses=poses), mesh)
-    yield Case("surface, levers of 1e4 m", press(rng, wide, taxel=taxel, poses=arm_poses(rng, 3, 1e4)), mesh)
-    yield Case("surface, forces 1e-6 to 1e4 N", press(rng, wide, taxel=taxel, forces=np.geomspace(1e-6, 1e4, n)), mesh)
+    yield pressed("surface, 5 arm poses", rng, wide, mesh, taxel=taxel, poses=poses)
+    yield pressed("surface, levers of 1e4 m", rng, wide, mesh, taxel=taxel, poses=arm_poses(rng, 3, 1e4))
+    yield pressed("surface, forces 1e-6 to 1e4 N", rng, wide, mesh, taxel=taxel, forces=np.geomspace(1e-6, 1e4, n))
     good = press(rng, wide, taxel=taxel, poses=poses)
     yield Case("surface, newton millimetres by mistake", replace(good, moments=good.moments * 1e3), mesh)
     yield Case("surface, mesh in millimetres by mistake", good, replace(mesh, vertices=mesh.vertices * 1e3))
     yield Case("surface, every reading there 10 times", good.ordered(np.tile(np.arange(n), 10)), mesh)
     away = 1000.0 * unit(rng.normal(size=3))
     far = replace(mesh, vertices=mesh.vertices + away)
-    yield Case("mesh 1 km from the origin", press(rng, wide, taxel=taxel + away), far)
+    yield pressed("mesh 1 km from the origin", rng, wide, far, taxel=taxel + away)
     poses = arm_poses(rng, 4, 0.4)
     poses[:, :3, 3] += away
-    yield Case("mesh 1 km from the origin, sensor beside it", press(rng, wide, taxel=taxel + away, poses=poses), far)
+    yield pressed("mesh 1 km from the origin, sensor beside it", rng, wide, far, taxel=taxel + away, poses=poses)
 
 
 def _on_coarse_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     """Yield triangles half a metre wide: rounding of their size is far more than that of the readings."""
     n = sizes.contacts
     mesh = sheet(rng, 2, bend=1.0, side=1.0)
+    weights, uneven, scatter = np.where(np.arange(n) < 3, 1.0, 1e-3), np.array([1.0, 1e-8]), np.array([0.0075, 0.0])
     near = (1 - 6e-4, 0.0, 6e-4)
-    for name, shares in (("inside", INSIDE), ("at an edge", EDGE), ("at a vertex", VERTEX), ("near a vertex", near)):
-        taxel, push = _at(mesh, _near(mesh), shares)
+    for place, shares in (("inside", INSIDE), ("at an edge", EDGE), ("at a vertex", VERTEX), ("near a vertex", near)):
+        taxel, push = _at(mesh, shares)
+        name = f"coarse sheet, {place}"
         close = cone(rng, n, 1e-6, unit(push + 0.6 * unit(np.cross(push, rng.normal(size=3)))))
-        weights = np.where(np.arange(n) < 3, 1.0, 1e-3)
-        readings = press(rng, close, taxel=taxel, weights=weights, scatter=0.0)
-        yield Case(f"coarse sheet, {name}, axes within 1e-6 rad", readings, mesh)
-        two = press(rng, cone(rng, 2, 1e-4, push), taxel=taxel, weights=np.array([1.0, 1e-8]), scatter=np.array([0.0075, 0.0]))
-        yield Case(f"coarse sheet, {name}, two axes, one weighs 1e-8", two, mesh)
-        grazing = unit(np.cross(push, rng.normal(size=3)) + 1e-6 * push)
-        grazed = press(rng, cone(rng, n, 1e-5, grazing), taxel=taxel, weights=1e-3, scatter=0.0)
-        yield Case(f"coarse sheet, {name}, axes within 1e-5 rad, tangent", grazed, mesh)
+        yield pressed(f"{name}, axes within 1e-6 rad", rng, close, mesh, taxel=taxel, weights=weights, scatter=0.0)
+        two = cone(rng, 2, 1e-4, push)
+        yield pressed(f"{name}, two axes, one weighs 1e-8", rng, two, mesh, taxel=taxel, weights=uneven, scatter=scatter)
+        grazing = cone(rng, n, 1e-5, unit(np.cross(push, rng.normal(size=3)) + 1e-6 * push))
+        yield pressed(f"{name}, axes within 1e-5 rad, tangent", rng, grazing, mesh, taxel=taxel, weights=1e-3, scatter=0.0)
 
 
 def _tangent(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     n = sizes.contacts
     mesh = sheet(rng, sizes.grid, bend=0.0)
-    taxel, push = _at(mesh, _near(mesh), INSIDE)
+    taxel, push = _at(mesh)
     aside = unit(np.cross(push, rng.normal(size=3)))
     for digits in (2, 4, 6, 9):
         grazing = unit(aside + 10.0**-digits * push)
-        yield Case(f"one axis 1e-{digits} rad from the surface", press(rng, grazing[None], taxel=taxel, scatter=0.0), mesh)
-        turned = np.cross(grazing, push) * rng.uniform(-0.5, 0.5, (n, 1))
-        readings = press(rng, unit(grazing + turned), taxel=taxel, scatter=1e-4)
-        yield Case(f"axes 1e-{digits} rad from the surface", readings, mesh)
+        yield pressed(f"one axis 1e-{digits} rad from the surface", rng, grazing[None], mesh, taxel=taxel, scatter=0.0)
+        turned = unit(grazing + np.cross(grazing, push) * rng.uniform(-0.5, 0.5, (n, 1)))
+        yield pressed(f"axes 1e-{digits} rad from the surface", rng, turned, mesh, taxel=taxel, scatter=1e-4)
     first = np.arange(n) == 0
     lights = {1e-6: (1e-3, 1e-6), 1e-9: (1e-3, 1e-6, 1e-9), 1e-10: (1e-9,), 1e-11: (1e-9, 1e-12)}
     for heavy, light in ((heavy, light) for heavy, some in lights.items() for light in some):
-        grazing = unit(aside + heavy * push)
-        directions = np.concatenate([grazing[None], cone(rng, n - 1, 0.5, unit(push + 0.3 * aside))])
+        directions = np.concatenate([unit(aside + heavy * push)[None], cone(rng, n - 1, 0.5, unit(push + 0.3 * aside))])
         weights, scatter = np.where(first, 1.0, light), np.where(first, 0.0, 1e-3)
-        readings = press(rng, directions, taxel=taxel, weights=weights, scatter=scatter)
-        yield Case(f"heavy axis {heavy:.0e} rad from the surface, the rest weigh {light:.0e}", readings, mesh)
+        name = f"heavy axis {heavy:.0e} rad from the surface, the rest weigh {light:.0e}"
+        yield pressed(name, rng, directions, mesh, taxel=taxel, weights=weights, scatter=scatter)
 
 
 def _gaps(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     n = sizes.contacts
     mesh = sheet(rng, sizes.grid)
-    middle = _near(mesh)
-    taxel, push = _at(mesh, middle, INSIDE)
+    taxel, push = _at(mesh)
     reach = 1.6 * 0.06 / sizes.grid
     around = np.linalg.norm(mesh.corners.mean(axis=1) - taxel, axis=1) > reach
     holed = replace(mesh, triangles=mesh.triangles[around])
-    yield Case("at a hole", press(rng, cone(rng, n, 0.5, push), taxel=taxel), holed)
-    yield Case("at a hole, one axis", press(rng, cone(rng, 1, 0.2, push), taxel=taxel), holed)
-    corner = _near(mesh, mesh.vertices[0])
-    rim = int(np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - mesh.vertices[sizes.grid // 2], axis=1)))
-    for name, triangle in (("at the rim", rim), ("at a corner of the rim", corner)):
-        taxel, push = _at(mesh, triangle, INSIDE)
+    yield pressed("at a hole", rng, cone(rng, n, 0.5, push), holed, taxel=taxel)
+    yield pressed("at a hole, one axis", rng, cone(rng, 1, 0.2, push), holed, taxel=taxel)
+    for name, vertex in (("at the rim", sizes.grid // 2), ("at a corner of the rim", 0)):
+        taxel, push = _at(mesh, triangle=_near(mesh, mesh.vertices[vertex]))
         outside = taxel + 1.5 * (taxel - TAXEL) * (reach / np.linalg.norm(taxel - TAXEL))
-        yield Case(name, press(rng, cone(rng, n, 0.5, push), taxel=outside), mesh)
+        yield pressed(name, rng, cone(rng, n, 0.5, push), mesh, taxel=outside)
 
 
 def _degenerate(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
@@ -465,22 +446,20 @@ def _degenerate(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     for ratio in (1e2, 1e4, 1e6):
         squares = sheet(rng, sizes.grid, bend=0.0)
         # Squeezed along a direction of the plane: needles of that ratio.
-        _, push = _at(squares, 0, INSIDE)
+        _, push = _at(squares, triangle=0)
         thin = unit(squares.vertices[1] - squares.vertices[0])
         offset = squares.vertices - TAXEL
         needles = replace(squares, vertices=squares.vertices - np.outer(offset @ thin, thin) * (1 - 1 / ratio))
-        taxel, _ = _at(needles, _near(needles), INSIDE)
-        readings = press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=0.0)
-        yield Case(f"needles {ratio:.0e} times as long as wide", readings, needles)
+        name, directions = f"needles {ratio:.0e} times as long as wide", cone(rng, n, 0.5, push)
+        yield pressed(name, rng, directions, needles, taxel=_at(needles)[0], scatter=0.0)
     for height in (1e-9, 1e-12, 0.0):
-        mesh = sheet(rng, sizes.grid)
-        split, taxel, push = _with_sliver(mesh, height)
+        split, taxel, push = _with_sliver(sheet(rng, sizes.grid), height)
         name = "a triangle without area" if height == 0.0 else f"a triangle {height:.0e} m high"
-        yield Case(name, press(rng, cone(rng, n, 0.5, push), taxel=taxel, scatter=0.0), split)
+        yield pressed(name, rng, cone(rng, n, 0.5, push), split, taxel=taxel, scatter=0.0)
     mesh = sheet(rng, sizes.grid)
     twice = replace(mesh, triangles=np.concatenate([mesh.triangles, mesh.triangles[:, [1, 2, 0]]]))
-    taxel, push = _at(mesh, _near(mesh), INSIDE)
-    yield Case("every triangle there twice", press(rng, cone(rng, n, 0.5, push), taxel=taxel), twice)
+    taxel, push = _at(mesh)
+    yield pressed("every triangle there twice", rng, cone(rng, n, 0.5, push), twice, taxel=taxel)
 
 
 def _with_sliver(mesh: RawMesh, height: float) -> tuple[RawMesh, FloatArray, FloatArray]:
@@ -488,7 +467,7 @@ def _with_sliver(mesh: RawMesh, height: float) -> tuple[RawMesh, FloatArray, Flo
     middle = _near(mesh)
     a, b, c = mesh.triangles[middle]
     first, second, third = mesh.corners[middle]
-    between, push = _at(mesh, middle, (0.55, 0.45, 0.0))
+    between, push = _at(mesh, (0.55, 0.45, 0.0))
     if height == 0.0:
         # A corner given twice: no rounding can give it an area.
         return replace(mesh, triangles=np.concatenate([mesh.triangles, [[a, b, a]]])), between, push
@@ -505,18 +484,14 @@ def _two_sheets(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     """Yield sheets one behind the other, both met by a heavy axis; light axes say that it is the one behind."""
     n = sizes.contacts
     front = sheet(rng, sizes.grid)
-    taxel, push = _at(front, _near(front), INSIDE)
-    behind = taxel + 0.01 * push
-    count = len(front.vertices)
-    both = RawMesh(
-        np.concatenate([front.vertices, front.vertices + 0.01 * push]),
-        np.concatenate([front.triangles, front.triangles + count]),
-    )
+    taxel, push = _at(front)
+    behind, beyond = 0.01 * push, front.triangles + len(front.vertices)
+    both = RawMesh(np.concatenate([front.vertices, front.vertices + behind]), np.concatenate([front.triangles, beyond]))
     for light in (1.0, 1e-6, 1e-9, 1e-12):
         weights = np.where(np.arange(n) == 0, 1.0, light)
         directions = np.concatenate([push[None], cone(rng, n - 1, 0.5, push)])
-        readings = press(rng, directions, taxel=behind, weights=weights)
-        yield Case(f"two sheets, axes of weight {light:.0e} tell which", readings, both)
+        name = f"two sheets, axes of weight {light:.0e} tell which"
+        yield pressed(name, rng, directions, both, taxel=taxel + behind, weights=weights)
 
 
 # ---- cases of the modules method ----
@@ -538,7 +513,7 @@ def press_module(
     forces: FloatArray | float = 8.0,
     scatter: float = 0.0005,
     poses: FloatArray | None = None,
-) -> ModuleReadings:
+) -> Readings:
     """Press a module's pads in turn; what sensor and skin read, arm poses in turn.
 
     Parameters
@@ -560,7 +535,7 @@ def press_module(
     places = middles + scatter * unit(np.cross(directions, rng.normal(size=(count, 3))))
     poses = np.eye(4)[None] if poses is None else poses
     felt, moments, pose_of = _sensed(rng, directions, places, forces, poses)
-    return ModuleReadings(felt, moments, answers, poses, pose_of, np.zeros(count))
+    return Readings(felt, moments, answers, poses, pose_of, np.zeros(count))
 
 
 def in_space(rng: np.random.Generator, mirror: bool = False, at: FloatArray = TAXEL) -> PlacedModule:
@@ -604,8 +579,18 @@ def beside(rng: np.random.Generator, module: PlacedModule, shift: float = 0.002,
     return ModulePoses(at.points + shift * unit(rng.normal(size=3)), at.x @ turned.T, at.normals @ turned.T, at.triangles)
 
 
-def _case(rng: np.random.Generator, name: str, module: PlacedModule, readings: ModuleReadings, **rest: Any) -> ModuleCase:
-    return ModuleCase(name, readings, module, beside(rng, module), **rest)
+def _case(
+    name: str, rng: np.random.Generator, module: PlacedModule, readings: Readings, noise: NoiseSettings | None = None
+) -> ModuleCase:
+    start, noise = beside(rng, module), noise or NoiseSettings()
+    return ModuleCase(name, readings, module.mesh, module=module, start=start, noise=noise)
+
+
+def placed(
+    name: str, rng: np.random.Generator, module: PlacedModule, count: int, noise: NoiseSettings | None = None, **how: Any
+) -> ModuleCase:
+    """Return the case of a module that is pressed so."""
+    return _case(name, rng, module, press_module(rng, module, count, **how), noise)
 
 
 ModuleCases: TypeAlias = Iterator[ModuleCase]
@@ -615,31 +600,27 @@ def _module_parallel(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
     n, module = sizes.contacts, in_space(rng)
     lean = unit(-module.at.normals[0] + 0.4 * rng.normal(size=3))
     for digits in (1, 2, 4, 6):
-        close = press_module(rng, module, n, tilt=10.0**-digits, lean=lean, scatter=0.0)
-        yield _case(rng, f"module, axes within 1e-{digits} rad", module, close)
+        yield placed(f"module, axes within 1e-{digits} rad", rng, module, n, tilt=10.0**-digits, lean=lean, scatter=0.0)
     flat = on_sheet(rng, sizes)
-    readings = press_module(rng, flat, n, tilt=1e-6, lean=unit(-flat.at.normals[0] + 0.4 * rng.normal(size=3)))
-    yield _case(rng, "module on a sheet, axes within 1e-6 rad", flat, readings)
-    grazing = unit(np.cross(flat.at.normals[0], rng.normal(size=3)) - 0.02 * flat.at.normals[0])
-    readings = press_module(rng, flat, n, tilt=0.01, lean=grazing, scatter=1e-5)
-    yield _case(rng, "module on a sheet, axes graze it by 0.02 rad", flat, readings)
+    lean = unit(-flat.at.normals[0] + 0.4 * rng.normal(size=3))
+    yield placed("module on a sheet, axes within 1e-6 rad", rng, flat, n, tilt=1e-6, lean=lean)
+    lean = unit(np.cross(flat.at.normals[0], rng.normal(size=3)) - 0.02 * flat.at.normals[0])
+    yield placed("module on a sheet, axes graze it by 0.02 rad", rng, flat, n, tilt=0.01, lean=lean, scatter=1e-5)
 
 
 def _module_few(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
     n, modules = sizes.contacts, {"module": in_space(rng), "module on a sheet": on_sheet(rng, sizes)}
+    answers = np.zeros((n, PADS))
+    answers[:, 4] = 120.0
+    answers[np.arange(n), np.array([3, 5, 6])[np.arange(n) % 3]] = 0.012
     for name, module in modules.items():
-        yield _case(rng, f"{name}, one poke", module, press_module(rng, module, 1, touched=((4,),)))
-        yield _case(rng, f"{name}, two pokes", module, press_module(rng, module, 2, touched=((4,), (8, 9)), scatter=0.0001))
-        three = press_module(rng, module, 3, touched=((0,), (5,), (9,)), scatter=0.0001)
-        yield _case(rng, f"{name}, three pokes", module, three)
+        yield placed(f"{name}, one poke", rng, module, 1, touched=((4,),))
+        yield placed(f"{name}, two pokes", rng, module, 2, touched=((4,), (8, 9)), scatter=0.0001)
+        yield placed(f"{name}, three pokes", rng, module, 3, touched=((0,), (5,), (9,)), scatter=0.0001)
         # Without noise of the skin: its direction is that of a module whose tilt the pokes do not tell.
-        single = press_module(rng, module, n, touched=((4,),))
-        yield _case(rng, f"{name}, one pad poked", module, single, noise=NoiseSettings(contact=0.0))
-        answers = np.zeros((n, PADS))
-        answers[:, 4] = 120.0
-        answers[np.arange(n), np.array([3, 5, 6])[np.arange(n) % 3]] = 0.012
-        near = press_module(rng, module, n, answers=answers, scatter=0.0)
-        yield _case(rng, f"{name}, one pad poked, neighbours answer by 1e-4", module, near, noise=NoiseSettings(contact=1e-7))
+        yield placed(f"{name}, one pad poked", rng, module, n, NoiseSettings(contact=0.0), touched=((4,),))
+        near, noise = f"{name}, one pad poked, neighbours answer by 1e-4", NoiseSettings(contact=1e-7)
+        yield placed(near, rng, module, n, noise, answers=answers, scatter=0.0)
 
 
 def _module_stiff(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
@@ -649,46 +630,38 @@ def _module_stiff(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
         "force noise of 1 N, moment 1e-6 N m": NoiseSettings(force=1.0, moment=1e-6),
         "contacts told to 1e-6 m": NoiseSettings(contact=1e-6, force=1e-4, moment=1e-6),
     }
+    fine, some = NoiseSettings(contact=1e-7, force=1e-6), [(4,)] * (n // 3) + [(0,), (9,), (7, 8)] * n
+    parted = np.where(np.arange(n) < n // 3, 1e4, 1e-4)
+    answers = np.array([np.roll(np.r_[np.geomspace(1.0, 1e-12, 4), np.zeros(PADS - 4)], 3 * i) for i in range(n)])
     for name, module in (("module", in_space(rng)), ("module on a sheet", on_sheet(rng, sizes))):
         # With fewer the light ones leave the module to three.
-        count = max(n, 10)
-        mixed = press_module(rng, module, count, forces=rng.permutation(np.geomspace(1e-6, 1e4, count)), poses=poses)
-        yield _case(rng, f"{name}, forces 1e-6 to 1e4 N", module, mixed)
+        mixed = rng.permutation(np.geomspace(1e-6, 1e4, max(n, 10)))
+        yield placed(f"{name}, forces 1e-6 to 1e4 N", rng, module, len(mixed), forces=mixed, poses=poses)
         usual = press_module(rng, module, n, poses=poses)
         for words, noise in noises.items():
-            yield _case(rng, f"{name}, {words}", module, usual, noise=noise)
-        some: Touched = [(4,)] * (n // 3) + [(0,), (9,), (7, 8)] * n
-        forces = np.where(np.arange(n) < n // 3, 1e4, 1e-4)
-        parted, fine = (
-            press_module(rng, module, n, touched=some, forces=forces, scatter=0.0),
-            NoiseSettings(contact=1e-7, force=1e-6),
-        )
-        yield _case(rng, f"{name}, pokes of 1e4 N on one pad, of 1e-4 N elsewhere", module, parted, noise=fine)
-        answers = np.array([np.roll(np.r_[np.geomspace(1.0, 1e-12, 4), np.zeros(PADS - 4)], 3 * i) for i in range(n)])
-        light = press_module(rng, module, n, answers=100.0 * answers)
-        yield _case(rng, f"{name}, answers 1 to 1e-12", module, light)
+            yield _case(f"{name}, {words}", rng, module, usual, noise)
+        uneven = f"{name}, pokes of 1e4 N on one pad, of 1e-4 N elsewhere"
+        yield placed(uneven, rng, module, n, fine, touched=some, forces=parted, scatter=0.0)
+        yield placed(f"{name}, answers 1 to 1e-12", rng, module, n, answers=100.0 * answers)
 
 
 def _module_scales(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
     n, module, flat = sizes.contacts, in_space(rng), on_sheet(rng, sizes)
-    for lever in (1e-3, 1e4):
-        poses = arm_poses(rng, 3, lever)
-        yield _case(rng, f"module, levers of {lever:g} m", module, press_module(rng, module, n, poses=poses))
-        if lever > 1:
-            yield _case(rng, f"module on a sheet, levers of {lever:g} m", flat, press_module(rng, flat, n, poses=poses))
+    yield placed("module, levers of 0.001 m", rng, module, n, poses=arm_poses(rng, 3, 1e-3))
+    poses = arm_poses(rng, 3, 1e4)
+    yield placed("module, levers of 10000 m", rng, module, n, poses=poses)
+    yield placed("module on a sheet, levers of 10000 m", rng, flat, n, poses=poses)
     across, normal = arm_poses(rng, 1, 1e2), flat.at.normals[0]
     across[0, :3, 3] -= (across[0, :3, 3] @ normal) * normal
-    readings = press_module(rng, flat, n, tilt=1e-4, poses=across)
-    yield _case(rng, "module on a sheet, levers of 100 m across the push", flat, readings)
+    yield placed("module on a sheet, levers of 100 m across the push", rng, flat, n, tilt=1e-4, poses=across)
     good = press_module(rng, module, n, poses=arm_poses(rng, 3, 0.3))
-    wrong = replace(good, moments=good.moments * 1e3)
-    yield _case(rng, "module, newton millimetres by mistake", module, wrong, lost=True)
+    wrong = _case("module, newton millimetres by mistake", rng, module, replace(good, moments=good.moments * 1e3))
+    yield replace(wrong, lost=True)
     away = 1000.0 * unit(rng.normal(size=3))
     far, beside_it = in_space(rng, at=TAXEL + away), arm_poses(rng, 3, 0.3)
     beside_it[:, :3, 3] += away
-    yield _case(rng, "module 1 km from the origin, sensor beside it", far, press_module(rng, far, n, poses=beside_it))
-    distant = on_sheet(rng, sizes, away=1000.0)
-    yield _case(rng, "module on a sheet 1 km from the origin", distant, press_module(rng, distant, n))
+    yield placed("module 1 km from the origin, sensor beside it", rng, far, n, poses=beside_it)
+    yield placed("module on a sheet 1 km from the origin", rng, on_sheet(rng, sizes, away=1000.0), n)
 
 
 def _lying(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
@@ -699,14 +672,14 @@ def _lying(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
         "module over the rim of a sheet": on_sheet(rng, sizes, aside=0.025),
     }  # fmt: skip
     for name, module in modules.items():
-        yield _case(rng, f"{name}, 7 arm poses", module, press_module(rng, module, n, poses=poses))
+        yield placed(f"{name}, 7 arm poses", rng, module, n, poses=poses)
     for name in ("module", "module on a sheet"):
         module, usual = modules[name], press_module(rng, modules[name], n, poses=poses)
-        yield _case(rng, f"{name}, every poke there 10 times", module, usual, copies=10)
+        yield replace(_case(f"{name}, every poke there 10 times", rng, module, usual), copies=10)
         two = replace(usual, beside=0.6 * usual.responses.max(axis=1) * (np.arange(n) % 2))
-        yield _case(rng, f"{name}, another one answers too", module, two)
+        yield _case(f"{name}, another one answers too", rng, module, two)
         begun = beside(rng, module, 0.0075, np.radians(50.0))
-        yield ModuleCase(f"{name}, begun 50 degrees and 7.5 mm off", usual, module, begun)
+        yield ModuleCase(f"{name}, begun 50 degrees and 7.5 mm off", usual, module.mesh, module=module, start=begun)
 
 
 # ---- all of them; the numbers of one family do not depend on the others ----

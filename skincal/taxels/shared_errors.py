@@ -10,7 +10,8 @@ M M'. What is the same in the M of all taxels shifts the whole skin; the rest mo
 
 **Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the free
 method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
-H^-1 sum 2 k sigma_f^2/|f|^2 (p - o), which is put back.
+H^-1 sum 2 k sigma_f^2/|f|^2 (p - o). It is taken as a standard deviation and not put back: how large the noise is, the scene says
+and not the pokes, and the point stays the paper's.
 """
 
 from __future__ import annotations
@@ -124,6 +125,11 @@ def carried(
     ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
     outward = free.transpose(0, 2, 1)
     added = outward @ ordered.covariances(noise.skin) @ free
+    if known[0].method is Method.FREE:
+        levers = places - evidence.sensors[order]
+        share = 2.0 * noise.force**2 * (trust * evidence.weights**2)[order] / evidence.forces[order] ** 2
+        biases = np.linalg.solve(held, np.add.reduceat(share[:, None] * levers, starts)[:, :, None])
+        added = added + biases @ biases.transpose(0, 2, 1)
     moves: FloatArray | None = None
     if shared is not None:
         pulled = np.add.reduceat(pulls @ shared(ordered.pokes, places, pairs), starts)
@@ -132,17 +138,7 @@ def carried(
         estimate.channel: with_shared(estimate, added[row], None if moves is None else moves[row])
         for row, estimate in enumerate(known)
     }
-    if known[0].method is Method.FREE:
-        levers = places - evidence.sensors[order]
-        share = 2.0 * noise.force**2 * (trust * evidence.weights**2)[order] / evidence.forces[order] ** 2
-        biases = np.linalg.solve(held, np.add.reduceat(share[:, None] * levers, starts)[:, :, None])[:, :, 0]
-        found = {channel: _unbiased(estimate, bias) for (channel, estimate), bias in zip(found.items(), biases, strict=True)}
     return [found.get(estimate.channel, estimate) for estimate in estimates]
-
-
-def _unbiased(estimate: Estimate, bias: FloatArray) -> Estimate:
-    """Return an estimate of the free method moved by `bias` (3,), metres, against what the noise of forces pulls it by."""
-    return replace(estimate, position=estimate.position + bias)
 
 
 def with_shared(estimate: Estimate, added: FloatArray, moved: FloatArray | None) -> Estimate:

@@ -75,14 +75,23 @@ def _nothing_left() -> Iterator[None]:
     assert not left, f"left behind: {left}"
 
 
+@pytest.fixture(autouse=True)
+def _own_theme() -> Iterator[None]:
+    """Give the next test the theme that this one found."""
+    app = QApplication.instance()
+    before = None if app is None else (app.palette(), app.styleSheet())
+    yield
+    app = QApplication.instance()
+    if before is not None and (app.palette(), app.styleSheet()) != before:
+        app.setPalette(before[0])
+        app.setStyleSheet(before[1])
+
+
 @pytest.fixture
-def bench(qtbot, qapp, tmp_path):
-    before, sheet = qapp.palette(), qapp.styleSheet()
+def bench(qtbot, tmp_path):
     made = Bench(qtbot, tmp_path)
     yield made
     made.window.close()
-    qapp.setPalette(before)
-    qapp.setStyleSheet(sheet)
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skincal.contacts.outcome import PressPhase, Progress
-from skincal.guide.coaching import Coaching, coach, smooth
-from skincal.guide.guidance import Guidance, GuidePhase, Target
+from skincal.guide.guidance import Coaching, Guidance, GuidePhase, Target, coach, smooth
 from skincal.guide.progress import Need
 from skincal.session.part import Part
 from skincal.session.snapshot import LiveView

@@ -40,7 +40,7 @@ def laid(plan: Layout) -> LaidSkin:
         return np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
 
     up = np.tile([0.0, 0.0, 1.0], (plan.width, 1))
-    return LaidSkin(lift(plan.places), up, tuple(lift(m.outline) for m in plan.modules), np.empty(0, dtype=np.int64))
+    return LaidSkin(lift(plan.places), up, tuple(lift(m.outline) for m in plan.modules))
 
 
 def scene(plan: Layout | None) -> Scene:

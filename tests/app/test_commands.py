@@ -13,10 +13,11 @@ from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog
 from app.dialogs.pedals import MODIFIERS, PEDALS, USED_BY_WIDGETS, Pedals, PedalsDialog, key_name, objection
 from app.session.opening import OpenRequest
-from app.state.policies import Running
+from app.state.running import Running
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS, Bench
 from tests.app.window_support import changed, pixels
+from tests.approved import approved
 
 Key = Qt.Key
 
@@ -31,7 +32,7 @@ def test_every_entry_of_every_menu_has_a_key_of_its_own(bench, recorded):
     assert {action.text() for action in actions if not action.shortcuts()} == set()
     keys = [key.toString() for action in actions for key in action.shortcuts()]
     assert sorted(set(keys)) == sorted(keys), "a key that is there twice does nothing"
-    assert len(actions) == len(COMMANDS) + len(bench.window.session_view.workspace.titles()) + 3
+    assert len(actions) == len(COMMANDS) + len(bench.window.session_view.workspace.panels) + 3
     assert set(bench.window.commands.taken()) == {QKeySequence(key).toString() for key in keys}
     # Nothing can be done that is in no menu: the bar holds no other actions.
     elsewhere = [a for a in bench.window.findChildren(QAction) if a.shortcuts() and a not in actions]
@@ -74,31 +75,31 @@ def test_a_pedal_is_learnt_by_keys_and_acts_as_the_space_bar(bench, recorded):
     bench.until_all_is_there()
     dialog = learn(bench, Key.Key_F13)
     assert dialog.keys["space"].text() == "F13"
-    assert "F13 is the pedal for Space bar" in dialog.outcome.text()
+    assert approved("commands.pedal_set", key="F13") in dialog.outcome.text()
     assert QSettings("skincal", "test").value("pedal/space") == "F13"
     tap(bench, Key.Key_F13)  # the focused button is Close
     gone(bench, PedalsDialog)
-    wishes: list[int] = []
-    bench.window.commands.actions["space"].triggered.connect(lambda: wishes.append(1))
+    pressed: list[int] = []
+    bench.window.commands.actions["space"].triggered.connect(lambda: pressed.append(1))
     bench.window.activateWindow()
     bench.until(bench.window.isActiveWindow, 5000)
     tap(bench, Key.Key_F13)
-    assert len(wishes) == 1
+    assert len(pressed) == 1
     bench.key(Key.Key_F13)
-    assert len(wishes) == 2
+    assert len(pressed) == 2
 
     bench.key(Key.Key_F2)
     dialog_of(bench, QMessageBox)
     tap(bench, Key.Key_F13)
     gone(bench, QMessageBox)
-    assert len(wishes) == 2
+    assert len(pressed) == 2
 
 
 def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     assert bench.window.pedals.learn("another", "F15") == ""
-    wishes: list[int] = []
-    bench.window.commands.actions["another"].triggered.connect(lambda: wishes.append(1))
+    pressed: list[int] = []
+    bench.window.commands.actions["another"].triggered.connect(lambda: pressed.append(1))
     target = bench.window.session_view.state.target
     bench.key(Key.Key_F15)
     now = bench.window.session_view.state.target
@@ -106,10 +107,10 @@ def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
     again = QKeyEvent(QEvent.Type.KeyPress, Key.Key_F15, Qt.KeyboardModifier.NoModifier, "", True)
     for _ in range(5):
         QApplication.sendEvent(bench.window, again)
-    assert len(wishes) == 1
+    assert len(pressed) == 1
     bench.window.commands.actions["another"].setEnabled(False)
     bench.key(Key.Key_F15)
-    assert len(wishes) == 1
+    assert len(pressed) == 1
 
 
 def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
@@ -125,10 +126,10 @@ def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
     assert dialog.keys["space"].text() == "no pedal"
     assert not dialog.forget["space"].isEnabled()
     tap(bench, Key.Key_Escape)
-    wishes: list[int] = []
-    bench.window.commands.actions["space"].triggered.connect(lambda: wishes.append(1))
+    pressed: list[int] = []
+    bench.window.commands.actions["space"].triggered.connect(lambda: pressed.append(1))
     bench.key(Key.Key_F13)
-    assert wishes == []
+    assert pressed == []
     assert not QSettings("skincal", "test").contains("pedal/space")
     assert not bench.window.pedals._installed, "without a pedal no event is looked at"
 
@@ -136,26 +137,31 @@ def test_what_a_pedal_does_is_undone_by_forgetting_it(bench, recorded):
 def test_a_key_that_means_something_is_refused_and_the_next_one_is_waited_for(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     dialog = learn(bench, Key.Key_V)
-    assert "V means something already: Next method" in dialog.outcome.text()
+    assert approved("commands.key_taken", key="V", command="Next method") in dialog.outcome.text()
     assert bench.window.session_view.state.method is Method.SURFACE, "the key went to nobody else"
     tap(bench, Key.Key_Control)
-    assert "Ctrl only changes other keys" in dialog.outcome.text()
+    assert approved("commands.key_modifies", key="Ctrl") in dialog.outcome.text()
     tap(bench, Key.Key_B, Qt.KeyboardModifier.ControlModifier)
     assert dialog.keys["space"].text() == "Ctrl+B"
-    dialog._ask(PEDALS[1])
+    dialog.learn["undo"].click()
     tap(bench, Key.Key_B, Qt.KeyboardModifier.ControlModifier)
-    assert "it is the pedal for Space bar" in dialog.outcome.text()
+    assert approved("commands.pedal_already") in dialog.outcome.text()
     tap(bench, Key.Key_Escape)
     assert dialog.isVisible(), "Escape leaves the pedal as it is"
     assert "undo" not in bench.window.pedals.keys
     tap(bench, Key.Key_Escape)
     gone(bench, PedalsDialog)
-    assert bench.window.pedals._listener is None
+    bench.key(Key.Key_V)
+    assert bench.window.session_view.state.method is not Method.SURFACE, "keys go to the window again"
 
 
 @pytest.mark.parametrize(
     ("key", "said"),
-    [("", "no name"), *((m, "only changes other keys") for m in MODIFIERS.values()), ("Alt+B", "may open a menu")]
+    [
+        ("", "no name"),
+        *((m, approved("commands.modifies_clause")) for m in MODIFIERS.values()),
+        ("Alt+B", approved("commands.opens_menu")),
+    ]
     + [(k, "means something already") for k in (*USED_BY_WIDGETS, "Space", "N")],
 )
 def test_why_a_key_is_no_pedal(key, said):

@@ -11,7 +11,6 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow
-from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from app.panels.inspect_panel import InspectPanel
 from app.panels.taxel_map import TaxelMap
@@ -28,16 +27,17 @@ from skincal.guide.guidance import Target
 from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import box, estimate, laid
-from tests.app.view3d_on_screen import drag, screen_place, wheel
+from tests.app.view3d_on_screen import canvas_of, drag, points_of, screen_place, stage_of, wheel
 from tests.app.whole_window import Bench, Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session
+from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, is_elided, pixels, reading, session, show_in
+from tests.approved import approved
 
 TILT = float(np.radians(28.0))
 
 
 @pytest.fixture
 def layer():
-    return TargetLayer(vtkRenderer(), StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
+    return TargetLayer(StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
 
 
 def moment(asked: Target | None, generation: int = 1) -> View3DState:
@@ -45,7 +45,7 @@ def moment(asked: Target | None, generation: int = 1) -> View3DState:
 
 
 def strokes(layer: TargetLayer) -> np.ndarray:
-    return layer.core._points.reshape(-1, 2, 3)
+    return points_of(layer.core).reshape(-1, 2, 3)
 
 
 def test_the_ring_lies_on_the_skin_and_the_arrow_pushes_to_its_middle(layer):
@@ -59,13 +59,13 @@ def test_the_ring_lies_on_the_skin_and_the_arrow_pushes_to_its_middle(layer):
     np.testing.assert_allclose(ring[..., 2], 0.0, atol=1e-9)
     np.testing.assert_allclose(shaft, [middle - TOOL * asked.push, middle], atol=1e-7)
     np.testing.assert_allclose(head[:, 1], np.tile(middle, (2, 1)), atol=1e-7)
-    np.testing.assert_array_equal(layer.rim._points, layer.core._points)
+    np.testing.assert_array_equal(points_of(layer.rim), points_of(layer.core))
 
 
 def test_the_cone_holds_the_pushes_that_are_as_good(layer):
     asked, room = target(3, TILT), float(np.radians(10.0))
     assert layer.show(replace(moment(asked), leeway=room))
-    sides = layer.cone._points.reshape(-1, 2, 3)
+    sides = points_of(layer.cone).reshape(-1, 2, 3)
     away = sides - laid(PLAN).places[3]
     size = np.linalg.norm(away, axis=2)
     rim, spokes = away[:36], away[36:]
@@ -115,10 +115,10 @@ def test_an_arrow_shows_its_head_to_the_camera_wherever_that_is(towards):
 def test_the_target_layer_changes_its_arrays_and_never_its_actors(layer):
     assert not layer.show(moment(None)), "nobody guides"
     assert layer.show(moment(target(3, TILT)))
-    held, actors = layer.core._points, layer.rim.actor
+    held, actors = layer.core.data.GetPoints(), layer.rim.actor
     assert not layer.show(moment(target(3, TILT), 2)), "the same poke is asked for again"
     assert layer.show(moment(target(7, TILT), 2))
-    assert layer.core._points is held
+    assert layer.core.data.GetPoints() is held
     assert layer.show(moment(None, 3))
     assert not layer.core.actor.GetVisibility()
     assert layer.show(moment(target(7), 4))
@@ -176,7 +176,7 @@ def test_the_target_is_black_and_white_in_both_themes_and_goes_without_a_trace(v
 
 def test_the_same_target_asks_for_no_picture(view):
     drawn = []
-    view._stage.renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
+    stage_of(view).renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
     assert view.show_moment(session(1), None, Method.FREE, None, target(3))
     settle()
     count = len(drawn)
@@ -202,7 +202,7 @@ def ticks(view, at, seconds: float, view_of=None) -> int:
 
 
 def camera_of(view) -> np.ndarray:
-    return np.array(view._stage.renderer.GetActiveCamera().GetPosition())
+    return np.array(stage_of(view).renderer.GetActiveCamera().GetPosition())
 
 
 def test_the_view_turns_to_a_target_that_nobody_sees_and_then_rests(view):
@@ -212,7 +212,7 @@ def test_the_view_turns_to_a_target_that_nobody_sees_and_then_rests(view):
     assert ticks(view, at, 0.5) > 3
     assert camera_of(view)[2] < 0
     drawn = []
-    view._stage.renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
+    stage_of(view).renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
     assert ticks(view, at, 0.2) == 0
     assert not drawn
     # The whole part again: this target turns it no more.
@@ -222,7 +222,8 @@ def test_the_view_turns_to_a_target_that_nobody_sees_and_then_rests(view):
 
 
 @pytest.mark.parametrize(
-    "move", [lambda v: drag(v._canvas, Qt.MouseButton.LeftButton), lambda v: wheel(v._canvas, 120), lambda v: v.reset_camera()]
+    "move",
+    [lambda v: drag(canvas_of(v), Qt.MouseButton.LeftButton), lambda v: wheel(canvas_of(v), 120), lambda v: v.reset_camera()],
 )
 def test_a_hand_ends_a_turn_of_the_view(view, move):
     assert ticks(view, session(1), 0.12) > 0
@@ -237,10 +238,10 @@ def test_the_view_turns_neither_in_contact_nor_under_the_mouse_nor_where_it_is_s
     before = camera_of(view)
     ticks(view, at, 0.5, pressing)
     np.testing.assert_array_equal(camera_of(view), before)
-    QTest.mousePress(view._canvas, Qt.MouseButton.LeftButton)
+    QTest.mousePress(canvas_of(view), Qt.MouseButton.LeftButton)
     ticks(view, at, 0.5)
     np.testing.assert_array_equal(camera_of(view), before)
-    QTest.mouseRelease(view._canvas, Qt.MouseButton.LeftButton)
+    QTest.mouseRelease(canvas_of(view), Qt.MouseButton.LeftButton)
     view.set_turning(False)
     ticks(view, at, 0.5)
     np.testing.assert_array_equal(camera_of(view), before)
@@ -251,19 +252,19 @@ def test_the_view_turns_neither_in_contact_nor_under_the_mouse_nor_where_it_is_s
 
 def test_a_new_target_is_drawn_at_once_though_the_camera_turns(view):
     ticks(view, session(1), 0.1)
-    layer = view._stage.target
+    layer = stage_of(view).target
     assert layer is not None
     np.testing.assert_allclose(strokes(layer)[:36].mean(axis=(0, 1))[2], -0.02, atol=CORE_LIFT)
 
 
 @pytest.fixture
 def taxels(qtbot):
+    show_in(DARK)
     made = TaxelMap(SCENE, PLAN.channels, NAMES)
     made.resize(420, 300)
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
         made.show()
-    made.set_colours(DARK)
     return made
 
 
@@ -305,7 +306,7 @@ def test_a_done_taxel_is_told_by_shape_and_what_is_missing_by_words(taxels):
     assert changed(good[near(taxels, 3, 12)], done[near(taxels, 3, 12)]) > 10
     assert changed(good[near(taxels, 15, 12)], done[near(taxels, 15, 12)]) == 0
     assert "done" in taxels.tell(3)
-    assert "needs pokes of its own, a smaller predicted error" in taxels.tell(15)
+    assert approved("guide.needs") in taxels.tell(15)
     taxels.show_state(framed(None, 2))
     assert np.array_equal(good[near(taxels, 3, 12)], pixels(taxels)[near(taxels, 3, 12)]), "without a guide it is good"
     assert "needs" not in taxels.tell(15)
@@ -314,7 +315,7 @@ def test_a_done_taxel_is_told_by_shape_and_what_is_missing_by_words(taxels):
 def test_the_taxel_tab_says_what_the_selected_taxel_still_needs(qtbot):
     panel = InspectPanel((Method.FREE,), NAMES)
     qtbot.addWidget(panel)
-    for says, last in ((guidance(), "It needs pokes of its own, a smaller predicted error."), (guidance(done=(3,)), "")):
+    for says, last in ((guidance(), approved("guide.selected_needs")), (guidance(done=(3,)), "")):
         panel.show_state(replace(framed(says, 1 + len(last)), selected=3))
         assert panel.reason.text() == last
     panel.show_state(replace(framed(guidance(), 9), selected=3))
@@ -335,10 +336,10 @@ def test_large_type_becomes_smaller_before_it_is_cut(qtbot):
     label.resize(label.fontMetrics().horizontalAdvance("poke 17-04 straight") - 10, 40)
     label.setText("poke 17-04 straight")
     assert 15.0 <= label.fitted().pointSizeF() < 20.0
-    assert not label.is_elided()
+    assert not is_elided(label)
     label.setText("poke 17-04 straight " * 9)
     assert label.fitted().pointSizeF() == 15.0
-    assert label.is_elided()
+    assert is_elided(label)
 
 
 def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
@@ -377,20 +378,20 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     assert paints.count == 0
 
 
-def test_turning_is_a_wish_of_the_view_menu_that_is_remembered(bench, qtbot, tmp_path, recorded):
+def test_turning_is_a_choice_of_the_view_menu_that_is_remembered(bench, qtbot, tmp_path, recorded):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     assert bench.window.commands.actions["turn"].isChecked()
-    assert bench.window.session_view.workspace.view._stage.turner.wanted
+    assert stage_of(bench.window.session_view.workspace.view).turner.wanted
     bench.key(Qt.Key.Key_T)
-    assert not bench.window.session_view.workspace.view._stage.turner.wanted
+    assert not stage_of(bench.window.session_view.workspace.view).turner.wanted
     bench.window.close()
     QSettings("skincal", "test").sync()
     other = Bench(qtbot, tmp_path / "again")
     other.open(OpenRequest(session=recorded))
     other.until_all_is_there()
     assert not other.window.commands.actions["turn"].isChecked()
-    assert not other.window.session_view.workspace.view._stage.turner.wanted
+    assert not stage_of(other.window.session_view.workspace.view).turner.wanted
     other.window.close()
 
 
@@ -420,9 +421,12 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     asked = bench.window.session_view.state.target
     assert bench.window.session_view.workspace.names.short(asked.channel) in now.headline.text()
     assert (bench.window.width(), bench.window.height()) == (1280, 720)
-    for longest in ("poke 24-11, tilt 28\N{DEGREE SIGN} away from 24-03", "enough: 84 of 84 taxels meet 3 mm"):
+    for longest in (
+        approved("guide.away", taxel="24-11", degrees=28, neighbour="24-03"),
+        approved("guide.enough", done=84, count=84, target_mm=3),
+    ):
         now.headline.setText(longest)
-        assert not now.headline.is_elided()
-    reason = "surface method: needs one more poke, since the last one moved it"
-    longest = "  \N{MIDDLE DOT}  ".join([reason, "4200 of 4200 done", "about 1240 pokes, 46 min left"])
+        assert not is_elided(now.headline)
+    reason = approved("guide.one_more")
+    longest = "  \N{MIDDLE DOT}  ".join([reason, "4200 of 4200 done", approved("guide.pokes_left", pokes=1240, minutes=46)])
     assert now.detail.fontMetrics().horizontalAdvance(longest) <= now.detail.width()

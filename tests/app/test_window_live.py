@@ -19,7 +19,7 @@ from PySide6.QtTest import QTest
 from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
 from app.session.opening import OpenRequest, server_command
-from app.state.policies import Running
+from app.state.running import Running
 from app.state.view_state import LinkLook
 from app.text.message import Message
 from app.theme import Choice
@@ -32,7 +32,8 @@ from skincal.session.replay import replay
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method, State
 from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import changed, pixels
+from tests.app.window_support import changed, is_elided, pixels
+from tests.approved import approved
 
 
 def known(snapshot) -> dict[tuple[Method, int], bytes]:
@@ -48,7 +49,7 @@ def known(snapshot) -> dict[tuple[Method, int], bytes]:
 def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.open_served()
     window, workspace = bench.window, bench.window.session_view.workspace
-    assert workspace.titles() == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Rig"]
+    assert list(workspace.panels) == ["Readings", "Pokes", "Taxel", "Compare", "Devices", "Errors", "Rig"]
     bench.until_all_is_there()
     bench.until(lambda: window.session_view.state.guidance.landmark is not None)
     bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
@@ -96,7 +97,7 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
 
     bench.key(Qt.Key.Key_S, Qt.KeyboardModifier.ControlModifier)
     bench.until(lambda: "kept in" in "".join(m.text for m in bench.messages), OPEN_MS)
-    temporary = bench.controller._recording.storage.folder
+    temporary = bench.recording.storage.folder
     kept = next(bench.documents.iterdir())
     window.close()
     assert not temporary.exists()
@@ -159,9 +160,9 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
     bench.open_served("flat-patch")
     bench.until(lambda: len(bench.accepted()) >= 1)
     pokes = len(bench.snapshot.pokes)
-    os.kill(bench.controller._server._process.processId(), signal.SIGKILL)
+    os.kill(bench.device_pid(), signal.SIGKILL)
     bench.until(lambda: bench.window.session_view.workspace.now.headline.text().startswith("lost"), 5000)
-    bench.until(lambda: any("device process was killed" in m.text for m in bench.messages), 5000)
+    bench.until(lambda: any(approved("start.process_killed") in m.text for m in bench.messages), 5000)
     assert bench.window.messages.isVisible()
     assert len(bench.snapshot.pokes) >= pokes
     bench.key(Qt.Key.Key_Escape)
@@ -171,8 +172,8 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
 def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     head = bench.window.session_view.workspace.progress
-    head.setText("84 of 84 taxels estimated, 312 pokes, 21 at landmarks, 14 rejected, 12 excluded")
-    assert not head.is_elided()
+    head.setText(approved("now.longest_summary"))
+    assert not is_elided(head)
 
 
 def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):
@@ -189,7 +190,7 @@ def test_a_session_that_is_recorded_elsewhere_is_refused_with_a_sentence(bench, 
     lock = SessionLock(recorded)
     try:
         bench.window.open(OpenRequest(session=recorded))
-        bench.until(lambda: any("is being recorded by process" in m.text and m.error for m in bench.messages))
+        bench.until(lambda: any(approved("session.recorded_by_begin") in m.text and m.error for m in bench.messages))
         assert bench.controller.running is Running.OFFLINE
         bench.key(Qt.Key.Key_Escape)
     finally:
@@ -202,7 +203,7 @@ def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(
     bad = tmp_path / "bad.toml"
     bad.write_text("name = 3")
     bench.window.open(OpenRequest(scene=bad, server=server_command(bad)))
-    server = bench.controller._server
+    server = bench.controller.findChild(DeviceProcess)
     bench.until(lambda: not server.running and len(bench.messages) == 2)
     assert bench.messages[0] == bench.messages[1], "from the window's own reading of the scene, and from the process"
     assert bench.messages[0].text.startswith(str(bad))
@@ -301,7 +302,9 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     assert bench.controller.running is Running.OFFLINE
     bench.controller.go_on()
     view = bench.window.session_view
-    bench.until(lambda: all("does not open what begins with spy:" in link.text for link in view.state.live.links))
+    bench.until(
+        lambda: all(approved("links.refused_scheme_state", scheme="spy") in link.text for link in view.state.live.links)
+    )
     assert {view.state.look(link) for link in view.state.live.links} == {LinkLook.LOST}
     assert kept.read_text() == "a thesis"
 
@@ -309,7 +312,10 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ((sys.executable, "-c", "import sys; sys.stderr.write('no port'); sys.exit(3)"), "ended (code 3). no port"),
+        (
+            (sys.executable, "-c", "import sys; sys.stderr.write('no port'); sys.exit(3)"),
+            approved("start.process_ended", code=3, said="no port"),
+        ),
         ((sys.executable, "-c", "print('hello'); input()"), "said b'hello'"),
         (("there-is-no-such-program",), "cannot be started"),
     ],
@@ -368,7 +374,7 @@ def own_garbage(qapp):
 
 
 @pytest.mark.usefixtures("own_garbage")
-def test_garbage_is_ended_in_the_window_s_thread_whoever_makes_it(qtbot):
+def test_garbage_is_ended_in_the_window_s_thread_wherever_it_is_made(qtbot):
     ended = []
 
     class Cycle:

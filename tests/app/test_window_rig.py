@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import shutil
 import time
@@ -9,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import QSignalBlocker, Qt, QTimer
 from PySide6.QtTest import QTest
 
 from app.session import controller
 from app.session.opening import OpenRequest
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.message import STILL_SOLVING
 from app.text.rig_text import offer_text, offer_words
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
@@ -29,6 +30,8 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS
+from tests.app.window_support import is_elided
+from tests.approved import approved
 
 Key = Qt.Key
 SHIFT = Qt.KeyboardModifier.ShiftModifier
@@ -40,7 +43,7 @@ class Poked:
 
     def __init__(self, bench, monkeypatch) -> None:
         self.bench = bench
-        self.pipeline = pipeline = bench.controller._recording.pipeline
+        self.pipeline = pipeline = bench.recording.pipeline
         live = pipeline.live
 
         def ready(now_ns):
@@ -54,7 +57,7 @@ class Poked:
         self.rng = np.random.default_rng(5)
         self.rig = Rig(pipeline.scene, pipeline.session.surface, RigErrors.paper(), np.random.default_rng(1))
         bench.controller.act(SetPose(POSE))
-        bench.until(lambda: self.now.headline.text() == f"poke the landmark {self.asked}", 5000)
+        bench.until(lambda: self.now.headline.text() == approved("landmark.ask", name=self.asked), 5000)
 
     @property
     def frame(self):
@@ -83,9 +86,9 @@ class Poked:
     def poke(self, *, answered: bool = False) -> int:
         """Poke the landmark that is asked for; return the number of the poke."""
         number, before = self.pipeline.session.last_poke + 1, self.frame
-        landmark = next(one for one in self.pipeline.session.landmarks if one.name == self.asked)
+        landmark = next(each for each in self.pipeline.session.landmarks if each.name == self.asked)
         pokes = poke_landmarks(self.rig, (landmark,), 1, self.rng, number)
-        told = replace(next(one for one in pokes if one.pose == POSE), poke=number)
+        told = replace(next(poke for poke in pokes if poke.pose == POSE), poke=number)
         start_s = time.monotonic() + 1.0
         rest = {"force": told.force, "moment": told.moment, "link_from_sensor": told.link_from_sensor, "pose": POSE}
         channels = np.array([self.near()[0]] if answered else [], dtype=np.int64)
@@ -148,10 +151,10 @@ def is_running(process: int) -> bool:
 def moved(before, after) -> float:
     """How far a taxel moved at most between two sets of estimates, metres."""
     apart = [
-        np.linalg.norm(one.position - other.position)
+        np.linalg.norm(first.position - second.position)
         for method, every in before.items()
-        for one, other in zip(every, after[method], strict=True)
-        if one.position is not None and other.position is not None
+        for first, second in zip(every, after[method], strict=True)
+        if first.position is not None and second.position is not None
     ]
     assert apart
     return float(max(apart))
@@ -162,18 +165,18 @@ def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
     bench.key(Key.Key_7)
     assert poked.panel.isVisible()
     first = poked.asked
-    assert poked.now.headline.text() == f"poke the landmark {first}"
-    assert poked.now.detail.text().startswith("landmark 1 of 6 in this arm pose")
+    assert poked.now.headline.text() == approved("landmark.ask", name=first)
+    assert poked.now.detail.text().startswith(approved("landmark.which_of", number=1, count=6))
     assert "after 6 pokes" in poked.now.detail.text()
     assert poked.panel.asked.isVisible()
-    assert poked.panel.asked.text().startswith("landmark 1 of 6 in this arm pose; expected error of the rig")
+    assert poked.panel.asked.text().startswith(approved("landmark.which_of_on_tab", number=1, count=6))
     rows = [poked.panel.points.topLevelItem(row).text(0) for row in range(poked.panel.points.topLevelItemCount())]
     assert [row for row in rows if row.endswith(first)] == [f"\N{BLACK RIGHT-POINTING TRIANGLE} {first}"]
     assert sum(row.startswith("\N{BLACK RIGHT-POINTING TRIANGLE}") for row in rows) == 1
     assert_nothing_is_cut(poked)
     bench.key(Key.Key_N)
     assert poked.asked not in ("", first)
-    assert poked.now.headline.text() == f"poke the landmark {poked.asked}"
+    assert poked.now.headline.text() == approved("landmark.ask", name=poked.asked)
     assert bench.window.commands.actions["no landmarks"].isEnabled()
     bench.key(Key.Key_N, SHIFT)
     assert poked.asked == ""
@@ -183,10 +186,10 @@ def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
     bench.controller.act(SetPose("3"))
     assert poked.asked != "", "of another arm pose they are asked for"
     for landmark in bench.snapshot.landmarks:
-        poked.now.headline.setText(f"poke 1240 at the landmark {landmark.name}")
-        assert not poked.now.headline.is_elided()
-    gain = "expected error of the rig 12.4 \N{RIGHTWARDS ARROW} 10.5 mm after 6 pokes"
-    longest = f"landmark 6 of 6 in this arm pose  \N{MIDDLE DOT}  {gain}"
+        poked.now.headline.setText(approved("landmark.accepted", poke=1240, name=landmark.name))
+        assert not is_elided(poked.now.headline)
+    gain = approved("landmark.worth", now_mm=12.4, then_mm=10.5, pokes=6)
+    longest = approved("landmark.which_of_and_worth", number=6, count=6, worth=gain)
     assert poked.now.detail.fontMetrics().horizontalAdvance(longest) <= poked.now.detail.width()
 
 
@@ -199,11 +202,11 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_ans
         name = poked.asked
         number = poked.poke(answered=answered)
         assert bench.snapshot.at_landmarks[number] == name
-        assert poked.now.headline.text() == f"poke {number} at the landmark {name}"
-        assert poked.now.detail.text() == f"Next: poke the landmark {poked.asked}"
+        assert poked.now.headline.text() == approved("landmark.accepted", poke=number, name=name)
+        assert poked.now.detail.text() == approved("landmark.ask_next", name=poked.asked)
         assert poked.asked != name
     assert [sound for sound, _ in bench.player.played] == ["ACCEPTED", "ACCEPTED"]
-    assert bench.snapshot.can_undo == f"poke {number} at {name}"
+    assert bench.snapshot.can_undo == approved("landmark.undo_poke", poke=number, name=name)
     assert poked.frame.guidance.landmark.done == 2
     bench.key(Key.Key_Backspace)
     assert number not in bench.snapshot.at_landmarks
@@ -261,7 +264,7 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
         for name in ("snapshot", "live", "guidance", "review", "offers", "may", "revision", "coaching"):
             assert getattr(view.state, name) is getattr(before, name), name
     view.select_taxel(poked.near()[0])
-    view.set_colours(bench.theme.colours)
+    view.recolour()
     assert view.state.selected == poked.near()[0]
     assert touched == []
     assert pipeline.snapshot() is changed
@@ -280,7 +283,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert offer_text(offer) == "Correct the rig"
     assert len(poked.said) == 1
     assert offer_words(offer) in poked.said[0]
-    assert "C uses that; the Rig tab says more, and takes it back" in poked.said[0]
+    assert approved("rig.offer_keys") in poked.said[0]
     assert panel.offer.isVisible()
     assert bench.window.commands.actions["correct"].text().startswith(offer_text(offer))
     before = bench.snapshot.estimates
@@ -289,9 +292,9 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     bench.key(Key.Key_C)
     bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
     assert bench.snapshot.corrections[RIG].pokes == 6
-    assert bench.snapshot.can_undo == "correction of the rig"
-    bench.until(lambda: "has moved the taxels" in panel.said.text(), OPEN_MS)
-    assert "The rig is corrected from 6" in poked.said[-1]
+    assert bench.snapshot.can_undo == approved("rig.undo_correction")
+    bench.until(lambda: approved("rig.has_moved_clause") in panel.said.text(), OPEN_MS)
+    assert approved("rig.corrected_begin", pokes=6) in poked.said[-1]
     assert poked.frame.offers == ()
     assert_nothing_is_cut(poked)
     assert (panel.offer.isVisible(), panel.drop.isVisible()) == (False, True)
@@ -308,11 +311,10 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     bench.qtbot.wait(50)
     QTest.mouseClick(panel.drop, Qt.MouseButton.LeftButton)
     bench.until(lambda: not bench.snapshot.corrections, 5000)
-    assert bench.snapshot.can_undo == "end of the correction of the rig"
+    assert bench.snapshot.can_undo == approved("rig.undo_end")
     assert moved(before, bench.snapshot.estimates) == 0.0
 
-    process = bench.controller._processes.pid
-    assert process
+    (process,) = (child.pid for child in multiprocessing.active_children())
     bench.window.close()
     bench.until(lambda: not is_running(process), 5000)
 
@@ -343,7 +345,12 @@ def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(p
     monkeypatch.setattr(controller, "AT_ONCE", 10)
     monkeypatch.setattr(controller, "SOLVE_S", 0.0)
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
-    bench.controller._timer.stop()
+    ticks = next(
+        timer
+        for timer in bench.controller.findChildren(QTimer, options=Qt.FindChildOption.FindDirectChildrenOnly)
+        if timer.isActive()
+    )
+    ticks.stop()
     matrix = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
     assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
     assert not bench.snapshot.corrections
@@ -351,7 +358,7 @@ def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(p
     assert bench.messages[-1].text == STILL_SOLVING
     bench.controller.export("csv", tmp_path / "c.csv", Method.SURFACE, None, pytest.fail, told.append)
     assert told == [STILL_SOLVING]
-    bench.controller._timer.start()
+    ticks.start()
     bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
     assert bench.controller.act(Undo())
     bench.until(lambda: not bench.snapshot.corrections, 5000)

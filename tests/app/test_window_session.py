@@ -19,7 +19,7 @@ from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.pedals import PedalsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest, server_command
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.outcomes import peak_channel
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import load_reference
@@ -28,6 +28,7 @@ from skincal.session.replay import replay
 from skincal.taxels.result import Method, State
 from tests.app.whole_window import OPEN_MS
 from tests.app.window_support import changed, pixels
+from tests.approved import approved
 
 Key = Qt.Key
 ENOUGH_MS = 240_000
@@ -134,10 +135,10 @@ def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate
     assert hits < len(meant), "and not always"
     assert said[-1] == "wait"
     # The poke that was under way may ask for one more, before it is enough for good.
-    bench.until(lambda: keys.headline == "enough: 8 of 8 taxels meet 3 mm", 20_000)
+    bench.until(lambda: keys.headline == approved("guide.enough", done=8, count=8, target_mm=3), 20_000)
     pokes = len(bench.snapshot.pokes)
     keys.qtbot.wait(4000)
-    assert len(bench.snapshot.pokes) <= pokes + 1, "whoever sees that it is enough stops"
+    assert len(bench.snapshot.pokes) <= pokes + 1, "who sees that it is enough stops"
     path = to_the_file(keys)
     the_file_is_right(keys, path, tmp_path / "recording")
 
@@ -215,7 +216,7 @@ def to_the_file(keys: Keys) -> Path:
     bench = keys.bench
     keys.tap(Key.Key_F13)
     verdict = keys.dialog(VerdictDialog)
-    assert verdict.sentence.text().startswith("All 8 taxels are done, predicted to 3 mm")
+    assert verdict.sentence.text().startswith(approved("verdict.all_done_begin", count=8, target_mm=3))
     assert bench.controller.running is Running.STREAMING, "the verdict did not pause"
     keys.tap(Key.Key_Space)
     export = keys.dialog(ExportDialog)

@@ -9,9 +9,14 @@ import time
 from pathlib import Path
 
 import pytest
+from PySide6.QtCore import QStandardPaths
 
+from app import run
 from app.__main__ import main
 from app.preflight import LIBRARIES, X_LIBRARIES, objection
+from app.session.opening import OpenRequest
+from app.state.running import Running
+from tests.approved import approved
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 60
@@ -40,6 +45,12 @@ def test_a_command_imports_no_qt(arguments):
     assert "Traceback" not in done.stderr
 
 
+def test_the_window_is_on_the_screen_before_anything_heavy_is_imported():
+    heavy = ("numpy", "wasmtime", "vtkmodules", "pyqtgraph", "skincal.session.session")
+    done = python(f"import sys, app.run; sys.exit(', '.join(name for name in {heavy} if name in sys.modules) or 0)")
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["--scene", "flat-patch", "--help"]])
 def test_help_lists_the_options_of_the_window(arguments, capsys):
     assert main(arguments) == 0
@@ -54,15 +65,15 @@ def test_help_lists_the_options_of_the_window(arguments, capsys):
 def test_devices_without_a_display_end_in_a_sentence_and_code_2():
     done = python("import sys; from app.__main__ import main; sys.exit(main(['--wrench', 'a', '--skin', 'b']))")
     assert done.returncode == 2
-    assert "there is no display" in done.stderr
+    assert approved("start.no_display") in done.stderr
     assert "skincal record" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("['--wrench', 'a']", "No skin device is named"),
-        ("['--wrench', 'spy:///dev/null?file=x', '--skin', 'b']", "begins with spy:, expected a serial port"),
+        ("['--wrench', 'a']", approved("start.no_skin_named")),
+        ("['--wrench', 'spy:///dev/null?file=x', '--skin', 'b']", approved("links.refused_scheme_clause", scheme="spy")),
         ("['--scene', 'nowhere/scene.toml']", "nowhere"),
         ("['--session', 'nowhere']", "nowhere"),
         ("['--colour']", "--colour"),
@@ -82,13 +93,13 @@ def test_wrong_options_end_in_a_sentence_and_code_2(arguments, said):
 def test_what_a_recorded_session_would_ignore_is_refused(other, tmp_path, capsys):
     assert main(["--session", str(tmp_path), *other]) == 2
     said = capsys.readouterr().err
-    assert f"--session {tmp_path} was given together with {other[0]}; expected --session without" in said
+    assert approved("start.session_with_other", folder=tmp_path, other=other[0]) in said
 
 
 def test_a_missing_library_is_named_with_the_line_that_installs_it():
     lacking = {"libEGL.so.1", "libxcb-cursor.so.0"}
     said = objection({"DISPLAY": ":7"}, "linux", lambda name: name not in lacking, lambda: True)
-    assert said.endswith("apt-get install -y --no-install-recommends libegl1 libxcb-cursor0")
+    assert said.endswith(approved("start.install", packages="libegl1 libxcb-cursor0"))
 
 
 def test_only_a_window_on_x_needs_the_libraries_of_x():
@@ -106,7 +117,7 @@ def test_a_display_that_does_not_answer_is_not_a_display():
 
 def test_wayland_is_a_display_where_its_socket_is(tmp_path):
     env = {"WAYLAND_DISPLAY": "wayland-0", "XDG_RUNTIME_DIR": str(tmp_path)}
-    assert "no window can be opened" in objection(env, "linux", lambda _: True, lambda: False)
+    assert approved("start.no_window") in objection(env, "linux", lambda _: True, lambda: False)
     (tmp_path / "wayland-0").touch()
     assert objection(env, "linux", lambda _: True, lambda: False) == ""
 
@@ -134,3 +145,13 @@ def test_the_window_as_a_process_ends_clean_when_it_is_told_to(tmp_path):
     assert window.returncode == 0, said
     assert "Traceback" not in said
     assert not list(tmp_path.glob("skincal-*"))
+
+
+def test_a_log_that_cannot_be_written_leaves_the_window_at_work(bench, tmp_path, monkeypatch):
+    (tmp_path / "data").write_text("a file where the folder should be")
+    monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(tmp_path / "data" / "skincal"))
+    said = []
+    monkeypatch.setattr(bench.window, "tell", said.append)
+    run.begin(bench.window, OpenRequest(session=tmp_path / "none"))
+    bench.until(lambda: bench.controller.running is Running.OFFLINE, 20_000)
+    assert any("the log cannot be written" in message.text for message in said)

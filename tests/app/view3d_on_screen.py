@@ -7,10 +7,13 @@ import time
 import numpy as np
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QImage, QMouseEvent, QWheelEvent
-from PySide6.QtWidgets import QApplication, QMainWindow
+from PySide6.QtWidgets import QApplication, QMainWindow, QWidget
+from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from app.scene3d import camera
 from app.scene3d.canvas import Canvas
+from app.scene3d.shapes import DrawnShape
+from app.scene3d.stage import Stage
 from app.scene3d.view import View3D
 from tests.app.scene3d_support import box, laid, layout, scene
 
@@ -35,6 +38,21 @@ def make_view(qtbot, canvas=Canvas.RASTER, surface=True, plan=True, skin=None):
     return view
 
 
+def stage_of(view: View3D) -> Stage | None:
+    """What VTK draws, layer by layer: what pixels cannot show, tests ask of VTK's own objects."""
+    return view._stage
+
+
+def canvas_of(view: View3D) -> QWidget | None:
+    """The widget under the pointer, which a hand clicks and drags."""
+    return view.childAt(view.rect().center())
+
+
+def points_of(shape: DrawnShape) -> np.ndarray:
+    """The points of a shape as VTK draws them, (n, 3) metres."""
+    return vtk_to_numpy(shape.data.GetPoints().GetData())
+
+
 def settle():
     """Let everything be painted that was asked for."""
     for _ in range(4):
@@ -56,17 +74,19 @@ def around(picture, place, reach=6):
 
 def turn(view: View3D, right_deg: float, up_deg: float) -> None:
     """Turn the part under the camera, as a drag of the mouse does."""
-    camera.orbit(view._stage.renderer.GetActiveCamera(), right_deg, up_deg)
-    view._stage.touch(time.monotonic())
-    view._canvas.update()
+    camera.orbit(stage_of(view).renderer.GetActiveCamera(), right_deg, up_deg)
+    stage_of(view).touch(time.monotonic())
+    canvas_of(view).update()
 
 
 def screen_place(view: View3D, channel: int) -> tuple[float, float] | None:
     """Where a taxel's estimate appears, in the widget's coordinates; None where it does not."""
-    shown = view._stage.estimates
+    shown = stage_of(view).estimates
     if channel not in shown.shown:
         return None
-    x, y = camera.project(view._stage.renderer, shown.places)[list(shown.shown).index(channel), :2] / view.devicePixelRatioF()
+    x, y = (
+        camera.project(stage_of(view).renderer, shown.places)[list(shown.shown).index(channel), :2] / view.devicePixelRatioF()
+    )
     return float(x), float(view.height() - y)
 
 
@@ -75,7 +95,7 @@ class Drawn:
 
     def __init__(self, view):
         self.count = 0
-        view._stage.renderer.AddObserver("EndEvent", self._note)
+        stage_of(view).renderer.AddObserver("EndEvent", self._note)
 
     def _note(self, *_):
         self.count += 1

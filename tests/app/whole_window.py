@@ -5,16 +5,18 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, QObject, QSettings, Qt
+from PySide6.QtCore import QEvent, QObject, QProcess, QSettings, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QWidget
 
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, server_command
+from app.session.recording import Recording
 from app.sound.player import Player
 from app.text.message import Message
-from app.theme import Choice, Theme
-from app.window import Window
+from app.theme import Choice
+from app.window import Theme, Window
+from app.workers.device_process import DeviceProcess
 from skincal.contacts.outcome import Contact
 from skincal.model.scene import resource
 
@@ -72,6 +74,15 @@ class Bench:
     def snapshot(self):
         return self.window.session_view.state.snapshot
 
+    @property
+    def recording(self) -> Recording:
+        """What is open, with the pipeline behind it; the window shows snapshots of it alone."""
+        return self.controller._recording
+
+    def device_pid(self) -> int:
+        """The process that serves the simulated devices."""
+        return self.controller.findChild(DeviceProcess).findChild(QProcess).processId()
+
     def accepted(self) -> list[Contact]:
         return [p.outcome for p in self.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
 
@@ -85,7 +96,7 @@ class Bench:
 
     def until_all_is_taken_in(self) -> None:
         """Wait after a pause until the readers ended, and what they had read is worked on and shown."""
-        recording = self.controller._recording
+        recording = self.recording
         self.until(lambda: not any(thread.name.startswith("reader ") for thread in threading.enumerate()), 5000)
         self.until(lambda: not recording.behind and not recording.pipeline.session.unsolved)
 

@@ -6,12 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from PySide6.QtGui import QImage
-from PySide6.QtWidgets import QWidget
+from PySide6.QtGui import QFontMetrics, QImage
+from PySide6.QtWidgets import QApplication, QWidget
 
-from app.state.policies import Running, allowed
+from app.panels.widgets import FittedLabel
+from app.state.policies import allowed
+from app.state.running import Running
 from app.state.view_state import ViewState
+from app.theme import Colours
 from app.units import ChannelNames
+from app.window import qpalette
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.geometry import Arm, DhLink
 from skincal.model.readings import LinkHealth, LinkState, Loss, Stream
@@ -97,6 +101,16 @@ def frame(
         revision=found.generation,
         may=allowed(found, where, (), running, (), selected),
     )
+
+
+def show_in(colours: Colours) -> None:
+    """Give the program a theme's colours."""
+    QApplication.setPalette(qpalette(colours))
+
+
+def is_elided(label: FittedLabel) -> bool:
+    """Return whether a text does not fit even in the smallest type."""
+    return QFontMetrics(label.fitted()).horizontalAdvance(label.text()) > label.width()
 
 
 def pixels(widget: QWidget) -> np.ndarray:

@@ -116,7 +116,7 @@ def test_the_sample_session_is_loaded(benchmark):
 def test_a_session_of_ten_thousand_pokes_is_opened(benchmark, forearm, tmp_path):
     """From its journal, to the estimates of both methods."""
     contacts = forearm.contacts(-(-10_000 // len(forearm.channels)), seed=1)[:10_000]
-    spaced = [replace(one, poke=i, start_s=2.5 * i, end_s=2.5 * i + 0.3) for i, one in enumerate(contacts, start=1)]
+    spaced = [replace(contact, poke=i, start_s=2.5 * i, end_s=2.5 * i + 0.3) for i, contact in enumerate(contacts, start=1)]
     write_pokes(tmp_path / "session", forearm.scene, spaced)
     pipeline = benchmark.pedantic(load, (tmp_path / "session",), rounds=3)
     assert len(pipeline.session.contacts) == len(spaced)

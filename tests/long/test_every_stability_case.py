@@ -24,12 +24,12 @@ def result():
 def test_the_study_has_at_least_forty_cases_and_all_hold(result):
     cases = result["cases"]
     assert len(cases) >= 40
-    assert len({one["name"] for one in cases}) == len(cases)
-    assert [one["name"] for one in cases if not one["holds"]] == []
+    assert len({case["name"] for case in cases}) == len(cases)
+    assert [case["name"] for case in cases if not case["holds"]] == []
     assert result["held"] == len(cases)
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
 def test_no_bar_is_so_high_that_it_proves_nothing(result):
-    loose = [one["name"] for one in result["cases"] if one["bound"] > 1e-3 * one["size"]]
+    loose = [case["name"] for case in result["cases"] if case["bound"] > 1e-3 * case["size"]]
     assert loose == []

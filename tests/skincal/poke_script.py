@@ -23,6 +23,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream
 from skincal.model.scene import ArmSpec, ContactSettings, NoiseSettings, Scene, SkinSpec, load_scene
 from skincal.model.skin import KINDS, Layout, Module
+from skincal.session.error_history import ErrorHistory
 from skincal.session.snapshot import Snapshot
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Estimate
@@ -202,7 +203,7 @@ def same_estimates(first: Snapshot, second: Snapshot) -> bool:
         return False
     for method in first.estimates:
         ours, theirs = first.estimates[method], second.estimates[method]
-        if [estimate_key(one) for one in ours] != [estimate_key(one) for one in theirs]:
+        if [estimate_key(estimate) for estimate in ours] != [estimate_key(estimate) for estimate in theirs]:
             return False
     return True
 
@@ -252,3 +253,13 @@ def next_segment(folder, scene, links):
     except InputError:
         lock.release()
         raise
+
+
+def error_series(scene, surface, snapshot, known):
+    """Return the whole course of errors of a session at once; parameters as for `ErrorHistory`."""
+    history = ErrorHistory(scene, surface, known)
+    history.take(snapshot)
+    recount = history.recount()
+    if recount is not None:
+        history.put(recount, recount.work())
+    return history.series()

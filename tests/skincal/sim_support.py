@@ -12,8 +12,13 @@ from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import step
+from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulate.operator import Habits, place
+from skincal.simulate.simulated_rig import PressedPlaces, Rig
+
+RECIPE_HAND = float(np.radians(6.0))
+"""rad, sd of the push about the one asked for, in each direction: a hand without a guide. Assumed."""
 
 
 @lru_cache
@@ -24,6 +29,18 @@ def scene_and_surface(name: str = "icub-forearm") -> tuple[Scene, Surface | None
 
 def make_rig(errors: RigErrors, seed: int = 1, name: str = "icub-forearm") -> Rig:
     return Rig(*scene_and_surface(name), errors, np.random.default_rng(seed))
+
+
+def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator) -> PressedPlaces:
+    """Return pokes by a printed recipe, `per_taxel` at each taxel: round by round, tilted, the tilt turned with each round."""
+    habits = Habits.careful()
+    targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
+    count = len(targets)
+    turns = RECIPE_TURN * np.repeat(np.arange(per_taxel), len(rig.channels))
+    tilts = np.clip(RECIPE_TILT + RECIPE_HAND * rng.standard_normal(count), 0.0, np.pi / 4)
+    azimuths = turns + RECIPE_HAND / np.sin(RECIPE_TILT) * rng.standard_normal(count)
+    beside = habits.aim * rng.standard_normal((count, 2))
+    return place(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
 
 
 def recorded_anew(folder: Path, into: Path) -> Path:

@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, agree, check_overlap, merged, scan
+from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, check_overlap, merged
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import STAMP_MAX
@@ -53,61 +53,61 @@ class _Columns:
     finding: str = ""
 
 
-@dataclass(slots=True)
-class _Skipped:
-    """Rows that have no time and so no place."""
-
-    rows: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class _Table:
-    """One CSV file and how its rows are read."""
+    """One CSV file and how its rows are read.
 
-    stream: Stream
-    path: Path
-    separator: str | None
-    header: bool
-    columns: _Columns
+    Raises InputError: the file cannot be read, is no text, has no row, or lacks a column or a unit.
+    """
+
+    def __init__(self, stream: Stream, path: Path) -> None:
+        first = next(_rows(path, "\n"), None)
+        if first is None:
+            raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
+        if "\ufffd" in first[0] or not first[0].replace("\t", " ").isprintable():
+            raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
+        self.stream, self.path = stream, path
+        self._separator = next((mark for mark in (";", "\t", ",") if mark in first[0]), None)
+        row = next(_rows(path, self._separator))
+        self._header = any(_to_float(field) is None for field in row if field)
+        if self._header:
+            self.columns = _named_columns(stream, [name.lower() for name in row], path)
+        else:
+            self.columns = _columns_by_place(stream, len(row), path)
+        self.skipped = 0
+        """Rows of the last reading that have no time and so no place."""
 
     @property
     def link(self) -> LinkSpec:
         return LinkSpec(self.stream.value, f"file:{self.path}", (self.stream,), "csv")
 
-    def lines(self, skipped: _Skipped | None = None) -> Iterator[RecordedLine]:
+    def lines(self) -> Iterator[RecordedLine]:
         """Give each row with its time; count the rows that have none."""
-        rows = _rows(self.path, self.separator)
-        if self.header:
+        self.skipped = 0
+        rows = _rows(self.path, self._separator)
+        if self._header:
             next(rows, None)
         for index, row in enumerate(rows):
             line = _line(index, row, self.columns)
             if line is not None:
                 yield line
-            elif skipped is not None:
-                skipped.rows += 1
+            else:
+                self.skipped += 1
 
 
 def read_csv(
     wrench: Path, skin: Path, joints: Path | None = None
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
-    """Read the CSV files of one recording: links, chunks merged by time, and sentences on what was found.
+    """Read the CSV files of one recording: links, chunks of whole lines merged by time, and sentences on what was found.
 
-    Returns
-    -------
-    Links named `wrench`, `skin` and `joints`; chunks of whole lines; findings.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
+    Raises InputError: a file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
     """
     places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
-    tables = [_open_table(stream, path) for stream, path in places.items()]
+    tables = [_Table(stream, path) for stream, path in places.items()]
     findings: list[str] = []
     timelines: list[RecordedTimes] = []
     for table in tables:
-        skipped, name = _Skipped(), table.stream.value
-        timeline = scan(name, (line.stamp for line in table.lines(skipped)))
+        name = table.stream.value
+        timeline = RecordedTimes(name, (line.stamp for line in table.lines()))
         if not timeline.lines:
             raise InputError(
                 f"{table.path}: no row with a time was found; expected a row a reading, its time and its values. A time "
@@ -117,11 +117,11 @@ def read_csv(
         findings += timeline.sentences()
         if table.columns.finding:
             findings.append(f"{name}: {table.columns.finding}")
-        if skipped.rows:
-            findings.append(f"{name}: {plural(skipped.rows, 'row')} without a time: left out.")
+        if table.skipped:
+            findings.append(f"{name}: {plural(table.skipped, 'row')} without a time: left out.")
     check_overlap(timelines)
     # A frame gets the last angles before it, so these must not come later.
-    chunks = merged(agree(timelines), [table.lines for table in tables], (Stream.JOINTS.value,))
+    chunks = merged(timelines, [table.lines for table in tables], (Stream.JOINTS.value,))
     return tuple(table.link for table in tables), chunks, tuple(findings)
 
 
@@ -138,22 +138,6 @@ def _rows(path: Path, separator: str | None) -> Iterator[list[str]]:
                     yield [field.strip(" \t\"'") for field in fields]
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
-
-
-def _open_table(stream: Stream, path: Path) -> _Table:
-    first = next(_rows(path, "\n"), None)
-    if first is None:
-        raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
-    if "\ufffd" in first[0] or not first[0].replace("\t", " ").isprintable():
-        raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
-    separator = next((mark for mark in (";", "\t", ",") if mark in first[0]), None)
-    row = next(_rows(path, separator))
-    header = any(_to_float(field) is None for field in row if field)
-    if header:
-        columns = _named_columns(stream, [name.lower() for name in row], path)
-    else:
-        columns = _columns_by_place(stream, len(row), path)
-    return _Table(stream, path, separator, header, columns)
 
 
 def _to_float(field: str) -> float | None:

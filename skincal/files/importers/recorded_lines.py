@@ -1,7 +1,7 @@
 """Recorded lines with their stamps, put on a common clock and merged, so that a recording plays as a live rig would.
 
 Stamps of a recording jump: a clock is set back, messages come out of order, a program hangs. Each file is read twice: first
-`scan` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of a common
+`RecordedTimes` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of a common
 clock that never runs backwards. Neither holds more than a line of each file.
 
 - A stamp a little before the one before it (`OUT_OF_ORDER`) is a message that came late: it is placed at the time of the
@@ -21,7 +21,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from typing import TypeAlias
 
@@ -65,32 +65,48 @@ Lines: TypeAlias = Callable[[], Iterator[RecordedLine]]
 
 
 @dataclass(frozen=True, slots=True)
-class Jump:
-    """A clock set back."""
+class _Leap:
+    """A stamp far from the one before it, until it is clear whether the clock was set or the stamp written wrong."""
 
     line: int
-    """Index of the first line after it."""
-    back: float
-    """s. How far the stamps after it are shifted forward."""
+    highest: float
+    shift: float
+    # s. What passed if the clock is right; 0 where it went back.
+    pause: float
+    # s. How far the clock was set back; None where it went on.
+    back: float | None
 
 
-@dataclass(frozen=True, slots=True)
 class RecordedTimes:
-    """What a first reading of a file's stamps finds."""
+    """What a first reading of a file's stamps, in seconds, finds; `name` is that of the file's link."""
 
-    name: str
-    lines: int
-    first: float
-    """s. Lowest of the stamps, shifted."""
-    last: float
-    interval: float
-    """s. Usual time from line to line; 0 where there is none."""
-    gaps: int
-    longest_gap: float
-    out_of_order: int
-    jumps: tuple[Jump, ...]
-    astray: frozenset[int] = frozenset()
-    """Indices of lines whose stamps were written wrong."""
+    def __init__(self, name: str, stamps: Iterable[float]) -> None:
+        self.name = name
+        self.lines = 0
+        self.first = self.last = 0.0
+        """s. First stamp and highest, shifted."""
+        self.gaps, self.longest_gap = 0, 0.0
+        self.out_of_order = 0
+        self.jumps: dict[int, float] = {}
+        """The first line after each time that the clock was set back, and how far the stamps from there on are shifted, s."""
+        self.astray: set[int] = set()
+        """Indices of lines whose stamps were written wrong."""
+        self._shift = 0.0
+        # Highest stamp since the clock was set back last.
+        self._highest = 0.0
+        self._leap: _Leap | None = None
+        self._intervals: list[float] = []
+        # Long ones, kept back until the usual interval is known.
+        self._pauses: list[float] = []
+        self._gap_limit = GAP_MIN
+        for stamp in stamps:
+            self._add(stamp)
+        self._end()
+
+    @property
+    def interval(self) -> float:
+        """Usual time from line to line, s; 0 where there is none."""
+        return median(self._intervals) if self._intervals else 0.0
 
     def sentences(self) -> list[str]:
         """Say what was found."""
@@ -107,145 +123,86 @@ class RecordedTimes:
                 f"{self.name}: {plural(len(self.astray), 'stamp')} far from those around; placed with the line before."
             )
         if self.jumps:
-            amounts = ", ".join(f"{jump.back:.3f} s" for jump in self.jumps[:3]) + (", ..." if len(self.jumps) > 3 else "")
+            amounts = ", ".join([*(f"{back:.3f} s" for back in list(self.jumps.values())[:3]), *["..."][: len(self.jumps) > 3]])
             found.append(
                 f"{self.name}: the clock was set back {plural(len(self.jumps), 'time')} ({amounts}); "
                 "the lines after it follow on without a break, but a poke that it cuts may be wrong."
             )
         return found
 
-
-@dataclass(frozen=True, slots=True)
-class _Leap:
-    """A stamp far from the one before it, until it is clear whether the clock was set or the stamp written wrong."""
-
-    line: int
-    highest: float
-    shift: float
-    # s. What passed if the clock is right; 0 where it went back.
-    pause: float
-    jump: Jump | None
-
-
-class _Scan:
-    """Gathers a file's timeline stamp by stamp."""
-
-    def __init__(self) -> None:
-        self.lines = 0
-        self.first = self.latest = 0.0
-        self.shift = 0.0
-        self.highest = 0.0
-        """Highest stamp since the clock was set back last."""
-        self.leap: _Leap | None = None
-        self.intervals: list[float] = []
-        self.pauses: list[float] = []
-        """Long ones, kept back until the usual interval is known."""
-        self.limit = GAP_MIN
-        self.gaps = 0
-        self.longest = 0.0
-        self.out_of_order = 0
-        self.jumps: list[Jump] = []
-        self.astray: set[int] = set()
-
-    def add(self, stamp: float) -> None:
+    def _add(self, stamp: float) -> None:
         if self.lines == 0:
-            self.first = self.latest = self.highest = stamp
-        elif abs(stamp - self.highest) > OUT_OF_ORDER:
+            self.first = self._highest = stamp
+        elif abs(stamp - self._highest) > OUT_OF_ORDER:
             self._far(stamp)
-        elif stamp < self.highest:
+        elif stamp < self._highest:
             self.out_of_order += 1
         else:
-            self._pause(stamp - self.highest)
-            self.highest = stamp
-        self.latest = self.highest + self.shift
+            self._pause(stamp - self._highest)
+            self._highest = stamp
+        self.last = self._highest + self._shift
         self.lines += 1
-        if self.leap is not None and self.lines - self.leap.line > ASTRAY_LINES:
+        if self._leap is not None and self.lines - self._leap.line > ASTRAY_LINES:
             self._settle()
 
     def _far(self, stamp: float) -> None:
         """Note a stamp far from the one before it: back where the clock was before a leap, or a new leap."""
-        leap = self.leap
+        leap = self._leap
         if leap is not None and abs(stamp - leap.highest) <= OUT_OF_ORDER:
             self.astray.update(range(leap.line, self.lines))
-            self.highest, self.shift, self.leap = max(leap.highest, stamp), leap.shift, None
+            self._highest, self._shift, self._leap = max(leap.highest, stamp), leap.shift, None
             return
         self._settle()
-        pause = max(stamp - self.highest, 0.0)
-        jump = None if pause else Jump(self.lines, self.latest + self.usual() - (stamp + self.shift))
-        self.leap = _Leap(self.lines, self.highest, self.shift, pause, jump)
-        self.highest = stamp
-        self.shift += 0.0 if jump is None else jump.back
+        pause = max(stamp - self._highest, 0.0)
+        back = None if pause else self.last + self.interval - (stamp + self._shift)
+        self._leap = _Leap(self.lines, self._highest, self._shift, pause, back)
+        self._highest = stamp
+        self._shift += back or 0.0
 
     def _settle(self) -> None:
         """Believe the leap, if there is one."""
-        leap, self.leap = self.leap, None
+        leap, self._leap = self._leap, None
         if leap is None:
             return
-        if leap.jump is None:
+        if leap.back is None:
             self._pause(leap.pause)
         else:
-            self.jumps.append(leap.jump)
-
-    def usual(self) -> float:
-        return median(self.intervals) if self.intervals else 0.0
+            self.jumps[leap.line] = leap.back
 
     def _pause(self, pause: float) -> None:
         # Until the usual interval is known, long pauses are kept and judged at the end.
-        if len(self.intervals) < FIRST_INTERVALS:
-            self.intervals.append(pause)
-            if len(self.intervals) == FIRST_INTERVALS:
-                self.limit = max(GAP_MIN, GAP_INTERVALS * self.usual())
+        if len(self._intervals) < FIRST_INTERVALS:
+            self._intervals.append(pause)
+            if len(self._intervals) == FIRST_INTERVALS:
+                self._gap_limit = max(GAP_MIN, GAP_INTERVALS * self.interval)
             if pause > GAP_MIN:
-                self.pauses.append(pause)
-        elif pause > self.limit:
-            self._gap(pause)
+                self._pauses.append(pause)
+        else:
+            self._count_gaps([pause])
 
-    def _gap(self, pause: float) -> None:
-        self.gaps += 1
-        self.longest = max(self.longest, pause)
+    def _count_gaps(self, pauses: Sequence[float]) -> None:
+        gaps = [pause for pause in pauses if pause > self._gap_limit]
+        self.gaps += len(gaps)
+        self.longest_gap = max([self.longest_gap, *gaps])
 
-    def timeline(self, name: str) -> RecordedTimes:
-        if self.leap is not None and self.leap.pause > SPAN_MAX:
+    def _end(self) -> None:
+        leap = self._leap
+        if leap is not None and leap.pause > SPAN_MAX:
             # The last lines of the file: no line after them decides it, but no recording pauses for years.
-            self.astray.update(range(self.leap.line, self.lines))
-            self.latest, self.leap = self.leap.highest + self.leap.shift, None
+            self.astray.update(range(leap.line, self.lines))
+            self.last, self._leap = leap.highest + leap.shift, None
         self._settle()
-        usual = self.usual()
-        for pause in self.pauses:
-            if pause > max(GAP_MIN, GAP_INTERVALS * usual):
-                self._gap(pause)
-        return RecordedTimes(
-            name,
-            self.lines,
-            self.first,
-            self.latest,
-            usual,
-            self.gaps,
-            self.longest,
-            self.out_of_order,
-            tuple(self.jumps),
-            frozenset(self.astray),
-        )
+        self._gap_limit = max(GAP_MIN, GAP_INTERVALS * self.interval)
+        self._count_gaps(self._pauses)
 
 
-def scan(name: str, stamps: Iterable[float]) -> RecordedTimes:
-    """Return the timeline of a file's stamps, in seconds."""
-    found = _Scan()
-    for stamp in stamps:
-        found.add(stamp)
-    return found.timeline(name)
-
-
-def agree(timelines: Sequence[RecordedTimes]) -> tuple[RecordedTimes, ...]:
+def agree(timelines: Sequence[RecordedTimes]) -> None:
     """Give jumps of the same amount in several files the same shift, that of the first file."""
     known: list[float] = []
-    agreed: list[RecordedTimes] = []
     for timeline in timelines:
         # The amount that the first file saw holds for all that saw nearly the same.
-        jumps = tuple(replace(jump, back=_nearest(jump.back, known)) for jump in timeline.jumps)
-        known += [jump.back for jump in jumps if jump.back not in known]
-        agreed.append(replace(timeline, jumps=jumps))
-    return tuple(agreed)
+        timeline.jumps = {line: _nearest(back, known) for line, back in timeline.jumps.items()}
+        known += [back for back in timeline.jumps.values() if back not in known]
 
 
 def _nearest(back: float, known: Sequence[float]) -> float:
@@ -256,10 +213,7 @@ def _nearest(back: float, known: Sequence[float]) -> float:
 def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
     """Check that every file shares time with the first.
 
-    Raises
-    ------
-    InputError
-        A file spans years, or two have no time in common, so that nothing can be paired.
+    Raises InputError: a file spans years, or two have no time in common, so that nothing can be paired.
     """
     for timeline in timelines:
         if timeline.last - timeline.first > SPAN_MAX:
@@ -278,14 +232,11 @@ def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
 
 
 def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: Collection[str] = ()) -> Iterator[Chunk]:
-    """Yield the lines of all files in the order of their time, neighbours of one file in one chunk; lazily.
+    """Yield the lines of all files, of one time each, in the order of their time, neighbours of one file in one chunk; lazily.
 
-    Parameters
-    ----------
-    timelines : one a file, `agree`d
-    sources : the same files
-    alone : names of files of which every line is a chunk, so that it comes before all later lines of the others
+    Of the files named in `alone` every line is a chunk, so that it comes before all later lines of the others.
     """
+    agree(timelines)
     origin = min(timeline.first for timeline in timelines)
     placed = [
         _chunks(timeline, _placed(timeline, lines(), origin), together=timeline.name not in alone)
@@ -305,10 +256,9 @@ class _Placed:
 
 
 def _placed(timeline: RecordedTimes, lines: Iterator[RecordedLine], origin: float) -> Iterator[_Placed]:
-    jumps = {jump.line: jump.back for jump in timeline.jumps}
     shift, latest, before = 0.0, START_NS, -math.inf
     for index, line in enumerate(lines):
-        shift += jumps.get(index, 0.0)
+        shift += timeline.jumps.get(index, 0.0)
         if index not in timeline.astray:
             # Stamps have microseconds; more digits would be those of the double.
             latest = max(latest, START_NS + round((line.stamp + shift - origin) * 1e6) * 1000)

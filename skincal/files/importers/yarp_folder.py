@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
-from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, agree, check_overlap, merged, scan
+from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, check_overlap, merged
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import (
@@ -104,19 +104,10 @@ def read_yarp(
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
     """Read the logs of one recording: links, chunks merged by time, and sentences on what was found.
 
-    Parameters
-    ----------
-    wrench, skin, joints : folders of `yarpdatadumper`, or their `data.log`
+    `wrench`, `skin` and `joints` are folders of `yarpdatadumper`, or their `data.log`; the links are named like them. A chunk
+    holds whole lines, its `host_ns` from the receiver's stamp of the last of them, or from the only one.
 
-    Returns
-    -------
-    Links named `wrench`, `skin` and `joints`; chunks of whole lines with `host_ns` from the receiver's stamp of the
-    last of them, or from the only one; findings.
-
-    Raises
-    ------
-    InputError
-        A folder has no log, a file is not such a log, holds no record, or the logs are of different times.
+    Raises InputError: a folder has no log, a file is not such a log, holds no record, or the logs are of different times.
     """
     places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
     logs = [_open_log(stream, place) for stream, place in places.items()]
@@ -132,7 +123,7 @@ def read_yarp(
     check_overlap(timelines)
     findings += _clock_findings(logs)
     # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
-    chunks = merged(agree(timelines), [log.lines for log in logs], (Stream.JOINTS.value,))
+    chunks = merged(timelines, [log.lines for log in logs], (Stream.JOINTS.value,))
     return tuple(log.link for log in logs), chunks, tuple(findings)
 
 
@@ -150,10 +141,7 @@ def find_log(place: Path) -> tuple[Path, list[str]]:
     The path is a log file, a folder with `data.log`, or the name of a port's folder that exists only with the numeric suffix
     that the dumper appends (`right_arm_00001`).
 
-    Raises
-    ------
-    InputError
-        There is no log there, or more than one.
+    Raises InputError: there is no log there, or more than one.
     """
     if place.is_file():
         return place, []
@@ -240,7 +228,7 @@ def _ends_open(path: Path) -> bool:
 def _read_through(log: _Log) -> tuple[RecordedTimes, _Contents]:
     """Read a log once: its timeline, and what it holds."""
     contents = _Contents()
-    timeline = scan(log.name, _stamps(log, contents))
+    timeline = RecordedTimes(log.name, _stamps(log, contents))
     if not timeline.lines:
         seen = f"has {plural(contents.unreadable, 'line')}, none of them of the form <number> <time> <values>"
         seen = seen if contents.unreadable else "is empty"

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections import Counter
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
 from typing import Any, ClassVar
 
 import numpy as np
@@ -99,23 +98,6 @@ class SequenceCounter:
         return abs(elapsed / self._period - step) <= GAP_SLACK + GAP_SLACK_SHARE * step
 
 
-@dataclass(slots=True)
-class _Pending:
-    """Readings of one stream since the last batch."""
-
-    width: int | None
-    seq: list[int] = field(default_factory=list[int])
-    device_s: list[float] = field(default_factory=list[float])
-    values: list[list[float] | NDArray[Any]] = field(default_factory=list["list[float] | NDArray[Any]"])
-    status: list[int] = field(default_factory=list[int])
-
-    def clear(self) -> None:
-        self.seq.clear()
-        self.device_s.clear()
-        self.values.clear()
-        self.status.clear()
-
-
 class Collector:
     """Readings of one link on their way into batches.
 
@@ -127,12 +109,13 @@ class Collector:
         """What was last wrong with the device's records, a sentence; empty if nothing was."""
         self._counts = counts
         widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None}
-        self._pending = {stream: _Pending(widths[stream]) for stream in Stream if stream in carries}
+        self._widths = {stream: widths[stream] for stream in Stream if stream in carries}
+        # Of each stream since the last batch: number, device's clock, values, status.
+        self._readings: dict[Stream, list[tuple[int, float, list[float] | NDArray[Any], int]]] = defaultdict(list)
 
     def width(self, stream: Stream) -> int | None:
         """Return the number of values of a reading; None while unknown, and for a stream that is not carried."""
-        pending = self._pending.get(stream)
-        return None if pending is None else pending.width
+        return self._widths.get(stream)
 
     def add(
         self, stream: Stream, seq: int, device_s: float, values: list[float] | NDArray[Any], status: int = 0
@@ -146,32 +129,25 @@ class Collector:
         values : one reading, in the units of `skincal.model.readings`, but joint angles in degrees
         status : `SATURATED_BIT` and `INVALID_BIT`
         """
-        pending = self._pending.get(stream)
-        if pending is None:
+        if stream not in self._widths:
             return None
-        if pending.width is None:
-            pending.width = len(values)
-        if len(values) != pending.width:
-            self.note = (
-                f"{stream.value} readings of {len(values)} values arrive where {pending.width} are expected; {_MEND[stream]}"
-            )
+        width = self._widths[stream]
+        if width is None:
+            width = self._widths[stream] = len(values)
+        if len(values) != width:
+            self.note = f"{stream.value} readings of {len(values)} values arrive where {width} are expected; {_MEND[stream]}"
             return Loss.BAD_WIDTH
-        pending.seq.append(seq)
-        pending.device_s.append(device_s)
-        pending.values.append(values)
-        pending.status.append(status & (SATURATED_BIT | INVALID_BIT))
+        # The other bits of a status mean nothing here.
+        self._readings[stream].append((seq, device_s, values, status & (SATURATED_BIT | INVALID_BIT)))
         return None
 
     def take(self) -> list[Batch]:
         """Return the readings since the last call, one batch a stream; count those that are not numbers."""
-        return [self._batch(stream, pending) for stream, pending in self._pending.items() if pending.seq]
+        return [self._batch(stream, self._readings.pop(stream)) for stream in self._widths if stream in self._readings]
 
-    def _batch(self, stream: Stream, pending: _Pending) -> Batch:
-        seq = np.array(pending.seq, np.int64)
-        device_s = np.array(pending.device_s, np.float64)
-        values = np.array(pending.values, np.float64)
-        saturated, invalid = _flags(pending.status)
-        pending.clear()
+    def _batch(self, stream: Stream, readings: list[tuple[int, float, list[float] | NDArray[Any], int]]) -> Batch:
+        numbers, clocks, rows, status = zip(*readings, strict=True)
+        seq, device_s, values = np.array(numbers, np.int64), np.array(clocks, np.float64), np.array(rows, np.float64)
         finite = np.isfinite(values)
         if not finite.all():
             self._counts[Loss.NOT_A_NUMBER] += int(np.count_nonzero(~finite.all(axis=1)))
@@ -179,18 +155,12 @@ class Collector:
             return SkinBatch(seq, device_s, np.where(finite, values, np.nan))
         if stream is Stream.JOINTS:
             return JointsBatch(seq, device_s, np.radians(values))  # every format has degrees
+        bits = np.array(status)
+        saturated, invalid = (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
         for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
             if flags.any():
                 self._counts[loss] += int(np.count_nonzero(flags))
         return WrenchBatch(seq, device_s, values, saturated, invalid)
-
-
-def _flags(status: list[int]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which readings are saturated and which invalid."""
-    if not any(status):
-        return np.zeros(len(status), np.bool_), np.zeros(len(status), np.bool_)
-    bits = np.array(status)
-    return (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
 
 
 class Splitter:

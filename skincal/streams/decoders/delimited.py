@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.base import NO_SEQ, TIME_MODULUS_US, Collector, PieceDecoder
+from skincal.streams.decoders.base import NO_SEQ, TIME_MODULUS_US, PieceDecoder
 
 MAX_LINE = 65536
 """Bytes. Some 4,200 values of 12 characters fit."""
@@ -37,12 +37,13 @@ class TextDecoder(PieceDecoder):
         super().__init__(channels, carries)
         self._carries = carries
         self._columns = LeadingColumns()
-        self._rows = FrameRows(self._collector if Stream.SKIN in carries else None)
+        # Of a skin frame whose rows are lines of their own, until the blank line that ends it.
+        self._rows: list[list[float]] = []
 
     def _decode(self, piece: bytes) -> Loss | None:
         line = piece.strip()
         if not line:
-            return None if self._first else self._rows.end(NO_SEQ)
+            return None if self._first else self._end_frame()
         if not line.isascii() or not line.decode().replace("\t", " ").isprintable():
             return Loss.UNREADABLE
         fields = split_fields(line.decode())
@@ -64,17 +65,27 @@ class TextDecoder(PieceDecoder):
         lead = self._columns.count
         stream = self._stream_of(len(numbers) - lead)
         if stream is None:
-            if not lead and self._rows.takes(numbers):
+            if not lead and self._is_row(numbers):
+                self._rows.append(numbers)
                 return None
             self._collector.note = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
             return Loss.BAD_WIDTH
-        torn = self._rows.drop()
-        if torn:
-            self.counts[Loss.BAD_WIDTH] += torn
+        if self._rows:
+            self.counts[Loss.BAD_WIDTH] += len(self._rows)
+            self._rows = []
         seq, device_s, missing = self._columns.read(numbers[:lead])
         if missing:
             self.counts[Loss.MISSING] += missing
         return self._collector.add(stream, seq, device_s, numbers[lead:])
+
+    def _is_row(self, numbers: list[float]) -> bool:
+        """Return whether a line may be a row of the frame that is begun."""
+        width = self._collector.width(Stream.SKIN)
+        return width is not None and sum(map(len, self._rows)) + len(numbers) <= width
+
+    def _end_frame(self) -> Loss | None:
+        rows, self._rows = self._rows, []
+        return self._collector.add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row]) if rows else None
 
     def _stream_of(self, count: int) -> Stream | None:
         """Say what a line of this many values is, by the widths known and then by one unknown."""
@@ -134,37 +145,6 @@ class LeadingColumns:
             self._wraps_us += TIME_MODULUS_US
         self._last_us = number
         return number + self._wraps_us
-
-
-class FrameRows:
-    """Rows of one frame, until the blank line that ends it."""
-
-    def __init__(self, collector: Collector | None) -> None:
-        self._collector = collector
-        self._values: list[float] = []
-        self._count = 0
-
-    def takes(self, numbers: list[float]) -> bool:
-        """Keep a row; return False if it cannot be one."""
-        width = None if self._collector is None else self._collector.width(Stream.SKIN)
-        if width is None or len(self._values) + len(numbers) > width:
-            return False
-        self._values += numbers
-        self._count += 1
-        return True
-
-    def drop(self) -> int:
-        """Forget the rows of an unfinished frame; return their number."""
-        count, self._count = self._count, 0
-        self._values = []
-        return count
-
-    def end(self, seq: int) -> Loss | None:
-        """Hand the frame on at its blank line."""
-        values = self._values
-        if not self.drop() or self._collector is None:
-            return None
-        return self._collector.add(Stream.SKIN, seq, math.nan, values)
 
 
 def split_fields(line: str) -> list[str]:

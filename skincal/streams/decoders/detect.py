@@ -39,9 +39,7 @@ TEXT_AFTER_BYTES = 65536
 def make_decoder(name: str, channels: int | None, carries: tuple[Stream, ...]) -> PieceDecoder:
     """Return a new decoder by its name.
 
-    Raises
-    ------
-    InputError : no format has this name
+    Raises InputError: no format has this name.
     """
     if name not in _CLASSES:
         raise InputError(f"A link's format is {name!r}; expected one of {', '.join(NAMES)}.")

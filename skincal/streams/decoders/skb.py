@@ -109,37 +109,15 @@ class SkbDecoder(PieceDecoder):
 
 
 def unstuffed(piece: bytes) -> bytes | None:
-    """Return what `piece` stands for; None if it is no stuffed piece.
-
-    Parameters
-    ----------
-    piece : the bytes between two zeros, without either
-    """
-    if 0 in piece:
-        return None
-    if FULL_BLOCK in piece:
-        return _decode_with_full_blocks(piece)
-    out = bytearray(piece)
-    end = len(out)
-    at = 0
-    while at < end:
-        code = out[at]
-        out[at] = 0
-        at += code
-    return bytes(memoryview(out)[1:]) if at == end and end else None
-
-
-def _decode_with_full_blocks(piece: bytes) -> bytes | None:
-    out = bytearray()
-    end = len(piece)
-    at = 0
+    """Return what the bytes between two zeros stand for; None if they are no stuffed piece."""
+    out, at, end = bytearray(), 0, len(piece)
     while at < end:
         code = piece[at]
         stop = at + code
-        if stop > end:
+        if code == 0 or stop > end:
             return None
         out += piece[at + 1 : stop]
         if code != FULL_BLOCK and stop < end:
             out.append(0)
         at = stop
-    return bytes(out)
+    return bytes(out) if end and 0 not in piece else None

@@ -10,6 +10,7 @@ from its serialiser (12 lists, 10 in older versions), not observed.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from math import isfinite
 from typing import TypeAlias
@@ -34,7 +35,12 @@ SEQ_MAX = 1 << 62
 HEADER_WORDS = (b"Type:", b"Source:", b"Stamp:")
 """Old dumpers wrote what is now `info.log` into the log itself."""
 
-_CLOSING = {"[": "]", "{": "}"}
+_TOKEN = re.compile(
+    r'[ \t\r\n,]+|(?P<begin>\()|(?P<end>\))|"(?P<text>(?:\\.|[^"\\])*)"|\[(?P<square>[^]]*)]|{(?P<curly>[^}]*)}'
+    r"|(?P<word>[^ \t\r\n,()\"[{][^ \t\r\n,()]*)",
+    re.DOTALL,
+)
+"""Of a bottle: what parts words, the ends of a list, a string, a name in brackets, any other word."""
 _NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
 """What no payload of plain numbers has."""
 
@@ -46,70 +52,35 @@ class BottleError(ValueError):
 def parse_bottle(text: str) -> list[Item]:
     """Read a YARP bottle in text form; a number becomes a float, any other word a string.
 
-    Raises
-    ------
-    BottleError
-        A parenthesis, bracket or quote has no partner.
+    Raises BottleError: a parenthesis, bracket or quote has no partner.
     """
-    top: list[Item] = []
-    open_lists: list[list[Item]] = [top]
+    open_lists: list[list[Item]] = [[]]
     at = 0
     while at < len(text):
-        char = text[at]
-        if char == "(":
-            inner: list[Item] = []
-            open_lists[-1].append(inner)
-            open_lists.append(inner)
-            at += 1
-        elif char == ")":
+        found = _TOKEN.match(text, at)
+        if found is None:
+            raise BottleError("a bracket or a string has no end")
+        at, kind = found.end(), found.lastgroup
+        if kind == "begin":
+            open_lists.append([])
+        elif kind == "end":
             if len(open_lists) == 1:
                 raise BottleError("a list ends that never began")
-            open_lists.pop()
-            at += 1
-        elif char in " \t,\r\n":
-            at += 1
-        else:
-            item, at = _parse_word(text, at)
-            open_lists[-1].append(item)
+            inner = open_lists.pop()
+            open_lists[-1].append(inner)
+        elif kind is not None:
+            open_lists[-1].append(_item(kind, found[kind]))
     if len(open_lists) > 1:
         raise BottleError("a list has no end")
-    return top
+    return open_lists[0]
 
 
-def _parse_word(text: str, start: int) -> tuple[Item, int]:
-    """Return the word that begins at `start` and the index after it."""
-    if text[start] == '"':
-        return _parse_string(text, start + 1)
-    if text[start] in _CLOSING:
-        end = text.find(_CLOSING[text[start]], start)
-        if end < 0:
-            raise BottleError("a bracket has no end")
-        return text[start + 1 : end], end + 1
-    end = start
-    while end < len(text) and text[end] not in " \t,\r\n()":
-        end += 1
-    return _number_or_word(text[start:end]), end
-
-
-def _parse_string(text: str, start: int) -> tuple[str, int]:
-    """Return the quoted string whose first character is at `start`; a backslash keeps the next character."""
-    out: list[str] = []
-    at = start
-    while at < len(text):
-        if text[at] == "\\" and at + 1 < len(text):
-            out.append(text[at + 1])
-            at += 2
-        elif text[at] == '"':
-            return "".join(out), at + 1
-        else:
-            out.append(text[at])
-            at += 1
-    raise BottleError("a string has no end")
-
-
-def _number_or_word(word: str) -> Item:
-    if "_" in word:
-        # Python takes 1_0 for ten; nobody who writes numbers does.
+def _item(kind: str, word: str) -> Item:
+    if kind == "text":
+        # A backslash keeps the next character.
+        return re.sub(r"\\(.)", r"\1", word, flags=re.DOTALL)
+    # Python takes 1_0 for ten; nobody who writes numbers does.
+    if kind != "word" or "_" in word:
         return word
     try:
         return float(word)
@@ -125,12 +96,7 @@ def find_vector(bottle: list[Item]) -> list[Item]:
 
 
 def find_wrench(bottle: list[Item]) -> list[Item]:
-    """Return the six numbers of the first force/torque sensor, from a vector or from `measures:o`.
-
-    Returns
-    -------
-    Empty where `measures:o` carries no such sensor.
-    """
+    """Return the six numbers of the first force/torque sensor, from a vector or from `measures:o`; empty where it has none."""
     if len(bottle) < MEASURES_LISTS or not all(isinstance(item, list) for item in bottle):
         return find_vector(bottle)
     sensors = bottle[MEASURES_WRENCH]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QLocale, QPoint, Qt
+from PySide6.QtCore import QLocale, QPoint, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialogButtonBox, QWidget
 
@@ -14,7 +14,7 @@ from app.session.opening import OpenRequest
 from app.text.message import Message
 from skincal.mesh.search import nearest_points
 from skincal.model.actions import AddLandmark
-from tests.app.view3d_on_screen import make_view
+from tests.app.view3d_on_screen import canvas_of, make_view, stage_of
 
 Key = Qt.Key
 PLACE = np.array([0.01234, -0.0456, 0.0])
@@ -33,7 +33,7 @@ def the_dialog(bench) -> LandmarkDialog:
 
 
 def click_part(view) -> None:
-    QTest.mouseClick(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(view.width() // 2, view.height() // 2))
+    QTest.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(view.width() // 2, view.height() // 2))
 
 
 def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
@@ -41,7 +41,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     bench.until_all_is_there()
     window, view = bench.window, bench.window.session_view.workspace.view
     before = bench.snapshot.landmarks
-    shown = view._stage.landmarks.marks.data.GetNumberOfLines()
+    shown = stage_of(view).landmarks.marks.data.GetNumberOfLines()
     bench.key(Key.Key_K)
     assert view.picking
     assert window.messages.isVisible()
@@ -62,12 +62,12 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     np.testing.assert_allclose(added.place, there, atol=1e-12)
     bench.until(lambda: not dialogs(), 5000)
     bench.qtbot.wait(50)
-    assert view._stage.landmarks.marks.data.GetNumberOfLines() == shown + 6, "a diamond with a cross"
+    assert stage_of(view).landmarks.marks.data.GetNumberOfLines() == shown + 6, "a diamond with a cross"
     assert bench.snapshot.can_undo == "landmark screw 4"
     bench.key(Key.Key_Backspace)
     bench.until(lambda: bench.snapshot.landmarks == before, 5000)
     bench.qtbot.wait(50)
-    assert view._stage.landmarks.marks.data.GetNumberOfLines() == shown
+    assert stage_of(view).landmarks.marks.data.GetNumberOfLines() == shown
 
 
 def test_escape_or_the_command_again_ends_the_wait(bench, recorded):
@@ -111,10 +111,10 @@ class Acts(list):
 
 def test_coordinates_are_asked_for_at_once_where_there_is_no_surface(qtbot):
     view, acts, said = make_view(qtbot, surface=False), Acts(), []
-    marking = LandmarkPicking(view, lambda: {"landmark 1"}, acts, "palm", view)
-    marking.said.connect(said.append)
-    marking.ask(view.window())
-    assert not marking.waiting
+    picking = LandmarkPicking(view, lambda: {"landmark 1"}, acts, "palm", view)
+    picking.said.connect(said.append)
+    picking.ask(view.window())
+    assert not picking.waiting
     assert said == []
     (dialog,) = dialogs()
     assert dialog.name.text() == "landmark 2"
@@ -157,8 +157,8 @@ def test_a_name_that_is_empty_or_taken_is_refused_with_the_reason(dialog, qtbot)
 
 
 def test_the_place_is_shown_in_millimetres_and_can_be_changed(dialog):
-    assert [one.text() for one in dialog.coordinates] == ["x  12.34 mm", "y  -45.60 mm", "z  0.00 mm"]
-    assert all(one.locale() == QLocale.c() for one in dialog.coordinates)
+    assert [field.text() for field in dialog.coordinates] == ["x  12.34 mm", "y  -45.60 mm", "z  0.00 mm"]
+    assert all(field.locale() == QLocale.c() for field in dialog.coordinates)
     dialog.coordinates[2].setValue(1.5)
     np.testing.assert_allclose(dialog.place(), [0.01234, -0.0456, 0.0015], atol=1e-12)
     dialog.coordinates[2].setValue(1e9)
@@ -176,12 +176,13 @@ def test_what_is_asked_stays_until_it_is_done(qtbot):
     bar = MessageBar()
     qtbot.addWidget(bar)
     bar.tell(ASK)
-    assert not bar._timer.isActive()
+    timer = bar.findChild(QTimer)
+    assert not timer.isActive()
     bar.tell(Message("Written."))
-    bar._timer.timeout.emit()
+    timer.timeout.emit()
     assert ASK.text in bar.text.text()
     assert "\N{CHECK MARK}" not in bar.text.text(), "nothing is done yet"
-    bar._timer.timeout.emit()
+    timer.timeout.emit()
     assert ASK.text in bar.text.text()
     bar.withdraw(ASK)
     bar.withdraw(ASK)

@@ -22,6 +22,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.review import Review
 from skincal.taxels.result import Method
 from tests.app.window_support import NAMES, changed, pixels
+from tests.approved import approved
 
 Key = Qt.Key
 UNUSED = Left(4, Why.DEAD, ())
@@ -33,25 +34,25 @@ AGREES = Check(14, 13)
 
 
 def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
-    done = used - sum(one.why is not Why.DEAD for one in left)
-    enough = all(one.why is not Why.EARLY for one in left)
+    done = used - sum(taxel.why is not Why.DEAD for taxel in left)
+    enough = all(taxel.why is not Why.EARLY for taxel in left)
     return Verdict(Method.SURFACE, enough, 0.003, done, used, left, checked, 252, 552.0)
 
 
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        (verdict(), "All 24 taxels are done, predicted to 3 mm, and the held-out pokes agree."),
-        (verdict(UNUSED), "All 24 used taxels are done, predicted to 3 mm, and the held-out pokes agree."),
-        (verdict(UNUSED, GIVEN_UP), "23 of 24 taxels are done, and the held-out pokes agree."),
-        (verdict(EARLY), "Not enough yet: 23 of 24 taxels are done, and the held-out pokes agree."),
-        (verdict(checked=Check(14, 7)), "All 24 taxels are done, predicted to 3 mm, but the held-out pokes speak against it."),
-        (verdict(checked=Check(11, 8)), "All 24 taxels are done, predicted to 3 mm, but the held-out pokes hardly agree."),
-        (verdict(checked=Check(11, 9)), "All 24 taxels are done, predicted to 3 mm, and the held-out pokes agree."),
-        (verdict(checked=Check(0, 0)), "All 24 taxels are done, predicted to 3 mm; too few pokes are held out to check it."),
-        (verdict(checked=Check(4, 4)), "All 24 taxels are done, predicted to 3 mm; too few pokes are held out to check it."),
-        (verdict(UNUSED, used=0), "No taxel is used."),
-        (verdict(used=0), "No taxel has answered yet."),
+        (verdict(), approved("verdict.all_done_agree", count=24, target_mm=3)),
+        (verdict(UNUSED), approved("verdict.all_used_done_agree", count=24, target_mm=3)),
+        (verdict(UNUSED, GIVEN_UP), approved("verdict.given_up_agree", done=23, count=24)),
+        (verdict(EARLY), approved("verdict.not_enough_agree", done=23, count=24)),
+        (verdict(checked=Check(14, 7)), approved("verdict.all_done_against", count=24, target_mm=3)),
+        (verdict(checked=Check(11, 8)), approved("verdict.all_done_hardly", count=24, target_mm=3)),
+        (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, target_mm=3)),
+        (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
+        (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
+        (verdict(UNUSED, used=0), approved("verdict.none_used")),
+        (verdict(used=0), approved("verdict.none_answered")),
     ],
 )
 def test_one_sentence_says_what_the_session_has_come_to(what, said):
@@ -60,32 +61,30 @@ def test_one_sentence_says_what_the_session_has_come_to(what, said):
 
 def test_the_figures_are_those_of_the_verdict():
     assert figures(verdict(GIVEN_UP)) == (
-        ("Done", "23 of 24 taxels, surface method"),
+        ("Done", approved("verdict.done_of_method", done=23, count=24, method="surface")),
         (
             "Needs",
-            "a predicted error of 3 mm or less, 3 pokes of its own evenly around it, and the last hardly moved it",
+            approved("verdict.needs_surface", target_mm=3),
         ),
-        ("Check", "13 of 14 held-out pokes fell where the others predicted"),
+        ("Check", approved("verdict.check", good=13, held_out=14)),
         ("Work", "252 pokes in 9 min"),
     )
-    assert "the errors are larger than predicted" in check_words(verdict(checked=Check(14, 7)))
+    assert approved("verdict.check_against") in check_words(verdict(checked=Check(14, 7)))
     hardly = check_words(verdict(checked=Check(11, 8)))
-    assert hardly == (
-        "8 of 11 held-out pokes fell where the others predicted, of 20 it should be 19: the errors may be larger than predicted"
-    )
-    assert check_words(verdict(checked=Check(4, 4))).endswith("predicted: too few to say anything")
-    assert check_words(verdict(checked=Check(0, 0))) == "no poke could be held out yet"
+    assert hardly == approved("verdict.check_hardly", good=8, held_out=11)
+    assert check_words(verdict(checked=Check(4, 4))).endswith(approved("verdict.check_too_few"))
+    assert check_words(verdict(checked=Check(0, 0))) == approved("verdict.check_none")
 
 
 def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
-    assert "tilted to several sides" in done_words(Method.FREE, 0.003)
-    assert done_words(Method.MODULES, 0.002) == "a predicted error of 2 mm or less, and 4 pokes on its module"
+    assert approved("verdict.needs_free_sides") in done_words(Method.FREE, 0.003)
+    assert done_words(Method.MODULES, 0.002) == approved("verdict.needs_modules", target_mm=2)
 
 
 @pytest.mark.parametrize("why", list(Why))
 def test_every_reason_is_said(why):
     assert left_words(Left(1, why, ())) == why.value
-    assert left_words(Left(1, why, (Need.POKES, Need.SIDES))) == f"{why.value}: needs pokes of its own, pokes from other sides"
+    assert left_words(Left(1, why, (Need.POKES, Need.SIDES))) == approved("verdict.left_pokes_and_sides", why=why.value)
 
 
 def shown(qtbot, *left: Left, checked: Check = AGREES, **changes) -> VerdictDialog:
@@ -161,15 +160,15 @@ def test_all_that_is_said_is_seen(qtbot):
 def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
     offer = Offer(correct_action(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6))
-    assert rig_state((offer,), (), None).endswith("now at 9.6 mm. C uses that, the Rig tab says more.")
+    assert rig_state((offer,), (), None).endswith(approved("verdict.rig_offer", after_mm=9.6))
     assert rig_state((), (used,), None) == correction_sentence(used)
-    assert rig_state((), (), None).startswith("not checked, since landmarks were not poked")
+    assert rig_state((), (), None).startswith(approved("verdict.rig_unchecked"))
     few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))
     pokes = tuple(LandmarkPoke(poke, "wrist", *np.zeros((3, 3)), np.eye(4), "") for poke in (1, 2, 3))
     for poked, said in ((pokes, rig_sentences(few)[0]), ((), rig_state((), (), None))):
         review = Review(1, poked, {}, None, few, np.arange(24), {}, {})
         assert rig_state((), (), review) == said
-    assert "3 pokes at 2 are there" in rig_sentences(few)[0]
+    assert approved("rig.too_few_counts", pokes=3, landmarks=2) in rig_sentences(few)[0]
 
 
 def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
@@ -192,7 +191,7 @@ def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
     texts = [[model.index(row, column).data() for column in (0, 1)] for row in range(3)]
     assert texts[1] == [
         NAMES.short(7),
-        "never answered where it is expected: needs pokes of its own, a smaller predicted error",
+        approved("verdict.left_never_answered"),
     ]
     assert texts[0] == [NAMES.short(4), "not used"]
 
@@ -210,7 +209,7 @@ def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
     bench.key(Key.Key_F)
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
-    assert dialog.sentence.text().startswith("Not enough yet: 0 of 84 taxels are done")
+    assert dialog.sentence.text().startswith(approved("verdict.not_enough_begin", done=0, count=84))
     assert dialog.figures[3][1].text() == "3 pokes in 1 min"
     assert dialog.left.model().rowCount() == 84
     on_map = pixels(session_view.workspace.map)

@@ -22,6 +22,8 @@ from app.theme import DARK, LIGHT
 from skincal.guide.candidates import directions
 from skincal.guide.progress import AxisDiversity
 from skincal.taxels.result import Method
+from tests.app.window_support import show_in
+from tests.approved import approved
 
 UP = np.array([0.0, 0.0, 1.0])
 USABLE = float(np.radians(28.0))
@@ -93,8 +95,8 @@ def test_for_the_surface_method_places_count_and_no_sides():
 
 @pytest.fixture
 def panel(qtbot):
+    show_in(DARK)
     made = AxisDiversityPanel(NAMES)
-    made.set_colours(DARK)
     qtbot.addWidget(made)
     made.resize(420, 180)
     with qtbot.waitExposed(made):
@@ -115,7 +117,7 @@ def ink(picture, colour) -> int:
 
 @pytest.mark.parametrize("colours", [DARK, LIGHT])
 def test_own_pokes_are_filled_others_hollow_and_doubted_ones_small(panel, colours):
-    panel.set_colours(colours)
+    show_in(colours)
     filled = []
     for generation, (own, trust) in enumerate([(True, 1.0), (False, 1.0), (True, 0.1)], start=1):
         panel.show_state(framed(diversity([push(20, 135)], [own], [trust], best=None), generation=generation))
@@ -150,7 +152,7 @@ def test_words_say_what_the_method_needs_and_which_the_guide_follows(panel):
     assert "free method" in panel.follows.text()
     assert "tilt" in panel.follows.text()
     panel.show_state(framed(diversity([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
-    assert panel.spread.text() == "Their middle lies 1.3 mm beside it, wanted 1.0 mm or less"
+    assert panel.spread.text() == approved("guide.middle_astray", miss_mm=1.3, most_mm=1.0)
     assert "surface method" in panel.follows.text()
     assert "evenness" in panel.follows.text()
     panel.show_state(framed(diversity(), method=Method.SURFACE))

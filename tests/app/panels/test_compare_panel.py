@@ -11,10 +11,10 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
 from app.panels.compare_panel import ComparePanel
-from app.scene3d.estimates import heads
 from app.scene3d.scene_state import DARK as DARK_LOOK
 from app.scene3d.scene_state import LIGHT as LIGHT_LOOK
 from app.scene3d.scene_state import Cloud, Comparison, Tint
+from app.scene3d.shapes import heads
 from app.session.opening import OpenRequest
 from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.text.compare_text import (
@@ -42,10 +42,11 @@ from skincal.session.review import Review
 from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, estimate, laid, scene
-from tests.app.view3d_on_screen import KEPT, make_view, turn
+from tests.app.view3d_on_screen import KEPT, make_view, stage_of, turn
 from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, frame, session
+from tests.app.window_support import NAMES, PLAN, SCENE, frame, session, show_in
+from tests.approved import approved
 
 METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
 FREE, SURFACE = (Source(PlaceOrigin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
@@ -99,8 +100,8 @@ def test_every_set_that_there_is_can_be_chosen():
     places = np.zeros((24, 3))
     for told in (review({Method.FREE: places}, {}), review({}, {Method.FREE: places})):
         found = sources_of(both, told, laid=False)
-        assert [source_words(one) for one in found[2:]] == ["Free before correction", "Free after correction"]
-    assert [source_words(one) for one in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
+        assert [source_words(source) for source in found[2:]] == ["Free before correction", "Free after correction"]
+    assert [source_words(source) for source in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
 
 
 def test_the_layout_is_compared_with_the_shown_method_and_free_with_surface_without_one():
@@ -139,9 +140,11 @@ def test_a_review_holds_one_side_of_a_correction_and_the_session_the_other():
 
 def test_the_summary_is_one_line():
     told = Summary(84, 0.0021, 0.003, 0.0063, 4)
-    assert difference_words(told, (LAYOUT, FREE), NAMES, CHANNELS.tolist()) == "84 taxels, mean 2.1 mm, largest 6.3 mm (10-04)"
-    assert difference_words(None, (LAYOUT, FREE), NAMES, []) == "No taxel is known in both yet."
-    assert difference_words(told, (FREE, FREE), NAMES, []).startswith("The same places twice")
+    assert difference_words(told, (LAYOUT, FREE), NAMES, CHANNELS.tolist()) == approved(
+        "compare.summary", count=84, mean_mm=2.1, largest_mm=6.3, taxel="10-04"
+    )
+    assert difference_words(None, (LAYOUT, FREE), NAMES, []) == approved("compare.none_known")
+    assert difference_words(told, (FREE, FREE), NAMES, []).startswith(approved("compare.same_twice"))
 
 
 def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
@@ -158,13 +161,13 @@ def test_of_too_many_modules_the_worst_are_listed():
     many = [*few, ModuleDifference(99, 12, 0.02, 0.0, 0.0)]
     listed = listed_modules(many)
     assert (len(listed), listed[0].module) == (MOST_MODULES, 99)
-    assert [one.mean for one in listed] == sorted((one.mean for one in listed), reverse=True)
-    assert listed_words(41) == "The 40 of 41 modules that lie farthest apart"
+    assert [module.mean for module in listed] == sorted((module.mean for module in listed), reverse=True)
+    assert listed_words(41) == approved("compare.worst_modules", listed=40, count=41)
 
 
 def test_spacing_is_said_of_every_method_that_knows():
     ratios = {Method.SURFACE: 0.93, Method.FREE: float("nan"), Method.MODULES: 1.0}
-    assert spacing_words(ratios) == "Neighbours lie 0.93 (surface), 1.00 (modules) of the layout's spacing apart."
+    assert spacing_words(ratios) == approved("compare.spacing", surface=0.93, modules="1.00")
     assert spacing_words({Method.FREE: float("nan")}) == ""
 
 
@@ -172,15 +175,15 @@ def test_a_misfit_is_an_offer_with_a_sign():
     misfit = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
     mend = LayoutMend((misfit,), PLAN, (ModuleChange(17, mirror=True),), (Unmended(UnmendedKind.NO_NEARER, (17,)),))
     head, sentence, left = misfit_words(mend, 7, Method.SURFACE)
-    assert head.startswith("\N{WARNING SIGN} 1 module not as planned (surface).")
-    assert "Nothing is changed by itself" in head
+    assert head.startswith(approved("modules_check.misfits_of_method", count=1, method="surface"))
+    assert approved("modules_check.nothing_by_itself") in head
     assert (sentence, left) == (misfit_sentence(misfit), left_sentences(mend)[0])
-    assert "says module 17: mirror = true. The file that was read stays" in save_hint(mend)
+    assert approved("modules_check.save_hint", module=17) in save_hint(mend)
     saved = saved_words(Path("folder") / "new.toml", mend)
-    assert saved.startswith(f"The corrected layout is in {Path('folder') / 'new.toml'}, 1 module changed.")
-    assert "skincal solve SESSION --layout FILE" in saved
+    assert saved.startswith(approved("modules_check.saved", path=Path("folder") / "new.toml"))
+    assert approved("modules_check.saved_command") in saved
     right = LayoutMend((), PLAN, (), ())
-    assert misfit_words(right, 7, Method.FREE) == ("None of 7 modules looks mirrored, turned or swapped (free).",)
+    assert misfit_words(right, 7, Method.FREE) == (approved("modules_check.all_as_planned", count=7, method="free"),)
     assert misfit_words(right, 0, Method.FREE) == (), "of nothing that is known nothing is said"
 
 
@@ -203,6 +206,7 @@ class Queue:
 
 
 def make_panel(qtbot, of: Part, methods=METHODS):
+    show_in(DARK)
     panel = ComparePanel(of, methods, NAMES if of.scene.skin.layout is not None else ChannelNames(None))
     panel.drawn = []
     panel.comparison_changed.connect(panel.drawn.append)
@@ -210,7 +214,6 @@ def make_panel(qtbot, of: Part, methods=METHODS):
     qtbot.addWidget(panel)
     with qtbot.waitExposed(panel):
         panel.show()
-    panel.set_colours(DARK)
     return panel
 
 
@@ -224,7 +227,7 @@ def test_it_says_how_far_the_shown_method_lies_from_the_layout(qtbot):
     free = known((0.0, 0.003, 0.0)) | known((0.0, 0.003, 0.004), rows=[15])
     panel.show_state(at(free))
     assert [box.currentText() for box in panel.boxes] == ["Layout", "Free method"]
-    assert panel.summary.text() == "24 taxels, mean 3.1 mm, largest 5.0 mm (11-03)"
+    assert panel.summary.text() == approved("compare.summary", count=24, mean_mm=3.1, largest_mm=5.0, taxel="11-03")
     rows = modules_of(panel)
     assert [row[0] for row in rows] == ["10", "11"]
     assert rows[0][1:] == ["3.0 mm", "3.0 mm", "0.0 mm", "1.00"]
@@ -258,10 +261,10 @@ def test_what_is_drawn_leads_from_one_to_the_other_as_long_as_asked(qtbot):
     panel.scale.activated.emit(2)
     np.testing.assert_allclose(panel.drawn[-1].arrows[:, 1], beside(0.0, 0.03, 0.0))
     np.testing.assert_allclose(panel.drawn[-1].clouds[1].places, beside(0.0, 0.003, 0.0), err_msg="dots lie true")
-    assert "10 times as long as the differences" in panel.legend.text()
+    assert approved("compare.scaled") in panel.legend.text()
     panel.all.setChecked(True)
     assert [cloud.tint for cloud in panel.drawn[-1].clouds] == [Tint.LAYOUT, Tint.SURFACE, Tint.FREE, Tint.MODULES]
-    assert "from Layout to Free method" in panel.legend.text()
+    assert approved("compare.layout_to_free") in panel.legend.text()
     panel.hide()
     assert panel.drawn[-1] is None
 
@@ -296,7 +299,7 @@ def test_the_operators_choice_stays_and_before_and_after_come_with_a_review(qtbo
 def test_without_layout_and_surface_it_has_no_modules_and_says_what_is_missing(qtbot):
     panel = make_panel(qtbot, part(plan=False), (Method.FREE,))
     panel.show_state(at(known(), where=scene(None)))
-    assert panel.summary.text().startswith("The same places twice")
+    assert panel.summary.text().startswith(approved("compare.same_twice"))
     assert panel.worst.count() == 0
     assert not panel.modules.isVisible()
     assert not panel.spacing.isVisible()
@@ -363,10 +366,10 @@ def test_a_mirrored_module_is_named_beside_the_window(qtbot, mirror):
     show(moment)
     assert panel.health.isVisible()
     if mirror:
-        assert "\N{WARNING SIGN} 1 module not as planned" in panel.health.text()
-        assert "Module 10 is mirrored against the layout" in panel.health.text()
+        assert approved("modules_check.misfits", count=1) in panel.health.text()
+        assert approved("modules_check.mirrored_clause", module=10) in panel.health.text()
     else:
-        assert panel.health.text() == "None of 2 modules looks mirrored, turned or swapped (free)."
+        assert panel.health.text() == approved("modules_check.all_as_planned", count=2, method="free")
     assert not queue.waiting
 
 
@@ -384,11 +387,11 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     assert not queue.waiting
 
     def broken(*_):
-        raise RuntimeError("of the boards")
+        raise RuntimeError("of the modules")
 
     monkeypatch.setattr("skincal.session.error_history.mend_modules", broken)
     judge(watch, at(known(), generation=4))
-    with pytest.raises(RuntimeError, match="of the boards"):
+    with pytest.raises(RuntimeError, match="of the modules"):
         queue.finish()
     monkeypatch.setattr("skincal.session.error_history.mend_modules", health.mend_modules)
     judge(watch, at(known(), generation=4))
@@ -422,8 +425,8 @@ def test_dots_and_arrows_appear_in_their_tints_and_go(qtbot, dark, look):
     view.set_comparison(comparison())
     after = picture(view)
     assert tinted(after, look, Tint.TO) > tinted(before, look, Tint.TO) + 400
-    layer = view._stage.compare
-    assert (layer.dots.actor.GetVisibility(), view._stage.estimates.balls.actor.GetVisibility()) == (1, 0)
+    layer = stage_of(view).compare
+    assert (layer.dots.actor.GetVisibility(), stage_of(view).estimates.balls.actor.GetVisibility()) == (1, 0)
     longer = replace(comparison(), arrows=comparison((0.0, 0.018, 0.0)).arrows)
     view.set_comparison(longer)
     assert tinted(picture(view), look, Tint.TO) > tinted(after, look, Tint.TO) + 300
@@ -438,10 +441,10 @@ def test_a_comparison_stays_while_moments_pass_and_only_a_new_one_draws(qtbot):
     shown = picture(view)
     assert not view.show_moment(session(1, known()), None, Method.FREE, None)
     np.testing.assert_array_equal(picture(view), shown)
-    points = view._stage.compare.dots._points
+    points = stage_of(view).compare.dots.data.GetPoints()
     view.set_comparison(comparison((0.0, 0.0, 0.009)))
     picture(view)
-    assert view._stage.compare.dots._points is points, "arrays are changed in place"
+    assert stage_of(view).compare.dots.data.GetPoints() is points, "arrays are changed in place"
 
 
 def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_side_is_left_out(qtbot):
@@ -456,12 +459,12 @@ def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_s
 
 def test_heads_end_at_the_tips_and_one_seen_end_on_has_none():
     shafts = np.array([[[0, 0, 0], [0.01, 0, 0]], [[0, 0, 0], [0, 0, 0.01]], [[0, 0, 0], [0, 0, 0]]], dtype=float)
-    found = heads(shafts, np.array([0.0, 0.0, 1.0]))
+    found = heads(shafts, np.array([0.0, 0.0, 1.0]), 2.4e-3)
     assert found.shape == (2, 2, 3)
     np.testing.assert_allclose(found[:, 1], [[0.01, 0, 0]] * 2)
     assert (found[:, 0, 0] < 0.01).all()
     assert found[0, 0, 1] == pytest.approx(-found[1, 0, 1])
-    assert heads(np.empty((0, 2, 3)), np.array([0.0, 0.0, 1.0])).shape == (0, 2, 3)
+    assert heads(np.empty((0, 2, 3)), np.array([0.0, 0.0, 1.0]), 2.4e-3).shape == (0, 2, 3)
 
 
 # The whole window
@@ -489,8 +492,7 @@ def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, r
     panel.worst.itemClicked.emit(worst)
     assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
     bench.key(Qt.Key.Key_1)
-    assert workspace.view._state.comparison is None
-    assert not workspace.view._stage.compare.dots.actor.GetVisibility()
+    assert not stage_of(workspace.view).compare.dots.actor.GetVisibility()
 
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):

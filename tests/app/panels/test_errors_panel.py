@@ -12,7 +12,8 @@ import pytest
 from PySide6.QtCore import QPointF, QSettings, Qt
 from PySide6.QtGui import QColor
 
-from app.panels.errors_panel import TEXT_MARGIN, ErrorPlot, ErrorsPanel
+from app.panels.plot_panels import ErrorsPanel
+from app.panels.plots import TEXT_MARGIN, ErrorPlot
 from app.session import opening
 from app.session.opening import OpenRequest
 from app.text.errors_text import (
@@ -40,14 +41,15 @@ from skincal.session.error_history import (
     ErrorHistory,
     ErrorSeries,
     Recount,
-    error_series,
 )
 from skincal.session.part import Part, load_part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
 from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, touch
+from tests.app.window_support import PLAN, SCENE, changed, frame, pixels, session, show_in, touch
+from tests.approved import approved
+from tests.skincal.poke_script import error_series
 
 BOTH = (Method.FREE, Method.SURFACE)
 
@@ -59,9 +61,9 @@ def reference(origin: Origin, name: str = "truth.json", at=(0.0, 0.0, 0.0)) -> R
 def test_a_plan_is_never_called_a_truth():
     plan = source_words(reference(Origin.PLAN, "part"))
     assert "plan" in plan
-    assert "may lie a few mm off" in plan
+    assert approved("errors.plan_is_no_truth") in plan
     assert "truth" not in plan
-    assert source_words(reference(Origin.TRUTH)) == "Error against the truth (truth.json)"
+    assert source_words(reference(Origin.TRUTH)) == approved("errors.against_truth", name="truth.json")
     chosen = source_words(reference(Origin.FILE, "right_forearm.txt"))
     assert chosen == "Error against right_forearm.txt"
     assert source_words(None).startswith("Predicted error (rms)")
@@ -104,8 +106,8 @@ def test_the_newest_figures_in_words():
     assert [part in told for part in ("mean 2.1", "p95 4.2", "max 8.4 mm", "5 taxels")] == [True] * 4
     assert "mean \N{EN DASH}" in newest_words(series([]), Method.SURFACE, 0)
     assert axis_words(series([0.01]), Axis.TIME) == "minutes of poking"
-    assert axis_words(series([0.01], missing=7), Axis.POKES) == "accepted pokes: working out 7 points of the past"
-    assert axis_words(series([0.01], stride=4), Axis.POKES) == "accepted pokes: a point every 4 pokes"
+    assert axis_words(series([0.01], missing=7), Axis.POKES) == approved("errors.past_missing", count=7)
+    assert axis_words(series([0.01], stride=4), Axis.POKES) == approved("errors.past_thinned", stride=4)
 
 
 class Queue:
@@ -150,10 +152,16 @@ def queue():
 
 
 @pytest.fixture
-def panel(qtbot, queue):
+def course(queue):
+    return ErrorFollower(part(reference(Origin.PLAN, "part")), queue)
+
+
+@pytest.fixture
+def panel(qtbot, course):
     """A panel on the screen with its plot."""
+    show_in(DARK)
     made = ErrorsPanel((Method.FREE,), PLAN)
-    course, show = ErrorFollower(part(reference(Origin.PLAN, "part")), queue), made.show_state
+    show = made.show_state
 
     def follow_and_show(state) -> None:
         # As the window does: what a panel on the screen shows is followed first.
@@ -167,7 +175,6 @@ def panel(qtbot, queue):
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
         made.show()
-    made.set_colours(DARK)
     made.show_state(frame(session(-1), now_s=90.0))
     qtbot.waitUntil(lambda: made.ready, timeout=20_000)
     return made
@@ -180,25 +187,25 @@ def line_of(widget, method: int = 0) -> int:
     return int((np.abs(seen - hue).sum(axis=2) < 40).sum())
 
 
-def test_the_past_of_a_session_that_is_open_already_is_worked_out_and_drawn(panel, queue):
+def test_the_past_of_a_session_that_is_open_already_is_worked_out_and_drawn(panel, course, queue):
     made = poked(12)
     empty = line_of(panel.plot)
     panel.show_state(at(made))
-    assert "working out" in panel.plot.view.getPlotItem().getAxis("bottom").labelText
+    assert "working out" in panel.plot.item.getAxis("bottom").labelText
     queue.finish()
     for now_s in range(101, 140):
         panel.show_state(at(made, now_s=float(now_s)))
         queue.finish()
-    shown = panel._course.series()
+    shown = course.series()
     assert shown.counts.tolist() == list(range(1, 13))
     wanted = error_series(SCENE, None, made.snapshot(), reference(Origin.PLAN).places)
     assert np.array_equal(shown.spreads[Method.FREE], wanted.spreads[Method.FREE], equal_nan=True)
     assert line_of(panel.plot) > empty + 100
-    assert panel.plot.view.getPlotItem().getAxis("bottom").labelText == "accepted pokes"
+    assert panel.plot.item.getAxis("bottom").labelText == "accepted pokes"
     assert "plan" in panel.source_box.currentText()
 
 
-def test_each_poke_adds_its_point_and_an_exclusion_rewrites_the_course(panel, queue):
+def test_each_poke_adds_its_point_and_an_exclusion_rewrites_the_course(panel, course, queue):
     from skincal.model.actions import Exclude
 
     made = Session(SCENE, None)
@@ -207,7 +214,7 @@ def test_each_poke_adds_its_point_and_an_exclusion_rewrites_the_course(panel, qu
         made.add(record.outcome)
         panel.show_state(at(made))
     assert not queue.waiting
-    assert panel._course.series().counts.tolist() == list(range(1, 9))
+    assert course.series().counts.tolist() == list(range(1, 9))
     before = pixels(panel.plot)
     made.act(Exclude(2))
     panel.show_state(at(made))
@@ -215,7 +222,7 @@ def test_each_poke_adds_its_point_and_an_exclusion_rewrites_the_course(panel, qu
     panel.show_state(at(made, now_s=200.0))
     queue.finish()
     panel.show_state(at(made, now_s=300.0))
-    assert panel._course.series().pokes.tolist() == [1, 3, 4, 5, 6, 7, 8]
+    assert course.series().pokes.tolist() == [1, 3, 4, 5, 6, 7, 8]
     assert changed(before, pixels(panel.plot)) > 20
 
 
@@ -229,8 +236,8 @@ def test_what_is_drawn_follows_axis_module_and_source(panel, queue):
         panel.axis_buttons[Axis.TIME].click,
         panel.axis_buttons[Axis.MODULES].click,
         panel.axis_buttons[Axis.POKES].click,
-        lambda: (panel.module_box.setCurrentIndex(2), panel._show_again()),
-        lambda: panel._source_chosen(1),
+        lambda: (panel.module_box.setCurrentIndex(2), panel.module_box.activated.emit(2)),
+        lambda: panel.source_box.activated.emit(1),
     ):
         choose()
         for now_s in range(130, 140):
@@ -242,7 +249,7 @@ def test_what_is_drawn_follows_axis_module_and_source(panel, queue):
     assert changed(pictures[0], pictures[3]) == 0
     assert changed(pictures[0], pictures[4]) > 20  # module 11 was not touched
     assert not any(line.isVisible() for line in panel.plot.papers.values())
-    assert panel.plot.view.getPlotItem().getAxis("left").labelText == "predicted error, mm"
+    assert panel.plot.item.getAxis("left").labelText == "predicted error, mm"
 
 
 def test_the_papers_lines_are_drawn_where_an_error_is(panel):
@@ -250,7 +257,7 @@ def test_the_papers_lines_are_drawn_where_an_error_is(panel):
     line = panel.plot.papers[Method.FREE]
     assert line.isVisible()
     assert line.value() == pytest.approx(math.log10(7.2))
-    low, high = panel.plot.view.getPlotItem().viewRange()[1]
+    low, high = panel.plot.item.viewRange()[1]
     assert low < line.value() < high
     with_line = pixels(panel.plot)
     line.hide()
@@ -268,7 +275,7 @@ def test_the_labels_of_the_papers_lines_lie_at_the_rim_on_no_curve_and_apart(qtb
     plot.draw(series, Axis.POKES, 0, "error, mm", paper=True)
     plot.resize(width, 220)
     qtbot.wait(50)
-    item = plot.view.getPlotItem()
+    item = plot.item
     newest = item.vb.mapViewToScene(QPointF(float(series.counts[-1]), 0.0)).x()
     edges = []
     for line in plot.papers.values():
@@ -285,7 +292,8 @@ def test_the_labels_of_the_papers_lines_lie_at_the_rim_on_no_curve_and_apart(qtb
 
 def test_the_theme_reaches_the_plot(panel, qtbot):
     dark = pixels(panel.plot)[..., :3].mean()
-    panel.set_colours(LIGHT)
+    show_in(LIGHT)
+    panel.recolour()
     qtbot.wait(20)
     assert pixels(panel.plot)[..., :3].mean() > dark + 100
 
@@ -304,11 +312,11 @@ def test_a_frame_that_brings_nothing_new_draws_nothing(panel, qtbot, queue):
     assert not queue.waiting
 
 
-def test_a_panel_that_is_hidden_follows_nothing(panel, queue):
+def test_a_panel_that_is_hidden_follows_nothing(panel, course, queue):
     panel.hide()
     panel.show_state(at(poked(5)))
     assert not queue.waiting
-    assert not len(panel._course.series().counts)
+    assert not len(course.series().counts)
 
 
 def test_work_for_another_source_is_dropped(queue):
@@ -368,7 +376,7 @@ def test_a_file_takes_the_place_of_the_file_before_and_the_plan_stays(queue):
 def test_a_panel_that_was_never_open_imports_no_plots():
     code = (
         "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]);"
-        "from app.panels.errors_panel import ErrorsPanel;"
+        "from app.panels.plot_panels import ErrorsPanel;"
         "from skincal.taxels.result import Method; panel = ErrorsPanel((Method.FREE,), None);"
         "sys.exit('pyqtgraph' in sys.modules or panel._threads is not None)"
     )
@@ -405,7 +413,7 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     bench.until(lambda: workspace.error_course.plot is not None, OPEN_MS)
     accepted = len(bench.accepted())
     bench.until(lambda: len(bench.accepted()) > accepted)
-    bench.until(lambda: workspace.error_course._course.series().counts[-1] > accepted, 5000)
+    bench.until(lambda: bench.window.session_view.course.series().counts[-1] > accepted, 5000)
     bench.key(Qt.Key.Key_1)
     qtbot.wait(100)
     calls.count = paints.count = 0
@@ -419,7 +427,7 @@ def open_errors(bench, folder) -> ErrorsPanel:
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_6)
     panel = bench.window.session_view.workspace.error_course
-    bench.until(lambda: panel.ready and not panel._course.series().missing, OPEN_MS)
+    bench.until(lambda: panel.ready and not bench.window.session_view.course.series().missing, OPEN_MS)
     return panel
 
 
@@ -427,12 +435,17 @@ def test_a_simulated_sessions_truth_is_found_and_its_error_is_that_of_the_report
     from skincal.files.reference import error_summary, read_reference
 
     panel = open_errors(bench, recorded)
-    bench.until(lambda: panel.source_box.currentText() == "Error against the truth (truth.json)", 5000)
-    bench.until(lambda: panel._course.series().missing == 0 and len(panel._course.series().counts) > 0, OPEN_MS)
+    bench.until(lambda: panel.source_box.currentText() == approved("errors.against_truth", name="truth.json"), 5000)
+    bench.until(
+        lambda: (
+            bench.window.session_view.course.series().missing == 0 and len(bench.window.session_view.course.series().counts) > 0
+        ),
+        OPEN_MS,
+    )
     truth = read_reference(recorded / "truth.json")
     for method in BOTH:
         told = error_summary(bench.snapshot.estimates[method], truth)
-        last = panel._course.series().spreads[method][-1, 0]
+        last = bench.window.session_view.course.series().spreads[method][-1, 0]
         assert last[TAXELS] == (0 if told is None else told.taxels)
         if told is not None:
             assert last[[MEAN, P95, MAX]] == pytest.approx([told.mean, told.p95, told.max])
@@ -443,16 +456,27 @@ def test_a_simulated_sessions_truth_is_found_and_its_error_is_that_of_the_report
 
 
 def test_excluded_by_key_a_poke_leaves_the_course_and_comes_back(bench, recorded):
-    panel = open_errors(bench, recorded)
-    before = panel._course.series()
+    open_errors(bench, recorded)
+    before = bench.window.session_view.course.series()
     first = bench.accepted()[0].poke
     bench.window.session_view.select_poke(first)
     bench.key(Qt.Key.Key_E)
     bench.key(Qt.Key.Key_6)
-    bench.until(lambda: first not in panel._course.series().pokes and not panel._course.series().missing, 5000)
+    bench.until(
+        lambda: (
+            first not in bench.window.session_view.course.series().pokes
+            and not bench.window.session_view.course.series().missing
+        ),
+        5000,
+    )
     bench.key(Qt.Key.Key_Backspace)
-    bench.until(lambda: first in panel._course.series().pokes and not panel._course.series().missing, 5000)
-    after = panel._course.series()
+    bench.until(
+        lambda: (
+            first in bench.window.session_view.course.series().pokes and not bench.window.session_view.course.series().missing
+        ),
+        5000,
+    )
+    after = bench.window.session_view.course.series()
     for method in BOTH:
         assert np.array_equal(before.spreads[method], after.spreads[method], equal_nan=True)
 
@@ -469,7 +493,7 @@ def test_a_file_is_compared_with_and_a_wrong_one_is_said(bench, recorded, tmp_pa
     assert panel.isVisible()
     path.write_text(json.dumps({"link": "elsewhere", "taxels": taxels}))
     bench.window.session_view.compare_with(path)
-    bench.until(lambda: "in the frame of 'elsewhere'" in bench.window.messages.text.text(), 5000)
+    bench.until(lambda: approved("errors.other_link", link="elsewhere") in bench.window.messages.text.text(), 5000)
     assert panel.source_box.currentText() == "Error against mine.json"
 
 

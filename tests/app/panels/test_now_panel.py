@@ -21,7 +21,8 @@ from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
 from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
 from tests.app.whole_window import Paints
-from tests.app.window_support import NAMES, PLAN, changed, frame, pixels, reading, session, slip, touch
+from tests.app.window_support import NAMES, PLAN, changed, frame, is_elided, pixels, reading, session, show_in, slip, touch
+from tests.approved import approved
 
 LEEWAY, DEGREE = float(np.radians(10.0)), "\N{DEGREE SIGN}"
 WORST = {
@@ -60,7 +61,11 @@ def every_headline() -> list[str]:
         hint_words(Hint(ask, amount, lean), ASKED, names)
         for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
     ]
-    said += ["waiting for wrench and skin and joints", "no device connected", "enough: 4200 of 4200 taxels meet 3 mm"]
+    said += [
+        approved("now.waiting_for_all"),
+        "no device connected",
+        approved("guide.enough", done=4200, count=4200, target_mm=3),
+    ]
     for phase in PressPhase:
         for force in (2.0, 8.0, 16.0):
             at = replace(frame(view=reading(phase, force)), guidance=says)
@@ -71,10 +76,10 @@ def every_headline() -> list[str]:
 @pytest.fixture
 def panel(qtbot):
     """The panel as wide as in a window of 1280 pixels."""
+    show_in(DARK)
     made = NowPanel()
     qtbot.addWidget(made)
     made.resize(1264, made.height())
-    made.set_colours(DARK)
     with qtbot.waitExposed(made):
         made.show()
     return made
@@ -99,7 +104,7 @@ def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
     cut = []
     for words in every_headline():
         panel.say(Now(Tone.BAD, words))
-        if panel.headline.is_elided() or panel.headline.fitted().pointSizeF() < 0.85 * HEADLINE_PT:
+        if is_elided(panel.headline) or panel.headline.fitted().pointSizeF() < 0.85 * HEADLINE_PT:
             cut.append(words)
     assert not cut
 
@@ -170,7 +175,7 @@ def test_up_in_the_picture_is_up_in_the_3d_view(seed):
 
 @pytest.mark.parametrize("colours", [DARK, LIGHT])
 def test_the_dial_shows_the_tool_and_nothing_of_it_without_a_tool(panel, colours):
-    panel.set_colours(colours)
+    show_in(colours)
     pressed(panel)
     empty = pixels(panel.dial)
     pressed(panel, held(28.0, landed=3))

@@ -21,7 +21,7 @@ from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, contact, snapshot
-from tests.app.view3d_on_screen import Drawn, around, make_view, pixels, settle, turn
+from tests.app.view3d_on_screen import Drawn, around, canvas_of, make_view, pixels, settle, stage_of, turn
 
 UP = np.array([0.0, 0.0, 1.0])
 HEAD = Landmark("head", np.array([0.020, -0.022, 0.0]), UP)
@@ -46,7 +46,7 @@ def show(view, at, target=None):
 
 def seen(view, place):
     """Where a point appears in the widget."""
-    x, y, _ = project(view._stage.renderer, np.atleast_2d(place))[0]
+    x, y, _ = project(stage_of(view).renderer, np.atleast_2d(place))[0]
     return x, view.height() - y
 
 
@@ -61,8 +61,8 @@ def test_a_landmark_appears_on_the_part_and_looks_otherwise_once_it_is_poked(vie
     bare = pixels(view)
     assert show(view, session(2, (HEAD, CORNER)))
     there = pixels(view)
-    for one in (HEAD, CORNER):
-        assert changed(bare, there, seen(view, one.place)) > 25
+    for landmark in (HEAD, CORNER):
+        assert changed(bare, there, seen(view, landmark.place)) > 25
     assert show(view, session(3, (HEAD, CORNER), {1: "head"}, ("low",)))
     poked = pixels(view)
     assert changed(there, poked, seen(view, HEAD.place)) > 10
@@ -86,7 +86,7 @@ def test_poked_is_said_of_the_pose_in_which_the_arm_stands_and_of_pokes_that_cou
 def test_nothing_is_drawn_where_nothing_changed_or_there_is_none(view):
     show(view, session(1, ()))
     settle()
-    layer, drawn = view._stage.landmarks, Drawn(view)
+    layer, drawn = stage_of(view).landmarks, Drawn(view)
     assert not layer.marks.actor.GetVisibility()
     assert layer.names == []
     assert not layer.show(View3DState(session(2, ()), None, Method.FREE, None))
@@ -103,11 +103,11 @@ def test_nothing_is_drawn_where_nothing_changed_or_there_is_none(view):
 def test_names_stand_beside_few_landmarks_and_many_have_none(view):
     show(view, session(1, (HEAD, CORNER)))
     settle()
-    layer = view._stage.landmarks
+    layer = stage_of(view).landmarks
     assert [actor.GetInput() for actor in layer.names] == ["head", "corner"]
-    for actor, one in zip(layer.names, (HEAD, CORNER), strict=True):
+    for actor, landmark in zip(layer.names, (HEAD, CORNER), strict=True):
         assert actor.GetVisibility()
-        x, y = seen(view, one.place)
+        x, y = seen(view, landmark.place)
         left, low = actor.GetPosition()
         assert 8 < left - x < 40
         assert abs(view.height() - low - y) < 1.5
@@ -131,7 +131,7 @@ def test_what_lies_behind_the_part_is_left_out_until_the_part_is_turned(view):
     np.testing.assert_array_equal(pixels(view), bare)
     turn(view, 180.0, 0.0)
     settle()
-    layer = view._stage.landmarks
+    layer = stage_of(view).landmarks
     assert layer.marks.actor.GetVisibility()
     assert layer.names[0].GetVisibility()
 
@@ -149,9 +149,9 @@ def test_a_landmark_that_is_asked_for_has_the_ring_in_any_scene(qtbot, surface):
     before = pixels(view)
     wanted = Target(None, HEAD.place + 0.002 * UP, UP, -UP, 0.0, np.inf, 0.0, landmark="head")
     assert show(view, session(1, (HEAD, CORNER)), wanted)
-    view._stage.turner.wanted = False
+    stage_of(view).turner.wanted = False
     assert changed(before, pixels(view), seen(view, wanted.place), 30) > 60
-    np.testing.assert_array_equal(view._stage.target._at, wanted.place)
+    np.testing.assert_array_equal(stage_of(view).target._at, wanted.place)
     for place in (HEAD.place, CORNER.place):
         x, y = seen(view, place)
         assert 0 < x < view.width()
@@ -160,11 +160,11 @@ def test_a_landmark_that_is_asked_for_has_the_ring_in_any_scene(qtbot, surface):
 
 def test_landmarks_come_into_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
     view = make_view(qtbot, surface=False, plan=False)
-    far = tuple(replace(one, place=one.place + np.array([0.5, 0.4, 0.3])) for one in (HEAD, CORNER))
+    far = tuple(replace(landmark, place=landmark.place + np.array([0.5, 0.4, 0.3])) for landmark in (HEAD, CORNER))
     show(view, session(1, far))
     settle()
-    for one in far:
-        x, y = seen(view, one.place)
+    for landmark in far:
+        x, y = seen(view, landmark.place)
         assert 0 < x < view.width()
         assert 0 < y < view.height()
 
@@ -173,7 +173,7 @@ def test_landmarks_come_into_the_picture_where_nothing_else_says_where_the_part_
 
 
 def click(view, x, y):
-    QTest.mouseClick(view._canvas, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, QPoint(x, y))
+    QTest.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, QPoint(x, y))
 
 
 @pytest.mark.parametrize("canvas", list(Canvas))
@@ -189,7 +189,7 @@ def test_the_picked_point_lies_on_the_part_within_a_pixel_of_what_is_clicked(qtb
         assert abs(place[2]) < 1e-9, "on the mesh"
         assert np.abs(np.array(seen(view, place)) - (int(x) + 0.5, int(y) + 0.5)).max() < 1e-6
         aside = np.linalg.norm(place - known)
-        pixel = np.linalg.norm(np.array(known) - view._stage.pick_surface(x + 1, view.height() - y))
+        pixel = np.linalg.norm(np.array(known) - stage_of(view).pick_surface(x + 1, view.height() - y))
         assert aside <= 1.5 * pixel
         assert pixel < 0.5e-3
         assert not view.picking, "one click ends it"
@@ -202,11 +202,11 @@ def test_vtk_finds_the_same_point(view):
 
     turn(view, 25.0, -18.0)
     settle()
-    renderer, picker = view._stage.renderer, vtkCellPicker()
+    renderer, picker = stage_of(view).renderer, vtkCellPicker()
     picker.SetTolerance(0.0)
     found = 0
     for x, y in np.random.default_rng(1).uniform((200, 150), (440, 330), (40, 2)):
-        ours = view._stage.pick_surface(x, y)
+        ours = stage_of(view).pick_surface(x, y)
         hit = picker.Pick(x, y, 0.0, renderer) and picker.GetActor() in renderer.GetActors()
         if ours is None or not hit:
             continue
@@ -219,21 +219,21 @@ def test_while_a_point_is_wanted_the_pointer_is_a_cross_and_a_click_means_no_tax
     show(view, snapshot(1, {}))
     assert view.can_pick
     view.set_picking(True)
-    assert view._canvas.cursor().shape() == Qt.CursorShape.CrossCursor
+    assert canvas_of(view).cursor().shape() == Qt.CursorShape.CrossCursor
     with qtbot.assertNotEmitted(view.surface_picked), qtbot.assertNotEmitted(view.taxel_picked):
         click(view, 3, 3)
     assert view.picking, "a click beside the part says nothing"
     eye = view.eye()
     with qtbot.assertNotEmitted(view.surface_picked):
-        QTest.mousePress(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(320, 240))
+        QTest.mousePress(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(320, 240))
         for x in (330, 350, 380):
-            drag(view._canvas, x)
-        QTest.mouseRelease(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(380, 240))
+            drag(canvas_of(view), x)
+        QTest.mouseRelease(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(380, 240))
     assert not view.eye().same(eye), "a drag turns the part"
     assert view.picking
     with qtbot.waitSignal(view.surface_picked):
         click(view, 320, 240)
-    assert view._canvas.cursor().shape() == Qt.CursorShape.ArrowCursor
+    assert canvas_of(view).cursor().shape() == Qt.CursorShape.ArrowCursor
     with qtbot.assertNotEmitted(view.surface_picked):
         click(view, 320, 240)
 
@@ -244,23 +244,27 @@ def drag(canvas, x):
     QApplication.sendEvent(canvas, QMouseEvent(QEvent.Type.MouseMove, at, at, none, left, Qt.KeyboardModifier.NoModifier))
 
 
-def test_the_camera_waits_while_a_point_is_wanted(view):
+def test_the_camera_waits_while_a_point_is_wanted(view, qtbot):
     behind = Target(None, np.array([0.0, 0.0, -0.02]), -UP, UP, 0.0, np.inf, 0.0, landmark="below")
     view.set_picking(True)
     eye = view.eye()
     for _ in range(5):
         show(view, session(1, ()), behind)
     assert view.eye().same(eye)
-    view._stage.turner.touch(-1e9)
+    stage_of(view).turner.touch(-1e9)
     view.set_picking(False)
-    show(view, session(1, ()), behind)
-    assert view._stage.turner._way is not None, "it turns afterwards"
+
+    def turns() -> bool:
+        show(view, session(1, ()), behind)
+        return not view.eye().same(eye)
+
+    qtbot.waitUntil(turns, timeout=5000)
 
 
 def test_a_scene_without_a_part_to_click_on_cannot_be_picked(qtbot):
     view = make_view(qtbot, surface=False)
     assert not view.can_pick
-    assert view._stage.pick_surface(320.0, 240.0) is None
+    assert stage_of(view).pick_surface(320.0, 240.0) is None
 
 
 def test_an_inner_side_in_front_is_no_place_to_poke():
@@ -281,7 +285,7 @@ def test_an_inner_side_in_front_is_no_place_to_poke():
 def test_a_line_of_sight_passes_through_what_appears_at_its_pixel(view):
     turn(view, 31.0, 22.0)
     settle()
-    renderer = view._stage.renderer
+    renderer = stage_of(view).renderer
     for known in np.random.default_rng(2).uniform(-0.03, 0.03, (20, 3)):
         x, y, _ = project(renderer, known[None])[0]
         place, direction = ray(renderer, x, y)

@@ -217,7 +217,8 @@ def _read_png(path: Path) -> np.ndarray:
 def test_where_nothing_can_draw_the_packages_are_named_before_vtk_is_asked(monkeypatch):
     monkeypatch.setattr(offscreen.sys, "platform", "linux")
     monkeypatch.delenv(offscreen.VARIABLE, raising=False)
-    monkeypatch.setattr(offscreen, "_load", lambda *_: None)
+    monkeypatch.setattr(offscreen, "egl_starts", lambda: False)
+    monkeypatch.setattr(offscreen, "OSMESA_NAMES", ())
     with pytest.raises(InputError, match=r"apt-get install .*libegl1 libgl1-mesa-dri"):
         offscreen.choose_offscreen()
 
@@ -226,7 +227,7 @@ def test_osmesa_serves_where_egl_does_not_start(monkeypatch):
     monkeypatch.setattr(offscreen.sys, "platform", "linux")
     monkeypatch.setenv(offscreen.VARIABLE, "")
     monkeypatch.setattr(offscreen, "egl_starts", lambda: False)
-    monkeypatch.setattr(offscreen, "_load", lambda *_: object())
+    monkeypatch.setattr(offscreen.ctypes, "CDLL", lambda _: object())
     offscreen.choose_offscreen()
     assert offscreen.os.environ[offscreen.VARIABLE] == "vtkOSOpenGLRenderWindow"
     monkeypatch.setattr(offscreen, "egl_starts", lambda: True)

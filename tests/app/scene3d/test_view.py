@@ -5,13 +5,14 @@ from __future__ import annotations
 import gc
 import threading
 import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PySide6.QtCore import QEvent, QPoint, Qt, QTimer
 from PySide6.QtGui import QImage
-from PySide6.QtWidgets import QApplication, QMainWindow
+from PySide6.QtWidgets import QApplication, QLabel, QMainWindow
 
 from app.scene3d import offscreen
 from app.scene3d.axes import MOST_AXES
@@ -21,7 +22,21 @@ from app.scene3d.view import View3D
 from skincal.model.errors import InputError
 from skincal.taxels.result import Estimate, Method, State
 from tests.app.scene3d_support import box, contact, estimate, laid, layout, live, scene, snapshot
-from tests.app.view3d_on_screen import KEPT, Drawn, around, drag, make_view, pixels, screen_place, settle, turn, wheel
+from tests.app.view3d_on_screen import (
+    KEPT,
+    Drawn,
+    around,
+    canvas_of,
+    drag,
+    make_view,
+    pixels,
+    points_of,
+    screen_place,
+    settle,
+    stage_of,
+    turn,
+    wheel,
+)
 
 PLAN = layout()
 EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "landmarks", "target", "compare", "hints")
@@ -43,9 +58,9 @@ def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
     bare = make_view(qtbot, surface=False, plan=False)
     assert bare.list_layers() == EVERY[2:]
     assert make_view(qtbot, surface=False).list_layers() == EVERY[1:]
-    actors = bare._stage.renderer.GetActors()
-    assert actors.GetNumberOfItems() == 12, (
-        "balls, marks, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare; no differences"
+    actors = stage_of(bare).renderer.GetActors()
+    assert actors.GetNumberOfItems() == 14, (
+        "balls, marks, lines to the other method and to a rival, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare"
     )
 
 
@@ -71,9 +86,9 @@ def test_the_axis_of_a_poke_appears_where_it_enters_and_goes_when_the_tool_lifts
     idle = pixels(view)
     assert view.show_moment(session, live((0.0, 0.0, 0.1), (2.0, 0.0, -8.0)), Method.FREE, None)
     pressing = pixels(view)
-    stage = view._stage
+    stage = stage_of(view)
     entry = np.array([0.1 * 2 / 8, 0.0, 0.0])
-    np.testing.assert_allclose(stage.layers[3].contact._points[0], entry, atol=1e-6)
+    np.testing.assert_allclose(points_of(stage.layers[3].contact)[0], entry, atol=1e-6)
     from app.scene3d.camera import project
 
     x, y, _ = project(stage.renderer, entry[None])[0]
@@ -104,6 +119,17 @@ def test_the_other_method_shows_its_own_estimates(view):
     assert (pixels(view) != second).any(axis=-1).sum() > 30, "a line leads to the other method's estimate"
     view.set_difference(False)
     np.testing.assert_array_equal(pixels(view), second)
+
+
+@pytest.mark.parametrize("shown", [Method.FREE, Method.MODULES])
+def test_without_a_mesh_lines_lead_to_the_other_method_that_there_is(qtbot, shown):
+    view = make_view(qtbot, surface=False)
+    session = snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.0))}, {3: estimate(3, (-0.004, 0.015, 0.0))})
+    free, other = (session.estimates[method] for method in (Method.FREE, Method.SURFACE))
+    view.show_moment(replace(session, estimates={Method.FREE: free, Method.MODULES: other}), None, shown, None)
+    before = pixels(view)
+    view.set_difference(True)
+    assert (pixels(view) != before).any(axis=-1).sum() > 30
 
 
 def test_nothing_is_drawn_when_nothing_changed(view):
@@ -153,7 +179,7 @@ def test_a_click_on_a_ball_names_its_channel(view, qtbot, channel):
     settle()
     x, y = screen_place(view, channel)
     with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
-        qtbot.mouseClick(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
+        qtbot.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
     assert picked.args == [channel]
 
 
@@ -161,7 +187,7 @@ def test_neither_the_background_nor_a_drag_nor_the_far_side_picks(view, qtbot):
     view.show_moment(snapshot(1, {3: estimate(3, (-0.018, 0.0, 0.001), sd=1e-5)}), None, Method.FREE, None)
     settle()
     x, y = (round(v) for v in screen_place(view, 3))
-    canvas = view._canvas
+    canvas = canvas_of(view)
     with qtbot.assertNotEmitted(view.taxel_picked):
         qtbot.mouseClick(canvas, Qt.MouseButton.LeftButton, pos=QPoint(2, 2))
         qtbot.mousePress(canvas, Qt.MouseButton.LeftButton, pos=QPoint(x, y))
@@ -178,10 +204,10 @@ def test_neither_the_background_nor_a_drag_nor_the_far_side_picks(view, qtbot):
 
 def test_the_mouse_turns_shifts_and_comes_nearer_and_the_camera_comes_back(view):
     def place():
-        active = view._stage.renderer.GetActiveCamera()
+        active = stage_of(view).renderer.GetActiveCamera()
         return np.array([active.GetPosition(), active.GetFocalPoint()])
 
-    canvas, start, first = view._canvas, place(), pixels(view)
+    canvas, start, first = canvas_of(view), place(), pixels(view)
     drag(canvas, Qt.MouseButton.LeftButton)
     turned = place()
     np.testing.assert_allclose(turned[1], start[1], atol=1e-12)
@@ -202,14 +228,14 @@ def test_keys_pass_the_view_by(view, qtbot, monkeypatch):
     heard = []
     monkeypatch.setattr(QMainWindow, "keyPressEvent", lambda _, event: heard.append(event.text()), raising=False)
     picture = pixels(view)
-    qtbot.keyClicks(view._canvas, "wesq")
+    qtbot.keyClicks(canvas_of(view), "wesq")
     np.testing.assert_array_equal(pixels(view), picture)
-    assert view._canvas.focusPolicy() == Qt.FocusPolicy.NoFocus
+    assert canvas_of(view).focusPolicy() == Qt.FocusPolicy.NoFocus
 
 
 def test_only_the_worst_three_and_the_selected_have_an_ellipsoid(view):
     spread = {c: estimate(c, (*PLAN.places[c], 0.0), sd=1e-4 * (1 + c)) for c in range(12)}
-    layer = view._stage.layers[4]
+    layer = stage_of(view).layers[4]
     session = snapshot(1, spread)
     assert layer.rows(View3DState(session, None, Method.FREE, None)) == [11, 10, 9]
     assert layer.rows(View3DState(session, None, Method.FREE, 10)) == [11, 10, 9]
@@ -228,26 +254,26 @@ def test_what_has_no_position_gets_a_mark_at_its_planned_place_and_never_a_ball(
     dead = Estimate(16, Method.FREE, State.DEAD, 0)
     assert view.show_moment(snapshot(2, {4: blind, 16: dead}), None, Method.FREE, None)
     marked = pixels(view)
-    assert len(view._stage.estimates.shown) == 0
+    assert len(stage_of(view).estimates.shown) == 0
     from app.scene3d.camera import project
 
     for channel in (4, 16):
-        x, y, _ = project(view._stage.renderer, np.array([[*PLAN.places[channel], 0.0]]))[0]
+        x, y, _ = project(stage_of(view).renderer, np.array([[*PLAN.places[channel], 0.0]]))[0]
         place = x, view.height() - y
         changed = np.abs(around(marked, place, 12) - around(nothing, place, 12)).max(axis=-1) > 20
         assert changed.sum() > 15
-    assert np.isfinite(view._stage.estimates.marks._points).all()
+    assert np.isfinite(points_of(stage_of(view).estimates.marks)).all()
 
 
 def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     pokes = [contact(n, 3 if n % 2 else 9, (*PLAN.places[3], 0.0), (0.1 * n, 0.0, -8.0)) for n in range(1, 101)]
     session = snapshot(1, {3: estimate(3, (*PLAN.places[3], 0.0))}, pokes=pokes)
-    axes = view._stage.layers[3]
+    axes = stage_of(view).layers[3]
     view.show_moment(session, None, Method.FREE, None)
     assert axes.past.data.GetNumberOfLines() == 1, "the last poke's"
     view.show_moment(session, None, Method.FREE, 3)
     assert axes.past.data.GetNumberOfLines() == 1 + MOST_AXES
-    ends = axes.past._points[2:].reshape(-1, 2, 3).astype(float)
+    ends = points_of(axes.past)[2:].reshape(-1, 2, 3).astype(float)
     through = ends[:, 1] - ends[:, 0]
     to_taxel = np.array([*PLAN.places[3], 0.0]) - ends[:, 0]
     miss = np.linalg.norm(np.cross(through, to_taxel), axis=1) / np.linalg.norm(through, axis=1)
@@ -296,7 +322,7 @@ def test_a_new_size_gives_a_new_picture_without_a_gap(view):
 def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot):
     view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live((0.0, 0.0, 0.1)), Method.FREE, 3)
     settle()
-    stage = weakref.ref(view._stage)
+    stage = weakref.ref(stage_of(view))
     view.close_view()
     view.close_view()
     QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
@@ -337,7 +363,7 @@ def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, 
     with qtbot.waitExposed(view):
         view.show()
     view.begin(scene(PLAN), box(), laid(PLAN), range(24))
-    qtbot.waitUntil(lambda: "install libegl1" in view._message.text(), timeout=30_000)
+    qtbot.waitUntil(lambda: "install libegl1" in view.findChild(QLabel).text(), timeout=30_000)
     assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
     with pytest.raises(InputError, match="no picture yet"):
         view.screenshot(Path("x.png"))
@@ -359,7 +385,7 @@ def test_on_a_graphics_card_the_interactor_shows_the_same_layers(qtbot):
     x, y = screen_place(view, 15)
     assert np.abs(around(pixels(view), (x, y), 2) - HUES[1].astype(int)).max() < 70
     with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
-        qtbot.mouseClick(view._canvas, Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
+        qtbot.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
     assert picked.args == [15]
     view.close_view()
     view.close_view()

@@ -12,7 +12,7 @@ from PySide6.QtCore import Qt
 
 from app.session.controller import Controller, operator_target
 from app.session.opening import server_command
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
 from skincal.cli.record import OrderLine, _loop
@@ -24,7 +24,7 @@ from skincal.model.readings import Chunk, LinkEvent
 from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.orders import NoTarget, TargetOrder, read_order, write_wish
+from skincal.simulate.operator import NoTarget, TargetOrder, read_order, write_target
 from tests.app.guide_support import guidance, target
 from tests.app.whole_window import OPEN_MS
 from tests.skincal.poke_script import outcome_key, same_estimates
@@ -32,12 +32,12 @@ from tests.skincal.poke_script import outcome_key, same_estimates
 LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
 
 
-def test_the_wish_is_what_the_window_shows():
+def test_the_target_is_what_the_window_shows():
     asked = target(3, 0.4)
-    wish = operator_target(guidance(asked), Running.STREAMING)
-    assert isinstance(wish, TargetOrder)
-    assert (wish.channel, wish.place.tolist(), wish.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
-    assert not wish.known
+    wanted = operator_target(guidance(asked), Running.STREAMING)
+    assert isinstance(wanted, TargetOrder)
+    assert (wanted.channel, wanted.place.tolist(), wanted.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
+    assert not wanted.known
     head = operator_target(guidance(replace(asked, channel=None, landmark="elbow, outer")), Running.STREAMING)
     assert isinstance(head, TargetOrder)
     assert (head.channel, head.known) == (None, True)
@@ -92,9 +92,9 @@ def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
     told = Told()
     controller._server = told
     shown = operator_target(guidance(target(3)), Running.STREAMING)
-    for wish in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
-        controller.ask(wish)
-    assert told.lines == [write_wish(shown), "wait", write_wish(shown)]
+    for wanted in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
+        controller.ask(wanted)
+    assert told.lines == [write_target(shown), "wait", write_target(shown)]
     controller.close()
 
 
@@ -140,14 +140,14 @@ def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked
     session_view = bench.window.session_view
     bench.until(lambda: session_view.state.target is not None and session_view.state.target.landmark != "")
     bench.until(lambda: len(bench.snapshot.at_landmarks) >= 3)
-    lived = bench.controller._recording.pipeline
+    lived = bench.recording.pipeline
     order = read_order(said[-1])
     assert order.known == (bench.window.session_view.state.target.landmark != "")
-    made = bench.controller._recording.pipeline.session.landmark_pokes
-    assert len({one.name for one in made}) == len(made) >= 3, "one after another, each once"
-    for one in made:
-        force, moment = move_wrench(one.link_from_sensor, one.force, one.moment)
-        away = np.cross(one.place - axis_point(force, moment), force) / np.linalg.norm(force)
+    made = bench.recording.pipeline.session.landmark_pokes
+    assert len({poke.name for poke in made}) == len(made) >= 3, "one after another, each once"
+    for poke in made:
+        force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+        away = np.cross(poke.place - axis_point(force, moment), force) / np.linalg.norm(force)
         assert np.linalg.norm(away) < 0.006, "sensor noise and 0.7 mm of the hand: the axis passes its landmark"
     assert bench.controller.act(correct_action(RIG, Correction(1.02 * np.eye(6)), 7e-3, 2e-3, len(made)))
     bench.until(lambda: RIG in bench.snapshot.corrections)
@@ -172,6 +172,6 @@ def without_a_window(folder, lived) -> None:
     assert here.at_landmarks == there.at_landmarks
     assert len(here.at_landmarks) >= 3
     assert here.corrections.keys() == there.corrections.keys() == {RIG}
-    assert [outcome_key(one.outcome) for one in here.pokes] == [outcome_key(one.outcome) for one in there.pokes]
+    assert [outcome_key(poke.outcome) for poke in here.pokes] == [outcome_key(poke.outcome) for poke in there.pokes]
     assert same_estimates(here, there)
     assert here.can_undo == there.can_undo

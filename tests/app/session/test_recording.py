@@ -1,6 +1,7 @@
 """A recording that is paused goes on in the next segment, and where it cannot, nothing is lost."""
 
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,12 @@ from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from tests.approved import approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
 
 class Folder:
-    """Where a recording lies, as `app.storage.Storage` says it."""
+    """Where a recording lies, as `app.session.recording.Storage` says it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -67,7 +69,7 @@ def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, t
 
 def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp_path):
     recording.pipeline.journal_failure = "the disk is full"
-    with pytest.raises(InputError, match="open the session again"):
+    with pytest.raises(InputError, match=approved_pattern("session.open_again")):
         recording.go_on()
     assert segments(tmp_path / "s") == ["segment-0001.mcap"]
 
@@ -98,3 +100,62 @@ def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path,
     temporary.finish()
     assert len(load(kept).session.contacts) >= 3
     assert replay(kept).findings == ()
+
+
+SLOW_S = 2.5
+"""s. Longer than closing waits for work that nobody would miss."""
+
+
+@pytest.fixture
+def slow_copy(monkeypatch):
+    """The next copy of a folder begins late, as on a slow disk."""
+    copy = shutil.copytree
+
+    def slowly(*arguments, **options):
+        monkeypatch.setattr(shutil, "copytree", copy)
+        time.sleep(SLOW_S)
+        return copy(*arguments, **options)
+
+    return lambda: monkeypatch.setattr(shutil, "copytree", slowly)
+
+
+def test_a_copy_that_is_under_way_as_the_window_closes_is_whole(bench, slow_copy):
+    bench.open_served("flat-patch")
+    temporary = bench.controller._recording.storage.folder
+    slow_copy()
+    bench.controller.keep()
+    bench.window.close()
+    assert not temporary.parent.exists()
+    (kept,) = bench.documents.iterdir()
+    assert replay(kept).findings == ()
+
+
+def test_a_copy_that_fails_is_said_after_another_session_is_opened_and_costs_nothing(bench, recorded, slow_copy):
+    bench.open_served("flat-patch")
+    temporary = bench.controller._recording.storage.folder
+    bench.documents.write_text("a file where the folder should be")
+    slow_copy()
+    bench.controller.keep()
+    bench.open(OpenRequest(session=recorded))
+    bench.until(lambda: any(message.error and str(temporary) in message.text for message in bench.messages), 20_000)
+    bench.window.close()
+    assert replay(temporary).findings == ()
+    shutil.rmtree(temporary.parent)
+
+
+def test_a_session_that_another_takes_the_place_of_is_ended_before_the_program(bench, recorded, tmp_path, monkeypatch):
+    ended = []
+    finish = Storage.finish
+
+    def slowly(storage):
+        if storage.folder == recorded:
+            time.sleep(SLOW_S)
+        finish(storage)
+        ended.append(storage.folder)
+
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    monkeypatch.setattr(Storage, "finish", slowly)
+    bench.window.open(OpenRequest(session=tmp_path / "none"))
+    bench.window.close()
+    assert recorded in ended

@@ -11,11 +11,12 @@ from guide_support import guidance, target
 from window_support import NAMES, frame, link, reading, session, slip, touch
 
 from app.sound.cues import ALARM_S, EDGE_S, LEVEL, LONGEST_S, RATE, Cue, CueMemory, DueCue, due_cue, samples_of
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.now_text import NowMemory, now_line
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.model.readings import LinkState
 from skincal.taxels.result import Method
+from tests.approved import approved
 
 READY, PRESSING, STILL, HELD = PressPhase.READY, PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD
 
@@ -137,7 +138,7 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.ACCEPTED: "counted for 10-03",
         Cue.REJECTED: "rejected: slid",
         Cue.DONE: f"{NAMES.short(2)} done",
-        Cue.ENOUGH: "enough: 24 of 24 taxels meet 3 mm",
+        Cue.ENOUGH: approved("guide.enough", done=24, count=24, target_mm=3),
         Cue.LOST: "lost skin",
     }
     assert set(said) == set(Cue)

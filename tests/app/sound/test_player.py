@@ -13,6 +13,7 @@ import pytest
 from app.sound import player as sound_player
 from app.sound.cues import RATE, Cue, samples_of
 from app.sound.player import NoSoundError, Player, Speaker, open_output, speech_command
+from tests.approved import approved
 
 WAIT_S = 5.0
 """s. What takes milliseconds is waited for so long, on a busy machine."""
@@ -180,7 +181,7 @@ def test_no_device_is_no_error_is_logged_once_and_is_looked_for_again_later(make
     player.play(Cue.CONTACT)
     until(lambda: player.reported == [False, True])
     until(lambda: tape.run())
-    assert [r.getMessage() for r in caplog.records] == ["nothing is heard: no sound device (gone)"]
+    assert [r.getMessage() for r in caplog.records] == [approved("sound.nothing_heard", reason="no sound device (gone)")]
     assert max(r.levelno for r in caplog.records) == logging.INFO
 
 
@@ -190,7 +191,7 @@ def test_a_library_that_cannot_be_imported_is_no_error(make, monkeypatch, caplog
     player = make(open_output)
     player.play(Cue.CONTACT)
     until(lambda: player.reported == [False])
-    assert "the sound library cannot be loaded" in caplog.text
+    assert approved("sound.no_library") in caplog.text
 
 
 def test_a_device_that_vanished_gives_way_to_the_next(make, monkeypatch):

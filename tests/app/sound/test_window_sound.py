@@ -12,6 +12,7 @@ from app.commands import COMMANDS, key_words
 from app.session.opening import OpenRequest
 from app.sound.player import NoSoundError, Player
 from tests.app.whole_window import Bench
+from tests.approved import approved
 
 
 def test_a_poke_is_heard_in_its_order_and_muting_ends_it(bench):
@@ -37,7 +38,7 @@ def test_a_poke_is_heard_in_its_order_and_muting_ends_it(bench):
 def test_a_lost_device_is_heard_again_and_again(bench):
     bench.open_served("flat-patch")
     bench.until(lambda: len(bench.accepted()) >= 1)
-    os.kill(bench.controller._server._process.processId(), signal.SIGKILL)
+    os.kill(bench.device_pid(), signal.SIGKILL)
     bench.until(lambda: [name for name, _ in bench.player.played].count("LOST") >= 2)
     assert bench.window.session_view.workspace.now.headline.text().startswith("lost ")
 
@@ -73,7 +74,7 @@ def test_no_sound_device_disables_the_entry_with_the_reason_and_nothing_else(qtb
     assert sounds.isEnabled(), "nothing is known before a session is open"
     bench.open(OpenRequest(session=recorded))
     bench.until(lambda: not sounds.isEnabled(), 5000)
-    assert sounds.text() == "Sounds (no sound device)"
+    assert sounds.text() == approved("sound.in_menu", reason="no sound device")
     assert not speech.isEnabled()
     assert not [m for m in bench.messages if m.error]
     bench.window.close()

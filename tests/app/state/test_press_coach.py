@@ -13,11 +13,12 @@ from window_support import PLAN, SCENE, frame, reading, session
 from app.state.press_coach import AIM_FAR, COACH_S, Ask, Lean, PressCoach, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
-from skincal.guide.coaching import leeway
+from skincal.guide.guidance import leeway
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
+from tests.approved import approved
 
 DEGREE, BETWEEN = "\N{DEGREE SIGN}", "  \N{MIDDLE DOT}  "
 TICK = 1 / 30
@@ -47,7 +48,7 @@ def test_force_goes_before_all_else_and_the_rest_is_a_detail():
     line = Line()
     now = line.show(held(10.0, newtons=3.0), 2 * COACH_S)
     assert (now.tone, now.headline) == (Tone.HOLD, "press harder")
-    assert now.detail == f"3.0 N of at least 4.0 N{BETWEEN}tilt 18{DEGREE} more toward 10-02"
+    assert now.detail == approved("press.too_soft_and_tilt", seen=3.0, least=4.0, degrees=18, neighbour="10-02")
     now = line.show(held(10.0, newtons=16.0), 2 * COACH_S)
     assert (now.tone, now.headline) == (Tone.BAD, "press less")
 
@@ -57,8 +58,8 @@ def test_a_tilt_that_is_off_is_said_with_the_way_once_it_held():
     assert line.show(held(10.0)).headline == "hold still"
     assert line.show(held(10.0), COACH_S / 2).headline == "hold still"
     now = line.show(held(10.0), COACH_S)
-    assert (now.tone, now.headline) == (Tone.HOLD, f"tilt 18{DEGREE} more toward 10-02")
-    assert now.detail == f"8.0 N{BETWEEN}aim 0.0 mm{BETWEEN}tilt 10{DEGREE} of 28{DEGREE}"
+    assert (now.tone, now.headline) == (Tone.HOLD, approved("press.more_tilt", degrees=18, neighbour="10-02"))
+    assert now.detail == approved("press.force_aim_tilt", newtons=8.0, aim_mm=0.0, degrees=10, wanted=28)
 
 
 def test_a_push_within_ten_degrees_is_as_asked():
@@ -76,7 +77,7 @@ def test_nothing_is_said_of_a_poke_that_counts():
     assert line.show(held(8.0, phase=PressPhase.STILL, still=0.9), 2.0).headline == "hold still"
     now = line.show(held(8.0, phase=PressPhase.HELD, still=1.0), 1.0)
     assert (now.tone, now.headline) == (Tone.GOOD, "enough, release")
-    assert now.detail == f"aim 0.0 mm{BETWEEN}tilt 8{DEGREE} of 28{DEGREE}"
+    assert now.detail == approved("press.aim_tilt", aim_mm=0.0, degrees=8, wanted=28)
 
 
 def test_the_hint_comes_back_only_where_the_hand_goes_on_moving():
@@ -104,7 +105,7 @@ def test_the_line_does_not_flicker_at_its_limits():
         line = Line()
         for tilt, force in zip(tilts, newtons, strict=True):
             line.show(held(tilt, newtons=force))
-        turns = sum(one != other for one, other in zip(line.said, line.said[1:], strict=False))
+        turns = sum(first != second for first, second in zip(line.said, line.said[1:], strict=False))
         assert turns <= 2
 
 
@@ -117,7 +118,9 @@ def test_a_number_is_not_said_anew_for_the_trembling_of_a_hand():
     assert set(line.said) == {first}
     for tilt in np.random.default_rng(3).normal(14.0, 0.4, 30):
         said = line.show(held(tilt)).headline
-    assert said in {f"tilt {n}{DEGREE} more toward 10-02" for n in (13, 14, 15)}, "a hand that trembles has moved, too"
+    assert said in {approved("press.more_tilt", degrees=n, neighbour="10-02") for n in (13, 14, 15)}, (
+        "a hand that trembles has moved, too"
+    )
 
 
 def test_a_tip_on_another_taxel_is_said_before_its_tilt_and_only_if_far():
@@ -125,7 +128,7 @@ def test_a_tip_on_another_taxel_is_said_before_its_tilt_and_only_if_far():
     off = np.array(TO_2) * 0.0062
     now = line.show(held(5.0, aside=off, landed=2), 1.0)
     assert now.headline == "aim 6 mm toward 10-03"
-    assert now.detail == f"8.0 N{BETWEEN}on 10-02, it counts there{BETWEEN}tilt 5{DEGREE} of 28{DEGREE}"
+    assert now.detail == approved("press.counts_there_and_tilt", newtons=8.0, taxel="10-02", degrees=5, wanted=28)
     near = np.array(TO_2) * 0.9 * AIM_FAR
     assert Line().show(held(28.0, aside=near, landed=2), 1.0).headline == "hold still"
     assert Line().show(held(28.0, aside=off, landed=3), 1.0).headline == "hold still", (
@@ -135,7 +138,7 @@ def test_a_tip_on_another_taxel_is_said_before_its_tilt_and_only_if_far():
 
 def test_who_pokes_elsewhere_altogether_is_not_called_back():
     now = Line().show(held(0.0, aside=(0.03, 0.0, 0.0), landed=15), 1.0)
-    assert (now.headline, now.detail) == ("hold still", f"8.0 N{BETWEEN}on 11-03, it counts there")
+    assert (now.headline, now.detail) == ("hold still", approved("press.counts_there", newtons=8.0, taxel="11-03"))
 
 
 def test_the_surface_method_asks_for_no_tilt():
@@ -155,14 +158,17 @@ def test_a_place_without_a_taxel_is_met_by_whatever_answers():
     place = target(3, TILT, TO_2)
     place = replace(place, channel=None)
     now = Line(place).show(held(28.0, aside=(0.006, 0.0, 0.0), landed=15, asked=place), 1.0)
-    assert (now.headline, now.detail) == ("hold still", f"8.0 N{BETWEEN}aim 6.0 mm{BETWEEN}tilt 28{DEGREE} of 28{DEGREE}")
+    assert (now.headline, now.detail) == (
+        "hold still",
+        approved("press.force_aim_tilt", newtons=8.0, aim_mm=6.0, degrees=28, wanted=28),
+    )
 
 
 def test_without_a_target_the_line_says_what_it_always_said():
     line = Line(None)
     now = line.show(held(20.0), 1.0)
-    assert (now.headline, now.detail) == ("hold still", "8.0 N, keep the tip where it is")
-    assert line.show(held(20.0, phase=PressPhase.HELD)).detail == "The still window is full."
+    assert (now.headline, now.detail) == ("hold still", approved("press.keep_still", newtons=8.0))
+    assert line.show(held(20.0, phase=PressPhase.HELD)).detail == approved("press.window_full")
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from app.panels.rig_panel import NO_POINTS, NOT_YET, WAITING, RigPanel
-from app.state.policies import RigReview, Running, allowed, offers_of
+from app.state.policies import RigReview, allowed, offers_of
+from app.state.running import Running
 from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
 from app.units import DASH
 from skincal.contacts.outcome import Reason
@@ -26,6 +27,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import PLAN, arm_scene, frame, session, slip, touch
+from tests.approved import approved
 
 CORNER, OTHER = (Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in (("corner", 0.03), ("other", -0.03)))
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -80,7 +82,7 @@ def review(
 def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmarks=None, excluded=()):
     """A session with these corrections in use."""
     made = session(1, known, pokes, excluded)
-    corrections = {one.of: one for one in used}
+    corrections = {correction.of: correction for correction in used}
     there = at_landmarks or {}
     return replace(made, corrections=corrections, landmarks=(CORNER, OTHER), at_landmarks=there, pose="low")
 
@@ -116,18 +118,18 @@ def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
 
 def test_the_frame_goes_first_with_its_misses():
     (offer,) = offers(review(diagnosis=WRONG), at())
-    assert offer_text(offer) == "Correct the sensor's frame"
+    assert offer_text(offer) == approved("rig.offer_frame")
     assert offer_words(offer) == frame_sentence(WRONG)
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (FRAME, 0.051, 0.006, 6)
     found = correction_of(action)
     np.testing.assert_array_equal(found.matrix, np.kron(np.diag([1.0, 1e-3]), TURN))
     (offer,) = offers(review(TOO_FEW, replace(WRONG, sure=False), 3), at())
-    assert "nearly as likely: poke another landmark" in offer_words(offer)
+    assert approved("sensor_frame.rival") in offer_words(offer)
 
 
 def test_a_frame_found_under_another_builds_on_it():
-    """What is offered replaces what is in use; under a corrected frame the doctor tells only what is left."""
+    """What is offered replaces what is in use; under a corrected frame the check reports only what is left."""
     used = in_use(FRAME)
     (offer,) = offers(review(diagnosis=WRONG), at(used))
     found = np.kron(np.diag([1.0, 1e-3]), TURN)
@@ -140,10 +142,10 @@ def test_what_is_in_use_is_offered_again_only_from_more_pokes():
     assert offers(review(), at(in_use(pokes=6))) == ()
     for pokes in (5, 7):
         (offer,) = offers(review(pokes=pokes), at(in_use(pokes=6)))
-        assert offer_text(offer) == "Correct the rig anew"
+        assert offer_text(offer) == approved("rig.offer_anew")
         assert offer.action.pokes == pokes
     (offer,) = offers(review(diagnosis=WRONG), at(in_use(pokes=6)))
-    assert offer.action.of == FRAME, "a wrong frame is told whatever else is in use"
+    assert offer.action.of == FRAME, "a wrong frame is said whatever else is in use"
 
 
 def test_the_key_does_what_is_offered_first():
@@ -151,31 +153,31 @@ def test_the_key_does_what_is_offered_first():
         return allowed(at(), arm_scene(), (), Running.STREAMING, (), None, None, offers).correct
 
     assert offer_text(may(offers(review(), at()))) == "Correct the rig"
-    assert offer_text(may(offers(review(diagnosis=WRONG), at()))) == "Correct the sensor's frame"
+    assert offer_text(may(offers(review(diagnosis=WRONG), at()))) == approved("rig.offer_frame")
     assert may(()) is None
 
 
 def test_an_offer_is_told_once_and_made_once():
-    rigging, none = RigReview(), at()
+    rig_review, none = RigReview(), at()
     used = at(in_use())
-    now, then = (replace(review(), used=one.corrections) for one in (none, used))
-    assert (rigging.offers(none), rigging.news(none)) == ((), None)
-    rigging.review = now
-    made = rigging.offers(none)
-    assert rigging.offers(replace(none, generation=9)) is made
-    news = offer_news(rigging.news(none))
+    now, then = (replace(review(), used=moment.corrections) for moment in (none, used))
+    assert (rig_review.offers(none), rig_review.news(none)) == ((), None)
+    rig_review.review = now
+    made = rig_review.offers(none)
+    assert rig_review.offers(replace(none, generation=9)) is made
+    news = offer_news(rig_review.news(none))
     assert news.startswith(offer_words(made[0]))
-    assert "C uses that; the Rig tab says more, and takes it back" in news
-    assert rigging.shown(none) is now
-    assert rigging.shown(used) is None, "it says nothing of a session that uses another correction"
-    assert (rigging.offers(used), rigging.news(used)) == ((), None)
-    rigging.review = replace(now, generation=2)
-    assert rigging.offers(none) is not made
-    assert rigging.news(none) is None, "it was told, and was taken back"
-    rigging.review = then
-    assert rigging.offers(used) == ()
-    rigging.review = replace(then, pokes=review(pokes=9).pokes)
-    assert "C uses that" in offer_news(rigging.news(used)), "another one is offered"
+    assert approved("rig.offer_keys") in news
+    assert rig_review.shown(none) is now
+    assert rig_review.shown(used) is None, "it says nothing of a session that uses another correction"
+    assert (rig_review.offers(used), rig_review.news(used)) == ((), None)
+    rig_review.review = replace(now, generation=2)
+    assert rig_review.offers(none) is not made
+    assert rig_review.news(none) is None, "it was said, and was taken back"
+    rig_review.review = then
+    assert rig_review.offers(used) == ()
+    rig_review.review = replace(then, pokes=review(pokes=9).pokes)
+    assert "C uses that" in offer_news(rig_review.news(used)), "another one is offered"
 
 
 # What is said
@@ -201,14 +203,19 @@ def known(shift: Mapping[int, float]):
 def test_how_far_the_taxels_move_is_told_for_the_method_that_is_shown():
     moment = at(known=known({3: 0.002, 5: 0.004}))
     shown = moment.estimates[Method.FREE]
-    words = "the taxels by 3.0 mm in the mean, 4.0 mm at most."
-    assert moved_words(review(after={Method.FREE: PLACES}), Method.FREE, shown) == f"It would move {words}"
-    assert moved_words(review(before={Method.FREE: PLACES}), Method.FREE, shown) == f"It has moved {words}"
+    assert moved_words(review(after={Method.FREE: PLACES}), Method.FREE, shown) == approved(
+        "rig.would_move", mean_mm=3.0, most_mm=4.0
+    )
+    assert moved_words(review(before={Method.FREE: PLACES}), Method.FREE, shown) == approved(
+        "rig.has_moved", mean_mm=3.0, most_mm=4.0
+    )
     assert moved_words(review(after={Method.FREE: PLACES}), Method.SURFACE, shown) == ""
     assert moved_words(review(), Method.FREE, shown) == ""
     nowhere = PLACES.copy()
     nowhere[5] = np.nan
-    assert "2.0 mm in the mean, 2.0 mm at most" in moved_words(review(after={Method.FREE: nowhere}), Method.FREE, shown)
+    assert approved("rig.moved_figures", mean_mm=2.0, most_mm=2.0) in moved_words(
+        review(after={Method.FREE: nowhere}), Method.FREE, shown
+    )
     assert moved_words(review(after={Method.FREE: np.full((24, 3), np.nan)}), Method.FREE, shown) == ""
 
 
@@ -219,7 +226,7 @@ def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_coul
     assert frame_ == frame_sentence(RIGHT)
     assert could == rig_sentences(told.rig)[0]
     assert "would move" in moved
-    assert doubt == "Landmark poke 6 lies 14 mm off its landmark and counts for nothing: was it another point?"
+    assert doubt == approved("rig.poke_not_counted", poke=6, miss_mm=14)
     used = at(in_use(FRAME), in_use(RIG))
     assert review_words(told, used, Method.FREE, ()) == (
         frame_sentence(RIGHT),
@@ -227,7 +234,8 @@ def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_coul
         doubt,
     )
     few = review_words(review(TOO_FEW, None, 2), at(), Method.FREE, ())
-    assert few == ("No correction of the rig: it needs 6 pokes at landmarks, 4 different ones; 2 pokes at 2 are there.",)
+    needs = approved("rig.pokes_needed", pokes=6, landmarks=4)
+    assert few == (approved("rig.too_few", needs=needs, pokes=2, landmarks=2),)
 
 
 # The list

@@ -20,6 +20,7 @@ from skincal.session.guiding import SessionGuide, plan_of
 from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
+from tests.approved import approved
 
 TILT = float(np.radians(28.0))
 DEGREE, ARROW, BETWEEN = "\N{DEGREE SIGN}", "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE DOT}  "
@@ -28,8 +29,10 @@ DEGREE, ARROW, BETWEEN = "\N{DEGREE SIGN}", "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE
 def test_a_target_is_said_verb_first_with_a_neighbour_for_its_direction():
     # The middle of a triangle is channel 3; its neighbours 2 and 4 lie at its lower right and left, 7 and 11 above it.
     straight, tilted = target(3, np.radians(4.0)), target(3, TILT, (0.866, -0.5, 0.0))
-    assert target_words(guidance(straight), straight, NAMES) == "poke 10-03 straight"
-    assert target_words(guidance(tilted), tilted, NAMES) == f"poke 10-03, tilt 28{DEGREE} toward 10-02"
+    assert target_words(guidance(straight), straight, NAMES) == approved("guide.straight", taxel="10-03")
+    assert target_words(guidance(tilted), tilted, NAMES) == approved(
+        "guide.toward", taxel="10-03", degrees=28, neighbour="10-02"
+    )
 
 
 def test_the_tool_leans_to_where_its_upper_end_is():
@@ -46,7 +49,9 @@ def test_a_tool_that_leans_over_the_rim_leans_away_from_a_neighbour():
     lean = lean_of(guidance(asked), asked)
     assert lean is not None
     assert lean.away
-    assert target_words(guidance(asked), asked, NAMES) == f"poke 10-09, tilt 28{DEGREE} away from {NAMES.short(lean.channel)}"
+    assert target_words(guidance(asked), asked, NAMES) == approved(
+        "guide.away", taxel="10-09", degrees=28, neighbour=NAMES.short(lean.channel)
+    )
     # Nobody near: the tilt is said alone.
     alone = replace(guidance(asked), places=np.full((24, 3), 1.0))
     assert target_words(alone, asked, NAMES) == f"poke 10-09, tilt 28{DEGREE}"
@@ -54,20 +59,22 @@ def test_a_tool_that_leans_over_the_rim_leans_away_from_a_neighbour():
 
 def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
     asked = target(3)
-    assert why_words(guidance(asked, done=(1, 2)), asked, ()) == f"free method: depth 12.4 {ARROW} 6.1 mm{BETWEEN}2 of 24 done"
+    assert why_words(guidance(asked, done=(1, 2)), asked, ()) == approved(
+        "guide.depth", now_mm=12.4, then_mm=6.1, done=2, count=24
+    )
     along = guidance(asked, method=Method.SURFACE)
-    assert why_words(along, asked, {5: "stuck"}) == f"surface method: place 12.4 {ARROW} 6.1 mm{BETWEEN}0 of 23 done"
+    assert why_words(along, asked, {5: "stuck"}) == approved("guide.place", now_mm=12.4, then_mm=6.1, done=0, count=23)
     unseen = guidance(asked, rms=np.inf)
-    assert why_words(unseen, asked, ()) == f"free method: depth not known yet{BETWEEN}0 of 24 done"
+    assert why_words(unseen, asked, ()) == approved("guide.depth_unknown", done=0, count=24)
     balance = guidance(asked, needs={3: (Need.BALANCE,)})
-    assert why_words(balance, asked, ()) == f"free method: needs pokes on its other half{BETWEEN}0 of 24 done"
+    assert why_words(balance, asked, ()) == approved("guide.other_half", done=0, count=24)
 
 
 def test_enough_names_how_many_meet_what():
     every = guidance(done=range(24))
-    assert enough_words(every, 0.003, ()) == "enough: 24 of 24 taxels meet 3 mm"
-    assert end_words(every, ()) == "The space bar shows the verdict, then writes the calibration."
-    assert enough_words(every, 0.003, {4: "stuck"}) == "enough: 23 of 23 taxels meet 3 mm"
+    assert enough_words(every, 0.003, ()) == approved("guide.enough", done=24, count=24, target_mm=3)
+    assert end_words(every, ()) == approved("verdict.on_space_bar")
+    assert enough_words(every, 0.003, {4: "stuck"}) == approved("guide.enough", done=23, count=23, target_mm=3)
     assert end_words(every, {4: "stuck"}).startswith(f"1 not used{BETWEEN}")
 
 
@@ -86,12 +93,12 @@ def settled(says: Guidance | None, phase: PressPhase = PressPhase.READY):
 def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_off():
     asked = target(3)
     now, _ = settled(guidance(asked))
-    assert (now.tone, now.headline) == (Tone.GO, "poke 10-03 straight")
-    assert now.detail == f"free method: depth 12.4 {ARROW} 6.1 mm{BETWEEN}0 of 24 done"
+    assert (now.tone, now.headline) == (Tone.GO, approved("guide.straight", taxel="10-03"))
+    assert now.detail == approved("guide.depth", now_mm=12.4, then_mm=6.1, done=0, count=24)
     now, _ = settled(guidance(asked), PressPhase.TARING)
-    assert (now.headline, now.detail) == ("keep hands off", "Taring.  Next: poke 10-03 straight")
+    assert (now.headline, now.detail) == ("keep hands off", approved("guide.next_while_taring", taxel="10-03"))
     now, _ = settled(guidance(done=range(24)))
-    assert (now.tone, now.headline) == (Tone.GOOD, "enough: 24 of 24 taxels meet 3 mm")
+    assert (now.tone, now.headline) == (Tone.GOOD, approved("guide.enough", done=24, count=24, target_mm=3))
     assert settled(None)[0].headline == "ready: poke"
     assert settled(guidance())[0].headline == "ready: poke", "nothing that could be reached is left"
 
@@ -102,7 +109,7 @@ def test_a_poke_on_another_taxel_counts_where_it_landed(peak, said):
     done = guided(guidance(target(7)), [touch(1, (peak,))], 2, PressPhase.TARING, 101.0)
     now, memory = now_line(memory, done)
     assert (now.tone, now.headline) == (Tone.GOOD, said)
-    assert now.detail.startswith("Next: poke 10-07"), "whoever is quick does not wait for the line to say it"
+    assert now.detail.startswith("Next: poke 10-07"), "a quick hand does not wait for the line to say it"
     assert ("10-03 was asked for" in now.detail) == (peak == 5)
     # The same poke with its last tare changes nothing of it, though something else is asked for by now.
     now, memory = now_line(memory, guided(guidance(target(7)), [touch(1, (peak,))], 3, PressPhase.TARING, 101.5))
@@ -113,7 +120,7 @@ def test_a_poke_on_another_taxel_counts_where_it_landed(peak, said):
 def test_a_rejection_is_a_rejection_whatever_was_asked():
     _, memory = settled(guidance(target(5)))
     now, memory = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.TARING, 101.0))
-    assert (now.tone, now.headline) == (Tone.BAD, "rejected: slid 2.1 mm, at most 1.5 mm")
+    assert (now.tone, now.headline) == (Tone.BAD, approved("now.rejected_slid", seen_mm=2.1, most_mm=1.5))
     now, _ = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.PRESSING, 101.2))
     assert now.headline == "hold still"
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from app.sound.cues import CueMemory, DueCue, due_cue
-from app.state.policies import Running, allowed
+from app.state.policies import allowed
+from app.state.running import Running
 from app.text.guidance_text import gain_words, landmark_words, target_words, why_words
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide import guidance as landmarks_module
 from skincal.guide.guidance import GuidePhase, LandmarkTarget
-from skincal.guide.places import PlannedPlaces
+from skincal.guide.knowledge import PlannedPlaces
 from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
@@ -26,6 +27,7 @@ from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, part, target
 from tests.app.scene3d_support import laid
 from tests.app.window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
+from tests.approved import approved
 
 UP = np.array([0.0, 0.0, 1.0])
 CORNER, OTHER, SIDE = (
@@ -96,7 +98,7 @@ class Landmarks(LandmarkGuide):
 
     def poked(self, snapshot) -> list[FoundAtLandmark]:
         """Return which new pokes were at the landmark that was asked for."""
-        new = [one.outcome for one in snapshot.pokes if one.outcome.poke > self._seen]
+        new = [poke.outcome for poke in snapshot.pokes if poke.outcome.poke > self._seen]
         self.begin(snapshot)
         return self._finder.find(new, snapshot.landmarks)
 
@@ -177,7 +179,7 @@ def test_a_poke_is_not_at_a_landmark_far_from_which_taxels_answered(near, channe
     assert (landmarks.poked(of_pokes(poke, points=[point])) == [FoundAtLandmark(1, "screw")]) is taken
 
 
-@pytest.mark.parametrize("reason", [one for one in Reason if one is not Reason.NO_TAXEL])
+@pytest.mark.parametrize("reason", [each for each in Reason if each is not Reason.NO_TAXEL])
 def test_a_poke_that_was_rejected_for_another_reason_is_not_at_it(reason):
     assert asking().poked(of_pokes(replace(press(1, LATER), reason=reason))) == []
 
@@ -245,7 +247,10 @@ def test_nothing_is_asked_for_without_landmarks_or_before_the_arm_pose_is_known(
     landmarks = Landmarks(on_arm, plan_of(on_arm))
     assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0) is skin
     assert landmarks.before_skin(skin, of_pokes(pose="low"), 100.0).landmark is not None
-    assert asking(snapshot=of_pokes(pose=""))._target is not None, "a part that no arm moves has one pose, without a name"
+    landmarks = Landmarks(part(), plan_of(part()))
+    assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0).landmark is not None, (
+        "a part that no arm moves has one pose, without a name"
+    )
 
 
 def test_the_same_picture_asks_for_the_same_object():
@@ -309,7 +314,7 @@ def test_what_they_are_worth_is_told_and_falls_as_they_are_poked():
     assert second.after < second.now < first.now
 
 
-def test_nothing_is_foretold_where_the_arm_or_the_taxels_are_not_known():
+def test_nothing_is_predicted_where_the_arm_or_the_taxels_are_not_known():
     landmarks = Landmarks(part(), plan_of(part()))
     unknown = shown(landmarks, replace(of_pokes(), link_from_sensor=None))
     assert unknown.landmark is not None
@@ -331,13 +336,13 @@ def test_a_landmark_without_a_normal_is_pushed_from_outside():
 def test_it_is_said_what_to_do_which_of_how_many_it_is_and_what_it_is_worth():
     asked = shown(Landmarks(part(), plan_of(part())), of_pokes())
     asked = replace(asked, gain=Gain(0.0071, 0.0025, 6))
-    assert target_words(asked, asked.target, NAMES) == "poke the landmark corner"
-    worth = f"expected error of the rig 7.1 {ARROW} 2.5 mm after 6 pokes"
+    assert target_words(asked, asked.target, NAMES) == approved("landmark.ask", name="corner")
+    worth = approved("landmark.worth", now_mm=7.1, then_mm=2.5, pokes=6)
     assert gain_words(asked.gain) == worth
     assert gain_words(replace(asked.gain, pokes=1)).endswith("after 1 poke")
     assert gain_words(None) == ""
-    assert landmark_words(LandmarkTarget(CORNER, 2, 6)) == "landmark 3 of 6 in this arm pose"
-    assert why_words(asked, asked.target, ()) == f"landmark 1 of 6 in this arm pose{BETWEEN}{worth}"
+    assert landmark_words(LandmarkTarget(CORNER, 2, 6)) == approved("landmark.which_of", number=3, count=6)
+    assert why_words(asked, asked.target, ()) == approved("landmark.which_of_and_worth", number=1, count=6, worth=worth)
 
 
 @pytest.mark.parametrize("poke", [press(1, LATER), touch(1)], ids=["unanswered", "answered"])
@@ -350,8 +355,8 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted(poke):
     assert (due.sound.name, due.word) == ("ACCEPTED", "")
     assert due_cue(ear, after)[0] is None
     said, _ = now_line(now_line(NowMemory(), before)[1], after)
-    assert (said.tone, said.headline) == (Tone.GOOD, "poke 1 at the landmark corner")
-    assert said.detail == "Next: poke the landmark corner"
+    assert (said.tone, said.headline) == (Tone.GOOD, approved("landmark.accepted", poke=1, name="corner"))
+    assert said.detail == approved("landmark.ask_next", name="corner")
 
 
 def test_elsewhere_a_poke_that_no_taxel_answered_is_rejected():

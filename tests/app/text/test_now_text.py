@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.panels.plot_panel import envelope
+from app.panels.plots import min_max_decimation
 from app.session.opening import Addresses, OpenRequest, dated_folder, link_specs
 from app.session.recording import Storage
-from app.state.policies import Mark, Running, allowed, answer_levels, curve_range, marks, worst
+from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
+from app.state.running import Running
 from app.state.view_state import LinkLook, same_results
 from app.text.now_text import SETTLE_S, VERDICT_S, NowMemory, Tone, now_line
 from app.text.outcomes import (
@@ -34,6 +35,7 @@ from skincal.taxels.result import Estimate, Method, State
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, session, slip, touch
+from tests.approved import approved
 
 
 @pytest.mark.parametrize(
@@ -67,15 +69,19 @@ def test_small_words():
     assert [age(0.1), age(1.34), age(125)] == ["now", "1.3 s ago", "2 min ago"]
     assert [count(1, "poke"), count(2, "poke")] == ["1 poke", "2 pokes"]
     assert point_mm(np.array([0.001, -0.02, 0.0])) == "1.0  \N{MINUS SIGN}20.0  0.0"
-    assert [NAMES.short(3), NAMES.short(15), NAMES.long(15)] == ["10-03", "11-03", "taxel 3 of module 11, channel 15"]
+    assert [NAMES.short(3), NAMES.short(15), NAMES.long(15)] == [
+        "10-03",
+        "11-03",
+        approved("now.taxel_in_full", pad=3, module=11, channel=15),
+    ]
     assert [ChannelNames(None).short(7), ChannelNames(None).long(7)] == ["ch 7", "channel 7"]
 
 
 def test_a_rejection_names_its_number_and_its_limit():
-    assert reason_words(slip(1)) == "slid 2.1 mm, at most 1.5 mm"
-    assert reason_words(slip(1, Reason.TOO_SOFT, 3.1, 4.0, "N")) == "too soft: 3.1 N, at least 4.0 N"
-    assert reason_words(slip(1, Reason.NOT_STILL, 0.12, 0.3, "s")) == "held 0.12 s, at least 0.30 s"
-    assert reason_words(slip(1, Reason.NOT_STILL, 0.08, 0.05, "1")) == "not still: 8.0 %, at most 5.0 %"
+    assert reason_words(slip(1)) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
+    assert reason_words(slip(1, Reason.TOO_SOFT, 3.1, 4.0, "N")) == approved("now.too_soft", seen=3.1, least=4.0)
+    assert reason_words(slip(1, Reason.NOT_STILL, 0.12, 0.3, "s")) == approved("now.too_short", seen=0.12, least="0.30")
+    assert reason_words(slip(1, Reason.NOT_STILL, 0.08, 0.05, "1")) == approved("now.not_still", seen=8.0, most=5.0)
     assert reason_words(slip(1, Reason.NO_TAXEL, 0, 1, "")) == "no taxel answered"
     assert reason_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "tare changed"
 
@@ -84,10 +90,10 @@ def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
     poke = touch(1, (2, 5, 4), (20.0, 90.0, 30.0))
     assert verdict_words(poke, NAMES) == "accepted 10-05  11.2 N"
     twice = slip(1, Reason.TWO_CONTACTS, 0.0123, 0.008, "m")
-    assert verdict_words(twice, NAMES) == "rejected: two contacts or a torque"
+    assert verdict_words(twice, NAMES) == approved("now.rejected_two_contacts")
     says = verdict_detail(twice, session(), Method.FREE, NAMES)
-    assert says == "12.3 mm, at most 8.0 mm. Touch with the tip only; keep the other hand off."
-    assert verdict_detail(slip(1), session(), Method.FREE, NAMES) == "Keep the tip in one place while you press."
+    assert says == approved("now.advice_two_contacts", seen_mm=12.3, most_mm=8.0)
+    assert verdict_detail(slip(1), session(), Method.FREE, NAMES) == approved("now.advice_slid")
     assert pitch_of(poke) == pytest.approx(0.002)
 
 
@@ -106,7 +112,7 @@ def test_tilt_is_the_angle_to_the_inward_normal():
 def test_the_state_of_a_session_in_words():
     known = session(known={3: estimate(3, (0, 0, 0), sd=1e-3), 4: estimate(4, (0, 0, 0), sd=3e-3)})
     assert summary_words(known.estimates[Method.FREE]) == "2 of 24 taxels estimated"
-    assert error_words(known.estimates[Method.FREE]) == "predicted: median 3.5 mm, worst 5.2 mm"
+    assert error_words(known.estimates[Method.FREE]) == approved("now.predicted", median_mm=3.5, worst_mm=5.2)
     assert error_words(session().estimates[Method.FREE]) == ""
 
 
@@ -130,7 +136,7 @@ def test_looks_of_links():
     away = link_words(link(state=LinkState.LOST), round(100.1e9), connected=False)
     assert (away.look, away.detail) == (LinkLook.AWAY, "")
     assert link_words(link(), round(100.1e9)).short == "wrench 1000 Hz"
-    assert link_words(link(), 0).losses == (("checksum does not fit", 3),)
+    assert link_words(link(), 0).losses == ((approved("now.checksum"), 3),)
 
 
 def say(memory, at):
@@ -146,7 +152,7 @@ def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke()
     assert text == "ready: poke"
     done = session(2, pokes=[slip(1)])
     text, memory = say(memory, frame(done, reading(PressPhase.TARING), 101.0))
-    assert text == "rejected: slid 2.1 mm, at most 1.5 mm"
+    assert text == approved("now.rejected_slid", seen_mm=2.1, most_mm=1.5)
     text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S - 0.01))
     assert text.startswith("rejected")
     text, _ = say(memory, frame(done, reading(PressPhase.PRESSING, 8.0), 101.5))
@@ -169,7 +175,7 @@ def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_i
     assert text == "ready: poke"
     turned = session(3, pokes=[slip(1, Reason.TARE_CHANGED, 1.4, 1.0, "N")])
     text, memory = say(memory, frame(turned, reading(PressPhase.READY), 20.0))
-    assert text == "rejected: tare changed: 1.4 N, at most 1.0 N"
+    assert text == approved("now.rejected_tare", seen=1.4, most=1.0)
 
 
 def test_a_flicker_between_calm_phases_is_not_said():
@@ -279,28 +285,28 @@ def test_answers_are_faint_at_the_threshold_full_at_ten_times_and_nan_is_none():
     assert levels.tolist() == [0.0, 0.0, 0.15, 1.0, 1.0, 0.0, 0.0]
 
 
-def test_an_envelope_keeps_every_peak_and_stays_while_time_goes_on(rng):
+def test_decimation_keeps_every_peak_and_stays_while_time_goes_on(rng):
     times = np.sort(rng.uniform(0, 10, 10_000))
     values = rng.normal(size=(10_000, 6))
     values[1234, 2] = 50.0
     values[7000, 4] = -50.0
-    when, reduced = envelope(times, values, 500, 10.0)
+    when, reduced = min_max_decimation(times, values, 500, 10.0)
     assert len(when) <= 1002
     assert np.all(np.diff(when) >= 0)
     assert reduced.max(axis=0).tolist() == values.max(axis=0).tolist()
     assert reduced.min(axis=0).tolist() == values.min(axis=0).tolist()
     # A second later the columns that are still there hold the same values.
     kept = times > 1.0
-    later, shown = envelope(np.append(times[kept], 10.5), np.append(values[kept], values[:1], axis=0), 500, 10.0)
+    later, shown = min_max_decimation(np.append(times[kept], 10.5), np.append(values[kept], values[:1], axis=0), 500, 10.0)
     old, new = dict(zip(when, reduced[:, 0], strict=True)), dict(zip(later, shown[:, 0], strict=True))
     both = [t for t in new if t in old and t > 1.1]
     assert len(both) > 800
     assert all(old[t] == new[t] for t in both)
 
 
-def test_an_envelope_of_few_points_is_the_points():
+def test_decimation_of_few_points_is_the_points():
     times, values = np.arange(10.0), np.arange(20.0).reshape(10, 2)
-    assert envelope(times, values, 500, 10.0)[1] is values
+    assert min_max_decimation(times, values, 500, 10.0)[1] is values
 
 
 def test_same_results_looks_past_the_pose_that_streams():

@@ -12,14 +12,15 @@ import time
 
 import pytest
 from PySide6.QtCore import QEvent, QObject
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtWidgets import QApplication, QLabel, QWidget
 
-from app.panels.plot_panel import PlotPanel
+from app.panels.plot_panels import PlotPanel
 from app.workers.processes import ProcessLostError, ProcessService
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 from tests.app.whole_window import OPEN_MS
 from tests.app.workers.process_support import double, end, end_once, own_pid, refuse, until_unwanted
+from tests.approved import approved, approved_pattern
 
 
 @pytest.fixture
@@ -104,7 +105,7 @@ def test_closing_waits_with_a_limit_and_gives_back_what_came_too_late(qtbot, own
     threads.close(0.2)
     assert 0.1 < time.monotonic() - begun < 1.0
     assert back == ["done"]
-    assert "failed while the window closed" in caplog.text
+    assert approved("workers.failed_while_closing") in caplog.text
     threads.submit(lambda: "no more", heard.append)
     free.set()
     qtbot.waitUntil(lambda: len(back) == 2, timeout=5000)
@@ -150,7 +151,7 @@ def test_plots_are_made_when_their_panel_is_seen(qtbot):
     panel = Plots()
     qtbot.addWidget(panel)
     panel.show_state(None)
-    assert panel._threads is None, "nothing is imported for a panel that nobody sees"
+    assert panel.findChild(ThreadService) is None, "nothing is imported for a panel that nobody sees"
     panel.show()
     panel.show_state(None)
     panel.hide()
@@ -169,7 +170,7 @@ def test_that_there_are_no_plots_is_said(qtbot, monkeypatch):
     panel.show()
     for _ in range(3):
         panel.show_state(None)
-    qtbot.waitUntil(lambda: panel._label.text().startswith("There are no curves: "), timeout=5000)
+    qtbot.waitUntil(lambda: panel.findChild(QLabel).text().startswith("There are no curves: "), timeout=5000)
     panel.show_state(None)
     assert (panel.made, panel.ready) == (0, False)
 
@@ -213,7 +214,7 @@ def test_a_process_that_was_killed_is_replaced_and_asked_again_once(processes, t
     second = processes.ask(processes.ticket(), own_pid)
     assert second != first
     assert processes.ask(processes.ticket(), end_once, tmp_path / "ended") == "the second time"
-    with pytest.raises(ProcessLostError, match=r"its process ended \(code 3\)"):
+    with pytest.raises(ProcessLostError, match=approved_pattern("workers.gone", code=3)):
         processes.ask(processes.ticket(), end)
     assert processes.ask(processes.ticket(), double, 4) == 8
 

@@ -10,6 +10,7 @@ import pytest
 
 from skincal.cli import main
 from skincal.model.scene import resource
+from tests.approved import approved
 
 
 def sample(folder: Path, file: str, old: str, new: str) -> Path:
@@ -41,7 +42,7 @@ def test_a_module_that_is_planned_mirrored_is_said(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     said = [line for line in lines if line.startswith("Module ")]
     assert len(said) == 1
-    assert said[0].startswith("Module 17 is mirrored against the layout: change its mirror.")
+    assert said[0].startswith(approved("modules_check.mirrored_advice", module=17))
     assert any("neighbours 1.0" in line and line.startswith("surface") for line in lines)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import new_folder
-from skincal.files.icub import read_icub
+from skincal.cli.record import find_scene, new_session
+from skincal.journal import writer
 from skincal.model.errors import InputError
+from tests.approved import approved
 
 SCENE = ["--scene", "flat-patch"]
 CHANNELS = 64
@@ -49,8 +51,6 @@ def session(tmp_path_factory) -> Path:
 
 
 def test_width_of_the_scene_is_that_of_the_logs_here():
-    from skincal.cli.record import find_scene
-
     assert find_scene(Path("flat-patch")).skin.channels == CHANNELS
 
 
@@ -59,18 +59,18 @@ def test_an_unknown_pose_leaves_no_session_behind(run, tmp_path, command):
     logs = write_logs(tmp_path)
     code, _, err = run(*command.split(), *logs, "--scene", "icub-forearm", "--pose", "99", "--out", tmp_path / "s")
     assert code == 2
-    assert "--pose is '99'; the scene has 1, 2, 3" in err
+    assert approved("recording.unknown_pose", pose=99, known="1, 2, 3") in err
     assert not (tmp_path / "s").exists()
 
 
 def test_an_address_that_cannot_be_right_ends_a_recording(run, tmp_path):
     code, _, err = run("record", "--wrench", "socket://[::1", "--skin", tmp_path, *SCENE, "--out", tmp_path / "s")
     assert code == 2
-    assert "socket://[::1 is no TCP address; expected socket://HOST:PORT" in err
+    assert approved("links.no_tcp_address", address="socket://[::1") in err
     assert not (tmp_path / "s").exists()
     code, _, err = run("record", "--wrench", "/dev/ttyNone1", "--skin", tmp_path, *SCENE, "--out", tmp_path / "s")
     assert code == 2
-    assert f"{tmp_path} is not a serial port" in err
+    assert approved("links.no_serial_port_path", path=tmp_path) in err
 
 
 def test_a_kind_of_link_that_is_not_known_is_refused_before_a_session_is_made(run, tmp_path):
@@ -79,7 +79,7 @@ def test_a_kind_of_link_that_is_not_known_is_refused_before_a_session_is_made(ru
     address = f"spy:///dev/null?file={kept}"
     code, _, err = run("record", "--wrench", address, "--skin", "/dev/null", *SCENE, "--out", tmp_path / "s")
     assert code == 2
-    assert err.startswith(f"skincal: {address}: skincal does not open what begins with spy:, expected a serial port")
+    assert err.startswith(approved("links.refused_scheme_by_command", address=address, scheme="spy"))
     assert not (tmp_path / "s").exists()
     assert kept.read_text() == "a thesis"
 
@@ -88,15 +88,118 @@ def test_a_recording_without_a_reading_says_of_which_link(run, tmp_path):
     options = ["record", "--wrench", "/dev/ttyNone1", "--skin", "/dev/ttyNone2", *SCENE, "--out", tmp_path / "s"]
     code, out, err = run(*options, "--seconds", "0.5", "--json")
     assert code == 2
-    assert "wrench gave no reading that can be used: There is no port /dev/ttyNone1" in err
+    assert approved("links.nothing_usable_no_port", link="wrench", port="/dev/ttyNone1") in err
     assert json.loads(out)["links"]["skin"]["readings"] == 0
+
+
+def recording(folder: Path, wrench: str | Path, skin: str | Path, *more: str) -> list[str]:
+    """The arguments of a recording into `folder`."""
+    return ["record", "--wrench", str(wrench), "--skin", str(skin), *SCENE, "--out", str(folder), *more]
+
+
+def test_ports_that_do_not_exist_are_named_within_two_seconds_and_leave_nothing_behind(tmp_path):
+    command = [sys.executable, "-P", "-m", "skincal.cli", *recording(tmp_path / "s", "/dev/ttyNone1", "/dev/ttyNone2")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            assert running.stderr is not None
+            said = sorted(running.stderr.readline() for _ in range(2))
+            assert said == [
+                f"{name}: failed: There is no port /dev/ttyNone{number}; plug the device in, or check the name.\n"
+                for name, number in (("skin", 2), ("wrench", 1))
+            ]
+            assert (tmp_path / "s").exists()
+            running.terminate()
+            assert running.wait(10) == 2
+        finally:
+            running.kill()
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_link_that_never_says_why_it_is_not_open_is_reported_once():
+    from skincal.cli.record import OPENING_NS, Silence
+    from skincal.model.readings import LinkEvent, LinkState
+
+    assert OPENING_NS <= 2_000_000_000
+    silence = Silence(["wrench", "skin"], 10)
+    silence.hear(LinkEvent("skin", 20, LinkState.FAILED, "in use"))
+    assert silence.sentences(9 + OPENING_NS) == []
+    (said,) = silence.sentences(10 + OPENING_NS)
+    assert said.startswith("wrench: is not open yet")
+    assert silence.sentences(11 + OPENING_NS) == []
+
+
+def test_an_interrupt_never_strikes_while_the_session_is_written(run, tmp_path, monkeypatch):
+    """It comes in the middle of the third write; that item, and all that was read before the end, is in the session."""
+    from skincal.journal import documents
+    from skincal.journal.reader import SessionLog
+    from skincal.model.readings import Chunk
+
+    for name, values in (("wrench", 6), ("skin", CHANNELS)):
+        (tmp_path / name).write_text((" ".join(["0.5"] * values) + "\n") * 2000)
+    encode, begun = documents.encode_chunk, []
+
+    def interrupted(*arguments):
+        begun.append(arguments)
+        if len(begun) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return encode(*arguments)
+
+    monkeypatch.setattr(documents, "encode_chunk", interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    _, _, err = run(*recording(tmp_path / "s", tmp_path / "wrench", tmp_path / "skin", "--seconds", "30"))
+    assert "stopped" in err
+    assert signal.getsignal(signal.SIGINT) is before
+    log = SessionLog(tmp_path / "s")
+    assert [item.data for item in log.items() if isinstance(item, Chunk)] == [data for _, data in begun]
+    assert log.findings == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ["simulate", *SCENE, "--pokes", "0", "--out", "x"],
+            "Invalid value for '--pokes': expected a number greater than or equal to 1; `skincal simulate --help`",
+        ),
+        (["solve", "x", "--layout-out"], "Option '--layout-out' requires an argument;"),
+        (["simulate", *SCENE, "--pokes", "many", "--out", "x"], "Invalid value for '--pokes': expected a whole number;"),
+        (
+            ["export", "x", "--format", "urdf", "--out", "y"],
+            "Invalid value for '--format': 'urdf' is not one of 'icub', 'json',",
+        ),
+        (["record"], "Missing option '--wrench'; `skincal record --help`"),
+        (["solve", "x", "--fly"], "No such option: --fly"),
+        (["fly"], "No such command 'fly'; `skincal --help`"),
+    ],
+)
+def test_a_wrong_option_is_one_plain_sentence(run, arguments, sentence):
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"skincal: {sentence}")
+    assert err.count("\n") == 1
+    assert not any(word in err for word in ("Usage", "Input should", "parse"))
+
+
+def test_what_is_no_folder_is_not_said_to_be_missing(run, tmp_path):
+    (tmp_path / "file").write_text("")
+    for path, why in ((tmp_path / "file", "it is no folder"), (tmp_path / "none", approved("yarp_log.no_folder"))):
+        code, _, err = run("solve", path)
+        assert code == 2
+        assert err.startswith(f"skincal: {path}: not a session ({why}); expected")
+
+
+def test_results_in_every_format_say_each_finding_once(run, tmp_path, session):
+    code, out, _ = run("solve", session, "--out", tmp_path / "results")
+    assert code == 0
+    said = [line for line in out.splitlines() if "have no position" in line]
+    assert len(said) == 2, "one for each method"
 
 
 @pytest.mark.parametrize("option", [["--seconds", "-1"], ["--pokes", "0"]])
 def test_a_recording_of_no_length_is_refused(run, tmp_path, option):
     code, _, err = run("record", "--wrench", "a", "--skin", "b", *SCENE, "--out", tmp_path / "s", *option)
     assert code == 2
-    assert f"Invalid value for '{option[0]}'" in err
+    assert approved("recording.invalid_value", option=option[0]) in err
     assert not (tmp_path / "s").exists()
 
 
@@ -111,7 +214,7 @@ def test_a_link_that_is_open_and_silent_is_told_once_and_when_it_sends_again():
     assert silence.sentences(silent_ns) == []
     said = silence.sentences(silent_ns + 11)
     assert len(said) == 1
-    assert said[0].startswith("skin: is open but silent for 2 s; check")
+    assert said[0].startswith(approved("links.silent", link="skin", seconds=2))
     assert silence.sentences(silent_ns + 12) == []
     silence.hear(Chunk("skin", silent_ns + 20, b"x"))
     assert silence.sentences(silent_ns + 30) == ["skin: sends again"]
@@ -136,7 +239,7 @@ def test_one_address_for_several_streams_is_one_board():
 def test_a_skin_log_of_the_wrong_width_says_what_was_seen_and_expected(run, tmp_path):
     code, _, err = run("import", "yarp", *write_logs(tmp_path, width=24), *SCENE, "--out", tmp_path / "s")
     assert code == 2
-    assert f"skin readings of 24 values arrive where {CHANNELS} are expected" in err
+    assert approved("recording.wrong_width", width=24, channels=CHANNELS) in err
 
 
 def test_a_failed_import_leaves_nothing_in_the_way_of_the_corrected_one(run, tmp_path):
@@ -147,14 +250,14 @@ def test_a_failed_import_leaves_nothing_in_the_way_of_the_corrected_one(run, tmp
     for out in (there, tmp_path / "a" / "new"):
         code, _, err = run("import", "yarp", *wrong, *SCENE, "--out", out)
         assert code == 2
-        assert err.rstrip().endswith("No session was made.")
+        assert err.rstrip().endswith(approved("recording.nothing_made"))
     assert not (tmp_path / "a").exists()
     assert [path.name for path in there.iterdir()] == ["notes.txt"]
     assert run("import", "yarp", *right, *SCENE, "--out", there)[0] == 0
     before = sorted(there.rglob("*"))
     code, _, err = run("import", "yarp", *wrong, *SCENE, "--out", there)
     assert code == 2
-    assert "holds a session already" in err
+    assert approved("session.holds_one") in err
     assert sorted(there.rglob("*")) == before, "an older session is never taken away"
 
 
@@ -164,7 +267,7 @@ def test_a_recording_without_a_byte_of_the_wrench_leaves_nothing_and_one_with_by
     options = ["record", "--skin", f"file:{skin}", *SCENE, "--out", tmp_path / "s", "--seconds", "0.5", "--wrench"]
     code, out, err = run(*options, "/dev/ttyNone1", "--json")
     assert (code, json.loads(out)["session"]) == (2, None)
-    assert "wrench gave no reading that can be used" in err
+    assert approved("links.nothing_usable", link="wrench") in err
     assert not (tmp_path / "s").exists()
     noise = tmp_path / "noise.bin"
     noise.write_bytes(bytes(range(256)) * 20)
@@ -181,8 +284,8 @@ def test_readings_of_csv_files_are_called_so_and_solved_again(run, tmp_path):
     files = ["--wrench", tmp_path / "wrench.csv", "--skin", tmp_path / "skin.csv"]
     code, out, err = run("import", "csv", *files, *SCENE, "--out", tmp_path / "s")
     assert code == 0, err
-    assert "wrench: 100 readings of CSV" in out
-    assert "skin: 100 readings of CSV" in run("solve", tmp_path / "s")[1]
+    assert approved("recording.counted_csv", link="wrench", count=100) in out
+    assert approved("recording.counted_csv", link="skin", count=100) in run("solve", tmp_path / "s")[1]
 
 
 def test_some_frames_of_the_wrong_width_are_said_and_the_rest_is_used(run, tmp_path):
@@ -195,7 +298,7 @@ def test_some_frames_of_the_wrong_width_are_said_and_the_rest_is_used(run, tmp_p
     assert code == 0
     result = json.loads(out)
     assert result["links"]["skin"]["lost"] == {"wrong number of values": 1}
-    assert any(f"values arrive where {CHANNELS} are expected" in finding for finding in result["findings"])
+    assert any(approved("recording.width_clause", channels=CHANNELS) in finding for finding in result["findings"])
 
 
 def test_a_frame_without_a_wrench_is_named_once(run, tmp_path):
@@ -205,7 +308,7 @@ def test_a_frame_without_a_wrench_is_named_once(run, tmp_path):
     path.write_text("\n".join(lines[:50] + lines[150:]) + "\n")
     code, out, _ = run("import", "yarp", *logs, *SCENE, "--out", tmp_path / "s")
     assert code == 0
-    assert out.count("no wrench at the time of the skin frame") == 1
+    assert out.count(approved("recording.no_wrench_then")) == 1
     assert "skin frames" not in out
 
 
@@ -221,7 +324,7 @@ def test_a_full_disk_is_said(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, preexec_fn=limit, timeout=60, check=False)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
-    assert "segment-0001.mcap: cannot be written any more (File too large)" in done.stderr
+    assert approved("recording.file_too_large", file="segment-0001.mcap", why="File too large") in done.stderr
     assert main(["solve", str(tmp_path / "s")]) == 0
 
 
@@ -240,15 +343,15 @@ def test_a_port_in_use_is_said(run, tmp_path):
             for end in pair:
                 os.close(end)
     assert code == 2
-    assert f"used: {names[0]}: port is used by another program; close that program, or choose another port." in err
-    assert "skin gave no reading that can be used: nothing arrived; check the device's power" in err
+    assert approved("links.in_use_of", port=names[0]) in err
+    assert approved("links.nothing_usable_silent", link="skin") in err
 
 
 def test_the_part_is_written_to_the_icub_file(run, session, tmp_path):
     assert run("export", session, "--format", "icub", "--out", tmp_path / "p.txt", "--part", "chest")[0] == 0
-    assert read_icub(tmp_path / "p.txt").name == "chest"
+    assert (tmp_path / "p.txt").read_text().split()[:2] == ["name", "chest"]
     assert run("solve", session, "--out", tmp_path / "all", "--part", "l_foot")[0] == 0
-    assert {read_icub(path).name for path in (tmp_path / "all").glob("positions-*.txt")} == {"l_foot"}
+    assert {path.read_text().split()[1] for path in (tmp_path / "all").glob("positions-*.txt")} == {"l_foot"}
     code, _, err = run("export", session, "--format", "csv", "--out", tmp_path / "p.csv", "--part", "chest")
     assert (code, (tmp_path / "p.csv").exists()) == (2, False)
     assert "expected --format icub" in err
@@ -265,14 +368,14 @@ def test_a_reference_that_is_none_is_said(run, session, tmp_path, taxel):
     path.write_text(f'{{"taxels": [{taxel}]}}')
     code, _, err = run("solve", session, "--reference", path)
     assert code == 2
-    assert "not a reference; expected JSON" in err
+    assert approved("export.no_reference") in err
 
 
 @pytest.mark.parametrize("options", [["--operator", "told"], ["--operator", "guided"], ["--tcp"]])
 def test_what_only_serving_can_do_is_refused_for_a_session(run, tmp_path, options):
     code, _, err = run("simulate", *SCENE, "--out", tmp_path / "s", *options)
     assert code == 2
-    assert f"{' '.join(options)} is for --serve" in err
+    assert approved("operator.for_serve", options=" ".join(options)) in err
     assert not (tmp_path / "s").exists()
 
 
@@ -323,16 +426,16 @@ def test_an_arm_without_a_pose_is_refused_before_anything_is_recorded(tmp_path, 
     assert not out.exists()
 
 
-def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path):
+def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path, monkeypatch):
     folder = tmp_path / "shared"
 
-    def come_too_late():
-        with new_folder(folder):
-            (folder / "scene").mkdir(parents=True)
-            (folder / "segment-0001.mcap").write_bytes(b"of another program")
-            raise InputError("it is taken")
+    def come_too_late(*_):
+        (folder / "scene").mkdir(parents=True)
+        (folder / "segment-0001.mcap").write_bytes(b"of another program")
+        raise InputError("it is taken")
 
-    with pytest.raises(InputError, match="taken"):
-        come_too_late()
+    monkeypatch.setattr(writer, "create_session", come_too_late)
+    with pytest.raises(InputError, match="taken"), new_session(folder, find_scene(Path("flat-patch")), ()):
+        pass
     assert (folder / "segment-0001.mcap").read_bytes() == b"of another program"
     assert (folder / "scene").is_dir()

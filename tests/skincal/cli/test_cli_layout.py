@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.files.json_file import read_json
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin import load_layout
 from skincal.taxels.result import Method
+from tests.approved import approved
 from tests.skincal.cli.test_cli_health import sample
+from tests.skincal.files.json_reader import read_json
 from tests.skincal.sim_support import recorded_anew
 
 SAMPLE = resource("sessions/sample")
@@ -96,19 +97,28 @@ def test_the_corrected_layout_is_written_and_a_session_solved_with_it(damaged, c
 
 
 def test_it_says_what_it_corrects_and_where_it_is(damaged, capsys):
-    change = "module 17: angle_deg = 180, mirror = false; module 28: first_channel = 336; module 29: first_channel = 348"
+    change = approved(
+        "modules_check.changes_of_three",
+        turned=17,
+        degrees=180,
+        mirror="false",
+        one_way=28,
+        one_first=336,
+        other_way=29,
+        other_first=348,
+    )
     assert f"corrected {change}" in damaged.said
-    assert f"wrote {damaged.out}; `skincal solve SESSION --layout {damaged.out}` solves with it" in damaged.said
+    assert approved("layout_file.wrote", path=damaged.out) in damaged.said
     lines = run(capsys, "solve", damaged.folder).splitlines()
-    assert f"the corrected layout says {change}; --layout-out FILE writes it" in lines
+    assert approved("layout_file.says", change=change) in lines
     lines = run(capsys, "solve", SAMPLE, "--layout", damaged.out).splitlines()
-    assert f"solved with the layout {damaged.out} in place of the session's" in lines
+    assert approved("layout_file.solved_with", path=damaged.out) in lines
 
 
 def test_where_nothing_is_wrong_no_file_is_written(tmp_path, capsys):
     out = tmp_path / "new.toml"
     said = run(capsys, "solve", SAMPLE, "--layout-out", out)
-    assert f"{out} is not written: none of 7 modules looks mirrored, turned or swapped" in said
+    assert approved("layout_file.not_written", path=out, count=7) in said
     assert told(capsys, "solve", SAMPLE, "--layout-out", out)["layout"]["written"] is None
     assert not out.exists()
 
@@ -140,7 +150,7 @@ def test_a_session_without_a_layout_is_solved_with_one(tmp_path, capsys):
     said = told(capsys, "solve", folder, "--layout", plan, "--reference", TRUTH)
     assert error(said) < 1.0
     err = run(capsys, "solve", folder, "--layout-out", tmp_path / "new.toml", code=2)
-    assert "the scene has none; expected modules in its [skin], or --layout" in err
+    assert approved("layout_file.scene_has_none") in err
 
 
 def test_a_layout_that_does_not_fit_the_skin_is_refused(tmp_path, capsys):
@@ -148,15 +158,17 @@ def test_a_layout_that_does_not_fit_the_skin_is_refused(tmp_path, capsys):
     wide.write_text('[[modules]]\nid = 1\nkind = "triangle_12"\nfirst_channel = 380\n', encoding="utf-8")
     for command in (("solve", SAMPLE), ("export", SAMPLE, "--format", "csv", "--out", tmp_path / "c.csv")):
         err = run(capsys, *command, "--layout", wide, code=2)
-        assert "takes channels 380 to 391; a skin frame has 384" in err
-        assert "there is no such file" in run(capsys, *command, "--layout", tmp_path / "none.toml", code=2)
+        assert approved("layout_file.beyond_frame", first=380, last=391, channels=384) in err
+        assert approved("layout_file.no_such_file") in run(capsys, *command, "--layout", tmp_path / "none.toml", code=2)
     assert not (tmp_path / "c.csv").exists()
 
 
 def test_the_layout_that_was_read_is_not_overwritten(damaged, tmp_path, capsys):
     path = damaged.folder / "scene" / "modules.toml"
     text = path.read_text(encoding="utf-8")
-    assert "is the layout that was read" in run(capsys, "solve", SAMPLE, "--layout", path, "--layout-out", path, code=2)
+    assert approved("layout_file.the_same_clause") in run(
+        capsys, "solve", SAMPLE, "--layout", path, "--layout-out", path, code=2
+    )
     assert path.read_text(encoding="utf-8") == text
     missing = tmp_path / "none" / "new.toml"
     assert "does not exist" in run(capsys, "solve", SAMPLE, "--layout", path, "--layout-out", missing, code=2)

@@ -9,6 +9,7 @@ import pytest
 
 from skincal.cli import main
 from skincal.studies import STUDIES, runtime
+from tests.approved import approved
 from tests.skincal.studies.studies_support import tiny
 
 
@@ -89,14 +90,14 @@ def test_a_file_in_the_way_of_the_folder_is_one_sentence_before_anything_is_meas
     assert code == 2
     assert out == ""
     assert err.count("\n") == 1
-    assert "choose another by --out" in err
+    assert approved("study.choose_out") in err
     assert canned == []
 
 
 def test_a_folder_name_that_no_system_takes_is_refused(run, tmp_path, canned):
     code, _, err = run("runtime", "--out", tmp_path / ("x" * 300))
     assert code == 2
-    assert "choose another by --out" in err
+    assert approved("study.choose_out") in err
     assert "Traceback" not in err
     assert canned == []
 
@@ -132,7 +133,7 @@ def test_an_unknown_study_is_the_users_error(run):
 def test_help_has_an_example_for_each_study(run, name):
     code, out, _ = run(name, "--help")
     assert code == 0
-    assert f"skincal study {name} --quick" in " ".join(out.split())
+    assert approved("study.command", name=name) in " ".join(out.split())
     assert "--quick" in out
 
 

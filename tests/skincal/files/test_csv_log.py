@@ -7,6 +7,7 @@ from skincal.files.importers.csv_log import read_csv
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss
 from skincal.streams.decoders.detect import make_decoder
+from tests.approved import approved, approved_pattern
 
 TIMES = [0.5, 0.51, 0.52, 0.53]
 WRENCH = np.array([[0.1 * k, -2.0, 3.5e-7, 0.25, 0.5, k] for k in range(4)])
@@ -62,7 +63,10 @@ def test_what_was_written_is_decoded_bit_for_bit(read):
     np.testing.assert_array_equal(skin_of(batches), SKIN)
     np.testing.assert_allclose(np.concatenate([batch.device_s for batch in batches["wrench"]]), TIMES, atol=1e-9)
     assert not any(counts.values())
-    assert findings == ("wrench: 4 lines in 0.0 s, 100 a second.", "skin: 4 lines in 0.0 s, 100 a second.")
+    assert findings == (
+        approved("csv_log.rate", link="wrench", lines=4, seconds=0.0, rate=100),
+        approved("csv_log.rate", link="skin", lines=4, seconds=0.0, rate=100),
+    )
 
 
 @pytest.mark.parametrize(
@@ -73,7 +77,7 @@ def test_the_times_unit_is_in_its_name(read, name, factor):
     header = [name, "Fx_N", "Fy_N", "Fz_N", "Tx_Nm", "Ty_Nm", "Tz_Nm"]
     batches, _, findings = read(wrench=table(header, with_time(WRENCH, factor)))
     np.testing.assert_allclose(np.concatenate([batch.device_s for batch in batches["wrench"]]), TIMES, atol=1e-9)
-    assert any("names no unit and was read as seconds" in finding for finding in findings) == (name == "t")
+    assert any(approved("csv_log.read_as_seconds") in finding for finding in findings) == (name == "t")
 
 
 @pytest.mark.parametrize("separator", [";", "\t", "  "])
@@ -119,7 +123,7 @@ def test_without_a_header_columns_go_by_their_place(read):
     batches, _, findings = read(wrench=table([], with_time(WRENCH)), skin=table([], with_time(SKIN)))
     np.testing.assert_array_equal(wrench_of(batches), WRENCH)
     np.testing.assert_array_equal(skin_of(batches), SKIN)
-    assert sum("no header: the first column was read as seconds" in finding for finding in findings) == 2
+    assert sum(approved("csv_log.first_read_as_seconds") in finding for finding in findings) == 2
 
 
 def test_bad_rows_are_counted_not_lost_silently(read):
@@ -131,7 +135,7 @@ def test_bad_rows_are_counted_not_lost_silently(read):
     batches, counts, findings = read(wrench="\n".join(rows))
     assert counts["wrench"] == {Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 1, Loss.NOT_A_NUMBER: 1}
     assert np.isfinite(wrench_of(batches)).all(axis=1).tolist() == [True, False]
-    assert "wrench: 1 row without a time: left out." in findings
+    assert approved("csv_log.no_time_row", link="wrench", count=1) in findings
 
 
 def test_an_empty_field_of_the_skin_is_a_dead_taxel(read):
@@ -143,14 +147,14 @@ def test_an_empty_field_of_the_skin_is_a_dead_taxel(read):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"wrench": ""}, "the file is empty"),
-        ({"wrench": "t_s,fx,fy,fz,mx,my,mz\n"}, "no row with a time"),
-        ({"wrench": "fx,fy,fz,mx,my,mz\n1,2,3,4,5,6\n"}, "no column is the time; seen fx, fy, fz"),
-        ({"wrench": "t_s,fx,fy,fz,mx\n1,2,3,4,5\n"}, "columns my, mz are missing"),
-        ({"wrench": "0.5,1,2,3\n"}, "has 4 columns and no header; expected time fx fy fz mx my mz"),
-        ({"skin": "t_s\n0.5\n"}, "no column besides the time"),
-        ({"joints": "t_s,j0\n0.5,94\n"}, "column 'j0' names no unit; expected names such as j0_deg"),
-        ({"skin": "t_s,t0,t1,t2\n900,1,2,3\n"}, "expected recordings of the same time"),
+        ({"wrench": ""}, approved("csv_log.empty")),
+        ({"wrench": "t_s,fx,fy,fz,mx,my,mz\n"}, approved("csv_log.no_row")),
+        ({"wrench": "fx,fy,fz,mx,my,mz\n1,2,3,4,5,6\n"}, approved("csv_log.no_time_column")),
+        ({"wrench": "t_s,fx,fy,fz,mx\n1,2,3,4,5\n"}, approved("csv_log.columns_missing")),
+        ({"wrench": "0.5,1,2,3\n"}, approved("csv_log.no_header", columns=4)),
+        ({"skin": "t_s\n0.5\n"}, approved("csv_log.time_alone")),
+        ({"joints": "t_s,j0\n0.5,94\n"}, approved("csv_log.column_without_unit", column="j0")),
+        ({"skin": "t_s,t0,t1,t2\n900,1,2,3\n"}, approved("recording.other_time")),
     ],
 )
 def test_wrong_input_is_said(read, given, said):
@@ -164,7 +168,7 @@ def test_a_missing_file_is_said(tmp_path):
 
 
 def test_bytes_that_are_no_text_are_said_and_not_shown(read):
-    with pytest.raises(InputError, match=r"w\.csv: is no text; expected rows of a time and values"):
+    with pytest.raises(InputError, match=approved_pattern("csv_log.no_text", file="w.csv")):
         read(wrench="\x07\x1b[31m,\x00\x01\n1,2\n")
-    with pytest.raises(InputError, match=r"no row with a time was found; .* such as t_ms or t_ns"):
+    with pytest.raises(InputError, match=approved_pattern("csv_log.no_plausible_time")):
         read(wrench=table(["t", "fx", "fy", "fz", "mx", "my", "mz"], with_time(WRENCH, 1e19)))

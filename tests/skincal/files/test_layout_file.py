@@ -11,6 +11,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import resource
 from skincal.model.skin import Layout, Module, load_layout
 from skincal.modules.health import LayoutMend, ModuleChange, changes_of
+from tests.approved import approved_pattern
 
 TEXT = """\
 # My skin.
@@ -130,25 +131,25 @@ def test_the_file_that_was_read_is_never_written(layout, tmp_path):
     (tmp_path / "link.toml").symlink_to(layout.path)
     os.link(layout.path, tmp_path / "other-name.toml")
     for path in (layout.path, tmp_path / "." / "modules.toml", tmp_path / "link.toml", tmp_path / "other-name.toml"):
-        with pytest.raises(InputError, match=r"is the layout that was read, which is kept as it is; choose another name"):
+        with pytest.raises(InputError, match=approved_pattern("layout_file.the_same")):
             write_layout(layout, mend, path)
     assert layout.path.read_text(encoding="utf-8") == TEXT
     made = Layout(layout.modules, layout.width)
-    with pytest.raises(InputError, match="read from no file"):
+    with pytest.raises(InputError, match=approved_pattern("layout_file.no_file")):
         write_layout(made, mend, tmp_path / "new.toml")
 
 
 def test_what_would_be_read_otherwise_is_not_written(layout, tmp_path):
     meant = mended(layout, mirror=True)
     silent = LayoutMend((), meant.layout, (ModuleChange(3, angle=1.0),), ())
-    with pytest.raises(InputError, match=r"module 3 would not be read as it was meant; change the layout by hand: first_chann"):
+    with pytest.raises(InputError, match=approved_pattern("layout_file.not_as_meant", module=3)):
         write_layout(layout, silent, tmp_path / "new.toml")
     short = LayoutMend((), Layout(layout.modules[:2], layout.width), (), ())
-    with pytest.raises(InputError, match="3 modules would be read; 2 were expected"):
+    with pytest.raises(InputError, match=approved_pattern("layout_file.module_count", read=3, expected=2)):
         write_layout(layout, short, tmp_path / "new.toml")
     assert not (tmp_path / "new.toml").exists()
 
 
 def test_a_folder_that_is_not_there_is_said(layout, tmp_path):
-    with pytest.raises(InputError, match="does not exist; make it or choose another"):
+    with pytest.raises(InputError, match=approved_pattern("layout_file.no_folder")):
         write_layout(layout, mended(layout, mirror=True), tmp_path / "none" / "new.toml")

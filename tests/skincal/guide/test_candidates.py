@@ -10,8 +10,8 @@ from skincal.guide import candidates
 from skincal.guide.candidates import ASTRAY, SPACING, Cover, spread
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
-from skincal.guide.places import SPACING as TAXELS_APART
-from skincal.guide.places import unplaced
+from skincal.guide.knowledge import SPACING as TAXELS_APART
+from skincal.guide.knowledge import unplaced
 from skincal.guide.poke_history import PokeAxis, axis_of
 from skincal.guide.progress import GuideSettings, Why
 from skincal.mesh.search import nearest_points

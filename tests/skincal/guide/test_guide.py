@@ -41,8 +41,8 @@ class Followed:
     def poke(self, place=None):
         target = self.guidance.target
         self.asked.append(target.channel)
-        wish = MeantPokes((target.place if place is None else place)[None], target.push[None])
-        for contact in poked(part(), self.rig, wish, Conditions(), self.rng, self.session.last_poke + 1)[0]:
+        meant = MeantPokes((target.place if place is None else place)[None], target.push[None])
+        for contact in poked(part(), self.rig, meant, Conditions(), self.rng, self.session.last_poke + 1)[0]:
             self.session.add(contact)
             self.contacts[contact.poke] = contact
         self.guidance = self.look()

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from skincal.guide import candidates
-from skincal.guide.knowledge import Knowledge, diversity, offset_square
-from skincal.guide.places import PlannedPlaces, believed
+from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed, diversity, offset_square
 from skincal.guide.progress import Facts, GuideSettings, Need, needs
+from skincal.mesh.surface import near_pairs
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
@@ -168,13 +168,12 @@ def test_pairs_are_those_of_looking_at_all(rng, reach, flat):
     line = np.arange(1100)[:, None] * [reach, 0.0, 0.0] - 0.3
     far_off = np.concatenate([scattered[:50], [[-1e12, 1e12, 1e12]]])
     for places in (scattered, steps, line, far_off, scattered[:1], scattered[:0], np.ones((3, 3))):
-        one, other, apart = candidates._pairs(places, reach)
-        found = dict(zip(map(frozenset, zip(one.tolist(), other.tolist(), strict=True)), apart.tolist(), strict=True))
-        assert len(found) == len(one)
+        known = np.flatnonzero(np.isfinite(places).all(axis=1))
+        pairs = known[near_pairs(places[known], reach)].tolist()
+        found = set(map(frozenset, pairs))
+        assert len(found) == len(pairs)
         far = np.sqrt(np.sum((places[:, None] - places) ** 2, axis=2))
-        wanted = {
-            frozenset(pair): far[pair] for pair in zip(*np.triu_indices(len(places), 1), strict=True) if far[pair] <= reach
-        }
+        wanted = {frozenset(pair) for pair in zip(*np.triu_indices(len(places), 1), strict=True) if far[pair] <= reach}
         assert found == wanted
 
 

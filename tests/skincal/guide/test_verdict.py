@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from skincal.guide.guide import Guide
-from skincal.guide.places import unplaced
+from skincal.guide.knowledge import unplaced
 from skincal.guide.progress import PAUSE_S, GuideSettings, Need, Tried, Why, given_up, pace, pokes_left, worked
 from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
 from skincal.methods import estimate_taxels

@@ -20,6 +20,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, next_segment, outcome_key, some_pokes, torn, write_scene
 
 
@@ -165,7 +166,7 @@ def test_lost_bytes_of_an_earlier_segment_cost_no_poke(recorded, tmp_path):
         assert loaded.findings == ()
         assert 0 < len(played.session.contacts) < len(loaded.session.contacts) == 4
         assert "lost" in played.findings[0]
-        assert "not read, since what comes before it has a hole" in played.findings[1]
+        assert approved("session.hole") in played.findings[1]
         pipeline = resume(folder)
         assert len(pipeline.session.contacts) == 4
         pipeline.close()
@@ -316,8 +317,8 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
     live, sentence, kept = done.stdout.splitlines()
     assert int(live) == 8
     assert 0 < int(kept) < 8
-    assert "cannot be written any more" in sentence
-    assert "export the calibration now" in sentence
+    assert approved("session.not_written") in sentence
+    assert approved("session.export_now") in sentence
 
 
 def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
@@ -330,7 +331,7 @@ def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
     assert pipeline.journal is None
     assert sum(isinstance(record.outcome, Contact) for record in pipeline.snapshot().pokes) == 2
     monkeypatch.undo()
-    with pytest.raises(InputError, match="open the session again"):
+    with pytest.raises(InputError, match=approved_pattern("session.open_again")):
         pipeline.begin_segment(LINKS, next_segment(tmp_path / "s", scene, LINKS))
     (tmp_path / "s" / "segment-0002.mcap").unlink()
     kept = replay(tmp_path / "s").session.contacts
@@ -345,7 +346,7 @@ def test_a_failed_writer_stays_silent(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
     journal = create_session(tmp_path / "s", scene, LINKS)
     monkeypatch.setattr(os, "fsync", _refuse)
-    with pytest.raises(Exception, match="cannot be written any more"):
+    with pytest.raises(Exception, match=approved_pattern("session.not_written")):
         journal.sync()
     journal.write(Chunk("skin", 1, b"x"))
     journal.sync()

@@ -9,8 +9,7 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.journal import writer
-from skincal.journal.documents import Ending, SegmentMark
-from skincal.journal.lines import lines_path, read_lines
+from skincal.journal.documents import Ending, SegmentMark, lines_path, read_lines
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
 from skincal.model.actions import Exclude, MarkDead, Undo

@@ -16,6 +16,7 @@ from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, killed, next_segment, outcome_key, some_pokes, write_scene
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -93,7 +94,7 @@ def test_a_second_writer_is_refused_and_nothing_is_lost(recording, tmp_path):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         check=True,
     )
-    assert f"is being recorded by process {recording.pid} on {socket.gethostname()} since 20" in done.stdout
+    assert approved("session.recorded_by_since", pid=recording.pid, host=socket.gethostname()) in done.stdout
     assert state_of(tmp_path) == before
     assert rest_of(recording) == 4
     assert len(load(tmp_path / "s").session.contacts) == len(replay(tmp_path / "s").session.contacts) == 4
@@ -104,7 +105,7 @@ def test_a_command_that_would_write_ends_with_2(recording, tmp_path, capsys):
     arguments = ["record", "--wrench", "file:none", "--skin", "file:none", "--scene", str(tmp_path / "source" / "patch.toml")]
     before = state_of(tmp_path)
     assert main([*arguments, "--out", str(tmp_path / "s")]) == 2
-    assert f"process {recording.pid} on {socket.gethostname()}" in capsys.readouterr().err
+    assert approved("session.recorder", pid=recording.pid, host=socket.gethostname()) in capsys.readouterr().err
     assert state_of(tmp_path) == before
     assert rest_of(recording) == 4
 
@@ -115,11 +116,11 @@ def test_a_reader_sees_what_is_written_changes_nothing_and_says_so(recording, tm
     assert len(loaded.session.contacts) >= 2
     for pipeline in (loaded, played):
         (said,) = pipeline.findings
-        assert f"is being recorded by process {recording.pid}" in said
+        assert approved("session.recorded_by", pid=recording.pid) in said
     assert main(["solve", str(tmp_path / "s")]) == 0
-    assert "is being recorded by process" in capsys.readouterr().out
+    assert approved("session.recorded_by_begin") in capsys.readouterr().out
     assert main(["export", str(tmp_path / "s"), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
-    assert "is being recorded by process" in capsys.readouterr().out
+    assert approved("session.recorded_by_begin") in capsys.readouterr().out
     assert state_of(tmp_path / "s") == before
     assert rest_of(recording) == 4
 
@@ -139,7 +140,7 @@ def test_within_one_process_too(tmp_path):
     scene = write_scene(tmp_path / "source")
     journal = create_session(tmp_path / "s", scene, LINKS)
     for opener in (lambda: resume(tmp_path / "s"), lambda: next_segment(tmp_path / "s", scene, LINKS)):
-        with pytest.raises(InputError, match=f"is being recorded by process {os.getpid()}"):
+        with pytest.raises(InputError, match=approved_pattern("session.recorded_by", pid=os.getpid())):
             opener()
     with pytest.raises(InputError, match="is being recorded"):
         create_session(tmp_path / "s", scene, LINKS)
@@ -192,6 +193,9 @@ def test_a_disk_that_refuses_lets_the_session_go(tmp_path, monkeypatch):
         patch.setattr(os, "fsync", refuse)
         with pytest.raises(Exception, match="cannot be written"):
             journal.sync()
+    with pytest.raises(InputError, match=approved_pattern("session.not_written")):
+        journal.open_next(scene, LINKS)
+    assert not (tmp_path / "s" / "segment-0002.mcap").exists()
     SessionLock(tmp_path / "s").release()
 
 
@@ -230,7 +234,9 @@ def test_a_session_that_cannot_be_written_is_read(tmp_path):
     try:
         for way in (load, replay):
             contacts = way(folder).session.contacts
-            assert [outcome_key(one) for one in contacts] == [outcome_key(one) for one in pipeline.session.contacts]
+            assert [outcome_key(contact) for contact in contacts] == [
+                outcome_key(contact) for contact in pipeline.session.contacts
+            ]
     finally:
         for path in (folder, folder / "scene"):
             path.chmod(0o755)

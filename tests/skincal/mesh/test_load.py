@@ -1,6 +1,7 @@
 import gc
 import hashlib
 import io
+import re
 import struct
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from skincal.mesh.search import solver_copy
 from skincal.mesh.surface import make_surface
 from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
+from tests.approved import approved, approved_pattern
 
 
 def tube_mesh(around=24, along=12, turn=0.6, radius=40.0, length=150.0):
@@ -65,7 +67,7 @@ def test_a_clean_shell_is_kept_as_it_is(tmp_path):
     assert surface.sha256 == hashlib.sha256(data).hexdigest()
     assert set(found) == {FindingKind.SIZE, FindingKind.OPEN_EDGES}
     assert found[FindingKind.OPEN_EDGES].count == 2 * (24 + 12)
-    assert found[FindingKind.OPEN_EDGES].sentence == "The mesh has open rims, as covers have (72 edges); it is used as it is."
+    assert found[FindingKind.OPEN_EDGES].sentence == approved("mesh.open_rims", edges=72)
     radial = surface.centres.T * [1, 1, 0]
     assert (np.einsum("ij,ij->i", surface.normals, radial) > 0).all()
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1)
@@ -189,14 +191,34 @@ def test_a_moebius_strip_and_a_fin_are_survived_and_said(tmp_path):
 @pytest.mark.parametrize(
     ("size", "scale", "said"),
     [
-        (1.0, 1.0, r"diagonal of 177\.9 m with unit m; 5 mm to 3 m was expected: .*unit mm would give 177\.9 mm"),
-        (1e-3, 1e-3, r"diagonal of 0\.1779 mm with unit mm; 5 mm to 3 m was expected: unit m would give 177\.9 mm"),
-        (1e6, 1e-3, r"no known unit makes it fit"),
+        (
+            1.0,
+            1.0,
+            approved(
+                "mesh.too_large",
+                seen="177.9 m",
+                unit="m",
+                likely="; ".join(
+                    approved("mesh.unit_would_give", unit=u, diagonal=d) for u, d in (("cm", "1.779 m"), ("mm", "177.9 mm"))
+                ),
+            ),
+        ),
+        (
+            1e-3,
+            1e-3,
+            approved(
+                "mesh.too_large",
+                seen="0.1779 mm",
+                unit="mm",
+                likely=approved("mesh.unit_would_give", unit="m", diagonal="177.9 mm"),
+            ),
+        ),
+        (1e6, 1e-3, approved("mesh.no_unit_fits")),
     ],
 )
 def test_a_thousand_times_wrong_is_refused_with_the_likely_unit(tmp_path, size, scale, said):
     vertices, triangles = tube_mesh()
-    with pytest.raises(InputError, match=said) as error:
+    with pytest.raises(InputError, match=re.escape(said)) as error:
         load(tmp_path, off_bytes(vertices * size, triangles), scale=scale)
     assert "part.off" in str(error.value)
 
@@ -210,24 +232,28 @@ def test_a_thousand_times_wrong_is_refused_with_the_likely_unit(tmp_path, size, 
         ("part.ply", b"", "empty"),
         ("part.stl", stl_bytes(np.zeros((3, 3)), np.empty((0, 3), int)), "empty"),
         ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "3 vertices, no triangle"),
-        ("part.step", b"ISO-10303", "suffix '.step'.*expected .stl, .obj, .ply, .off"),
+        ("part.step", b"ISO-10303", approved("mesh.unknown_suffix", suffix=".step")),
         ("part", b"ISO-10303", "suffix"),
-        ("part.stl", stl_bytes(*tube_mesh())[:-60], "expected for the 576 triangles announced"),
-        ("part.obj", b"\x00\x01garbage", "not a readable OBJ mesh"),
-        ("part.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\n0\n", "not a readable PLY mesh"),
-        ("part.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "vertices 0 to 7, and there are 3"),
-        ("part.off", b"OFF\n3 1 0\n0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n", "1 of 3 vertices are NaN or infinite"),
-        ("part.off", b"OFF\n3 1 0\n0 0 0\n10 0 0\n30 0 0\n3 0 1 2\n", "no triangle of the mesh has an area"),
+        ("part.stl", stl_bytes(*tube_mesh())[:-60], approved("mesh.stl_cut", count=576)),
+        ("part.obj", b"\x00\x01garbage", approved("mesh.not_readable", format="OBJ")),
+        (
+            "part.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\n0\n",
+            approved("mesh.not_readable", format="PLY"),
+        ),
+        ("part.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", approved("mesh.no_such_vertex", last=7, count=3)),
+        ("part.off", b"OFF\n3 1 0\n0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n", approved("mesh.not_finite", bad=1, count=3)),
+        ("part.off", b"OFF\n3 1 0\n0 0 0\n10 0 0\n30 0 0\n3 0 1 2\n", approved("mesh.no_area")),
     ],
 )
 def test_bad_files_are_named_with_what_to_do(tmp_path, name, data, said):
-    with pytest.raises(InputError, match=said) as error:
+    with pytest.raises(InputError, match=re.escape(said)) as error:
         load(tmp_path, data, name)
     assert name in str(error.value)
 
 
 def test_a_missing_file(tmp_path):
-    with pytest.raises(InputError, match="no such mesh file"):
+    with pytest.raises(InputError, match=approved_pattern("mesh.missing")):
         load_surface(SurfaceSpec(tmp_path / "none.stl", 1e-3, np.eye(4)))
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(InputError, match="cannot be read"):

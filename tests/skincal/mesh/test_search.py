@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mesh_support import tube
+from mesh_support import Nearest, nearest_in_metric, tube
 
-from skincal.mesh.search import Nearest, nearest_in_metric, nearest_points, nearest_to_rows
+from skincal.mesh.search import nearest_points, nearest_to_rows
 from skincal.mesh.surface import Surface, make_surface
 from skincal.studies.alternatives import closest_in_triangles
 

@@ -1,3 +1,5 @@
+"""The second-best place on a surface: the same as by looking at every triangle."""
+
 from collections import defaultdict
 
 import numpy as np
@@ -9,12 +11,13 @@ from mesh_support import (
     poked,
     random_metrics,
     same,
+    second_to_rows,
     soup,
     together,
     tube,
 )  # fmt: skip
 
-from skincal.mesh.search import nearest_to_rows, second_to_rows
+from skincal.mesh.search import nearest_to_rows
 from skincal.mesh.surface import make_surface
 
 TIE = 1e-12

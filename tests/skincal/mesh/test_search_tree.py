@@ -1,9 +1,11 @@
+"""The tree over the triangles leaves nothing out that the search needs."""
+
 import pickle
 import time
 
 import numpy as np
 import pytest
-from mesh_support import KINDS, folded, part_of, poked, random_metrics, same, soup, together, tube
+from mesh_support import KINDS, folded, nearest_from, part_of, poked, random_metrics, same, soup, together, tube
 
 from skincal.mesh import search
 from skincal.mesh.search import build_tree, find_fans, nearest_to_rows, solver_copy
@@ -90,7 +92,7 @@ def test_targets_on_corners_are_found_to_the_last_bit():
         asked = np.tile(root, (len(targets), 1, 1)), targets @ root, -targets * [1, 1, 0]
         every = nearest_to_rows(surface, *asked, every=True)
         assert same(nearest_to_rows(surface, *asked), every)
-        assert same(nearest_to_rows(surface, *asked, start), every)
+        assert same(nearest_from(surface, *asked, start), every)
 
 
 def test_targets_far_from_the_part_are_found_to_the_last_bit_too():
@@ -128,7 +130,7 @@ def test_an_answer_does_not_depend_on_the_others_nor_on_where_the_search_starts(
     many = nearest_to_rows(surface, *asked)
     order = rng.permutation(len(asked[0]))
     for start in (None, many.triangles, np.full(len(order), -1), rng.integers(-1, len(surface.triangles), len(order))):
-        mixed = nearest_to_rows(surface, *[part[order] for part in asked], None if start is None else start[order])
+        mixed = nearest_from(surface, *[part[order] for part in asked], None if start is None else start[order])
         back = np.argsort(order)
         assert same(many, part_of(mixed, back))
     for i in order[:60]:
@@ -241,7 +243,7 @@ def test_a_surface_that_travelled_gives_the_same_answers():
 
 def test_fans_hold_the_triangles_around_each_vertex():
     surface = tube(5, 4)
-    fans = find_fans(surface)
+    starts, triangles = find_fans(surface)
     for vertex in range(len(surface.vertices)):
-        own = fans.triangles[fans.starts[vertex] : fans.starts[vertex + 1]]
+        own = triangles[starts[vertex] : starts[vertex + 1]]
         assert sorted(own) == sorted(np.flatnonzero((surface.triangles == vertex).any(axis=1)))

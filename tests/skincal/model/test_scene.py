@@ -7,6 +7,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
+from tests.approved import approved, approved_pattern
 
 GOOD = """
 name = "bench"
@@ -68,27 +69,27 @@ def test_what_a_scene_does_not_have_is_none(tmp_path):
         ('name = "bench"', "", ["name is missing", "text"]),
         ("channels = 24", "", ["channels is missing", "whole number"]),
         ("channels = 24", 'channels = "24"', ["channels is '24'", "whole number"]),
-        ("channels = 24", "channels = 20", ["takes channels 12 to 23", "a skin frame has 20"]),
+        ("channels = 24", "channels = 20", ["takes channels 12 to 23", approved("scene.channels_in_frame", channels=20)]),
         ('polarity = "down"', 'polarity = "left"', ["'left'", "up, down"]),
-        ('unit = "mm"', 'unit = "furlong"', ["'furlong'", "m, cm, mm, in"]),
+        ('unit = "mm"', 'unit = "furlong"', ["'furlong'", approved("scene.units")]),
         ('unit = "mm"', "", ["unit is missing"]),
         ('polarity = "down"', 'polarty = "down"', ["unknown name 'polarty'"]),
         ("force_min = 3", "force_minimum = 3", ["unknown name 'force_minimum'"]),
         ("force_min = 3", "force_min = -3", ["force_min is -3", "above 0"]),
         ("force = 0.2", "force = nan", ["force is nan"]),
-        ("[-1,0,0,0]", "[1,0,0,0]", ["not a rigid pose", "right-handed"]),
+        ("[-1,0,0,0]", "[1,0,0,0]", [approved("scene.no_rigid_pose"), "right-handed"]),
         ("[94.0, 0.0]", "[94.0]", ["2 finite numbers", "[94.0]"]),
         ('modules = "m.toml"', 'modules = "n.toml"', ["n.toml", "no such file"]),
-        ("[skin]", "[skin", ["not a TOML file", "line"]),
-        ("channels = 24", "channels = 24\nrange = [255, 0]", ["range is [255.0, 0.0]", "the lowest raw value"]),
+        ("[skin]", "[skin", [approved("scene.no_toml"), "line"]),
+        ("channels = 24", "channels = 24\nrange = [255, 0]", ["range is [255.0, 0.0]", approved("scene.range_falls")]),
         ("joints = [3, 4]", "joints = [3.5, 4]", ["joints is [3.5, 4.0]", "columns"]),
         ("joints = [3, 4]", "joints = [-3, 4]", ["joints is [-3.0, 4.0]", "columns"]),
         ("joints = [3, 4]", "joints = []", ["joints is []", "columns"]),
         ("joints = [3, 4]", "joints = [3, 4]\ntolerance_deg = -1", ["tolerance_deg is -1", "above 0"]),
-        ("-0.1373", "-137.3", ["dh has a length of 137.3", "divide millimetres by 1000"]),
-        ("-0.08428", "-84.28", ["base_from_sensor has a length of 84.28", "divide millimetres by 1000"]),
-        ("force_min = 3", "force_min = 20", ["force_min is 20 and force_max is 15", "expected to rise"]),
-        ("force_min = 3", "release_force = 2", ["release_force is 2 and touch_force is 1", "expected to rise"]),
+        ("-0.1373", "-137.3", [approved("scene.dh_long", length=137.3), "divide millimetres by 1000"]),
+        ("-0.08428", "-84.28", [approved("scene.base_long", length=84.28), "divide millimetres by 1000"]),
+        ("force_min = 3", "force_min = 20", [approved("scene.forces_fall", least=20, most=15), "expected to rise"]),
+        ("force_min = 3", "release_force = 2", [approved("scene.touch_below_release", release=2, touch=1), "expected to rise"]),
         ("[noise]", "[sensor]\npose=[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]\n[noise]", ["exclude each other"]),
     ],
 )
@@ -103,7 +104,7 @@ def test_a_fault_is_named(tmp_path, old, new, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('kind = "triangle_12"', 'kind = "hexagon"', ["kind is 'hexagon'", "one of triangle_12, triangle_10pad"]),
+        ('kind = "triangle_12"', 'kind = "hexagon"', ["kind is 'hexagon'", approved("scene.known_kinds")]),
         ('kind = "triangle_12"', 'kind = ["triangle_12"]', ["kind is ['triangle_12']", "text"]),
         ("id = 5\n", "", ["number 1", "id is missing", "whole number"]),
         ("id = 5", 'id = "five"', ["id is 'five'", "whole number"]),
@@ -117,9 +118,9 @@ def test_a_fault_is_named(tmp_path, old, new, words):
         ("place_mm = [1, 2]", "place_mm = [1, nan]", ["place_mm is [1, nan]", "2 finite numbers"]),
         (MODULES, "modules = 3\n", ["modules is 3", "a list"]),
         (MODULES, "modules = [3]\n", ["modules holds 3", "[[modules]]"]),
-        (MODULES, "", ["list at least one module"]),
+        (MODULES, "", [approved("scene.no_module")]),
         (MODULES, MODULES + "[colour]\n", ["unknown name 'colour'"]),
-        (MODULES, MODULES + MODULES.replace("= 12", "= 0"), ["two modules have the id 5"]),
+        (MODULES, MODULES + MODULES.replace("= 12", "= 0"), [approved("scene.module_twice", module=5)]),
     ],
 )
 def test_a_fault_of_the_layout_is_named(tmp_path, old, new, words):
@@ -200,5 +201,5 @@ def test_the_spacing_is_that_of_the_whole_layout_and_not_of_its_first_module(tmp
 
 
 def test_a_channel_has_one_place(tmp_path):
-    with pytest.raises(InputError, match="channel 12 belongs to modules 5 and 6"):
+    with pytest.raises(InputError, match=approved_pattern("scene.channel_twice", channel=12, first=5, second=6)):
         load_scene(write(tmp_path, GOOD, MODULES + MODULES.replace("id = 5", "id = 6")))

@@ -15,6 +15,7 @@ from skincal.session.corrections import offered
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
+from tests.approved import approved
 from tests.skincal.sim_support import make_rig
 
 LAYOUT = 0.004
@@ -136,7 +137,7 @@ def test_a_right_frame_is_left_and_a_wrong_one_is_corrected_by_what_is_offered()
     assert "reaction" in frame_sentence(reaction)
     turned = [replace(poke, force=poke.force[[1, 0, 2]], moment=poke.moment[[1, 0, 2]]) for poke in pokes]
     found = diagnose(turned, normals)
-    assert "another order: x, y, z are y, x, z" in frame_sentence(found)
+    assert approved("sensor_frame.axes_order_clause", order="y, x, z") in frame_sentence(found)
     assert f"{found.miss * 1e3:.0f} mm" in frame_sentence(found)
     for before, after in zip(pokes, turned, strict=True):
         same_poke(frame_correction(found.correction).corrected(after), before)
@@ -221,8 +222,8 @@ def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
         assert not (said.sure and said.right)
         unexplained += not said.explained
         if not said.explained:
-            assert f"they pass their landmarks at {said.miss * 1e3:.0f} mm" in frame_sentence(said)
-            assert frame_sentence(said).startswith("No known mistake of the frame explains these pokes")
+            assert approved("rig.frame_miss_clause", miss_mm=f"{said.miss * 1000.0:.0f}") in frame_sentence(said)
+            assert frame_sentence(said).startswith(approved("sensor_frame.unexplained"))
             assert offered(said, rig_answer(None), 21, {}) is None
     assert unexplained >= 0.9 * SLIPS
 

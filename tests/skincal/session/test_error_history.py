@@ -23,7 +23,6 @@ from skincal.session.error_history import (
     POINTS_MAX,
     TAXELS,
     ErrorHistory,
-    error_series,
     poking_times,
     spreads_of,
     stride_of,
@@ -31,6 +30,8 @@ from skincal.session.error_history import (
 from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.taxels.result import Method
+from tests.approved import approved_pattern
+from tests.skincal.poke_script import error_series
 
 POKES = 14
 
@@ -298,7 +299,7 @@ def test_a_reference_says_what_it_is_and_is_of_this_part(sample, tmp_path):
     path.write_text(json.dumps({"link": pipeline.scene.link, "taxels": [taxel]}))
     chosen = load_reference(path, pipeline.scene.link, channels)
     assert (chosen.origin, chosen.name, list(chosen.places)) == (Origin.FILE, "places.json", [channels[0]])
-    with pytest.raises(InputError, match="in the frame of"):
+    with pytest.raises(InputError, match=approved_pattern("errors.other_link_clause")):
         load_reference(path, "another_link", channels)
     path.write_text(json.dumps({"taxels": [{**taxel, "channel": 100_000}]}))
     with pytest.raises(InputError, match="knows none"):

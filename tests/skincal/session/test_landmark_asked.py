@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from skincal.model.scene import Landmark, load_scene
 from skincal.session.landmark_pokes import REACTION_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
+from tests.approved import approved
 from tests.skincal.poke_script import LINKS, Script, as_chunks, outcome_key, same_estimates, small_scene, write_scene
 
 FORCE, POINT = np.array([1.0, 2.0, -8.0]), np.array([0.02, 0.05, 0.10])
@@ -65,7 +67,7 @@ def test_a_poke_that_begins_after_the_landmark_is_asked_for_is_at_it_whether_a_t
     kinds = [type(record.outcome) for record in pipeline.snapshot().pokes]
     assert kinds == [Rejection, Contact, Rejection]
     assert pipeline.snapshot().at_landmarks == {2: "head", 3: "head"}
-    assert pipeline.snapshot().can_undo == "poke 3 at head"
+    assert pipeline.snapshot().can_undo == approved("landmark.undo_poke", poke=3, name="head")
 
 
 def test_a_poke_that_was_on_its_way_is_not_at_it_and_none_is_once_nothing_is_asked_for(scene):
@@ -123,7 +125,7 @@ def test_a_session_played_or_loaded_has_the_same_landmark_pokes_and_the_same_to_
     assert other.findings == ()
     assert pipeline.snapshot().at_landmarks == {1: "head", 3: "tail"}
     assert other.snapshot().at_landmarks == pipeline.snapshot().at_landmarks
-    assert other.snapshot().can_undo == pipeline.snapshot().can_undo == "poke 3 at tail"
+    assert other.snapshot().can_undo == pipeline.snapshot().can_undo == approved("landmark.undo_poke", poke=3, name="tail")
     assert same_estimates(other.snapshot(), pipeline.snapshot())
 
 
@@ -139,14 +141,14 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
     items.put(OrderLine(10**18, b'{"do": "ask_landmark", "name": "nose"}\n'))
     items.put(OrderLine(10**18, b"poke 3\n"))
     headless = Pipeline(SessionLog(folder).scene, LINKS, None)
-    _loop(headless, items, {}, None, None)
+    _loop(headless, items, {}, (None, None), threading.Event())
     assert headless.snapshot().at_landmarks == {1: "head", 3: "tail"}
-    mine, theirs = ([outcome_key(one.outcome) for one in each.snapshot().pokes] for each in (headless, pipeline))
+    mine, theirs = ([outcome_key(poke.outcome) for poke in each.snapshot().pokes] for each in (headless, pipeline))
     assert mine == theirs
     assert same_estimates(headless.snapshot(), pipeline.snapshot())
     said = capsys.readouterr().err
-    assert 'order {"do": "ask_landmark", "name": "nose"}: not done. There is no landmark' in said
-    assert "order poke 3: not done." in said
+    assert approved("landmark.order_refused", order='{"do": "ask_landmark", "name": "nose"}') in said
+    assert approved("landmark.poke_order_refused", channel=3) in said
 
 
 def test_the_bytes_are_what_counts(recorded):

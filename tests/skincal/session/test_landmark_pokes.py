@@ -18,6 +18,7 @@ from skincal.session.replay import load, replay
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene
 from tests.skincal.sim_support import make_rig
 
@@ -51,20 +52,20 @@ def test_a_poke_that_no_taxel_answered_may_be_at_a_landmark():
     for poke in (first.poke, second.poke):
         session.act(AtLandmark(poke, "head"))
     reported = session.landmark_pokes
-    assert [one.poke for one in reported] == [1, 2]
+    assert [each.poke for each in reported] == [1, 2]
     np.testing.assert_allclose(reported[0].force, FORCE, atol=2e-6)
     np.testing.assert_allclose(reported[0].moment, np.cross(POINT, FORCE), atol=2e-6)
     assert (reported[0].place == POINT).all()
     assert session.snapshot().at_landmarks == {1: "head", 2: "head"}
-    assert session.snapshot().can_undo == "poke 2 at head"
+    assert session.snapshot().can_undo == approved("landmark.undo_poke", poke=2, name="head")
     session.act(Undo())
     session.act(AtLandmark(1, ""))
     assert session.landmark_pokes == ()
     session.act(Undo())
-    assert [one.poke for one in session.landmark_pokes] == [1]
+    assert [each.poke for each in session.landmark_pokes] == [1]
     session.act(AtLandmark(2, "head"))
     session.act(Exclude(2))
-    assert [one.poke for one in session.landmark_pokes] == [1]
+    assert [each.poke for each in session.landmark_pokes] == [1]
 
 
 def test_landmarks_are_added_by_hand_and_named_once():
@@ -72,11 +73,11 @@ def test_landmarks_are_added_by_hand_and_named_once():
     with pytest.raises(InputError, match="no landmarks"):
         session.act(AtLandmark(1, "head"))
     session.act(AddLandmark("head", 0.02, 0.05, 0.10))
-    assert [one.name for one in session.snapshot().landmarks] == ["head"]
+    assert [landmark.name for landmark in session.snapshot().landmarks] == ["head"]
     for wrong in (AddLandmark("head", 0.0, 0.0, 0.0), AddLandmark("", 0.0, 0.0, 0.0), AddLandmark("far", 20.0, 0.0, 0.0)):
         with pytest.raises(InputError):
             session.act(wrong)
-    with pytest.raises(InputError, match="cannot be at a landmark"):
+    with pytest.raises(InputError, match=approved_pattern("landmark.wrong_contact")):
         session.act(AtLandmark(7, "head"))
     session.act(Undo())
     assert session.landmarks == ()
@@ -117,7 +118,10 @@ def test_scenes_name_landmarks_and_say_what_is_wrong_with_them(tmp_path):
     one, other = load_scene(path).landmarks
     assert one.normal.tolist() == [0.0, 0.0, 1.0]
     assert other.normal is None
-    for wrong, why in ((good + good, "no other one has"), (good.replace("0.03, 0.03", "30, 30"), "divide millimetres")):
+    for wrong, why in (
+        (good + good, approved("landmark.name_twice")),
+        (good.replace("0.03, 0.03", "30, 30"), "divide millimetres"),
+    ):
         path.write_text(text + wrong, encoding="utf-8")
         with pytest.raises(InputError, match=why):
             load_scene(path)
@@ -138,8 +142,8 @@ def test_a_session_asks_for_what_corrects_its_rig(rng):
         )  # fmt: skip
         session.act(AtLandmark(poke.poke, poke.name))
     request = session.rig_request()
-    assert [one.poke for one in request.landmarks] == list(range(1001, 1007))
-    assert {one.pose for one in request.landmarks} == {"1", "2"}
+    assert [poke.poke for poke in request.landmarks] == list(range(1001, 1007))
+    assert {poke.pose for poke in request.landmarks} == {"1", "2"}
     assert len(request.contacts) == len(session.contacts)
 
 
@@ -162,4 +166,5 @@ def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
     assert main(["solve", str(tmp_path / "s")]) == 0
     reported = capsys.readouterr().out
     assert "frame looks right" in reported
-    assert "it needs 6 pokes at landmarks, 4 different ones; 3 pokes at 1 are there" in reported
+    needs = approved("rig.pokes_needed", pokes=6, landmarks=4)
+    assert approved("rig.too_few", needs=needs, pokes=3, landmarks=1) in reported

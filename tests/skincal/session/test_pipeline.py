@@ -28,7 +28,7 @@ def played(items, scene=None, links=LINKS):
 
 
 def outcomes_of(pipeline):
-    return [one.outcome for one in pipeline.snapshot().pokes]
+    return [poke.outcome for poke in pipeline.snapshot().pokes]
 
 
 def test_bytes_become_contacts_with_the_numbers_of_the_truth():
@@ -79,9 +79,9 @@ def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():
     lost_ns = items[-1].host_ns + 100_000_000
     back = [dataclasses.replace(item, host_ns=item.host_ns + 20_000_000_000) for item in as_chunks(script.quiet().samples)]
     pipeline = played([*items, LinkEvent("skin", lost_ns, LinkState.LOST, "unplugged"), *back])
-    kinds = [one.reason if not isinstance(one, Contact) else "contact" for one in outcomes_of(pipeline)]
+    kinds = [poke.reason if not isinstance(poke, Contact) else "contact" for poke in outcomes_of(pipeline)]
     assert kinds == ["contact", Reason.READINGS_LOST, "contact", "contact"]
-    assert all(one.final for one in outcomes_of(pipeline))
+    assert all(poke.final for poke in outcomes_of(pipeline))
 
 
 def test_the_end_of_the_last_recording_settles_the_last_poke():
@@ -149,7 +149,7 @@ def test_bad_bytes_are_counted_and_the_pokes_survive():
     losses = [sum(link.losses.values()) for link in pipeline.live(items[-1].host_ns).links]
     assert sum(losses) >= 10
     assert any(Loss.BAD_CHECKSUM in link.losses for link in pipeline.live(0).links)
-    assert sum(isinstance(one, Contact) for one in outcomes_of(pipeline)) >= 2
+    assert sum(isinstance(poke, Contact) for poke in outcomes_of(pipeline)) >= 2
 
 
 def test_bytes_of_an_unknown_link_are_refused():

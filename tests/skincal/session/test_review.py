@@ -21,6 +21,7 @@ from skincal.session.review import Asked, ReviewedPart, Reviewer, Unreviewed, re
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
+from tests.approved import approved_pattern
 from tests.skincal.poke_script import small_scene
 from tests.skincal.session.test_corrections import rejected
 from tests.skincal.sim_support import make_rig, scene_and_surface
@@ -162,27 +163,27 @@ def places(session, contacts):
     )
     unknown = np.full(3, np.nan)
     return {
-        method: np.array([unknown if one.position is None else one.position for one in found.values()])
+        method: np.array([unknown if estimate.position is None else estimate.position for estimate in found.values()])
         for method, found in solved.items()
     }
 
 
 def assert_is_of(session, answer):
     """Fail unless a review says what the session itself finds."""
-    normals = {one.name: one.normal for one in session.landmarks}
-    frame = diagnose(session.landmark_pokes, [normals[one.name] for one in session.landmark_pokes])
+    normals = {landmark.name: landmark.normal for landmark in session.landmarks}
+    frame = diagnose(session.landmark_pokes, [normals[poke.name] for poke in session.landmark_pokes])
     rig = correct_rig(session.rig_request())
     assert (answer.frame is None) == (frame is None)
     if frame is not None:
         assert frame_sentence(answer.frame) == frame_sentence(frame)
-    assert [one.poke for one in answer.pokes] == [one.poke for one in session.landmark_pokes]
+    assert [poke.poke for poke in answer.pokes] == [poke.poke for poke in session.landmark_pokes]
     assert (answer.rig.used, answer.rig.distances, answer.rig.trust) == (rig.used, rig.distances, rig.trust)
     np.testing.assert_array_equal(answer.rig.unknowns, rig.unknowns)
     np.testing.assert_array_equal(answer.channels, session.channels)
-    contacts = [one for one in session.framed().values() if isinstance(one, Contact)]
+    contacts = [contact for contact in session.framed().values() if isinstance(contact, Contact)]
     corrected = RIG in session.corrections
     wanted = places(session, contacts) if corrected else {}
-    offered = places(session, [rig.correction.corrected(one) for one in contacts]) if rig.used and not corrected else {}
+    offered = places(session, [rig.correction.corrected(contact) for contact in contacts]) if rig.used and not corrected else {}
     for found, expected in ((answer.before, wanted), (answer.after, offered)):
         assert found.keys() == expected.keys()
         for method, known in expected.items():
@@ -240,7 +241,7 @@ def test_the_places_before_are_told_while_a_correction_is_in_use_and_those_after
     session.act(Undo())
     for method, found in review.before.items():
         now = session.snapshot().estimates[method]
-        known = np.array([np.full(3, np.nan) if one.position is None else one.position for one in now])
+        known = np.array([np.full(3, np.nan) if estimate.position is None else estimate.position for estimate in now])
         np.testing.assert_array_equal(found, known, err_msg="the session's own, without the correction")
 
 
@@ -260,7 +261,7 @@ def test_from_too_few_landmark_pokes_nothing_is_offered(poked):
     assert_is_of(session, review)
 
 
-def test_whoever_is_asked_nothing_says_nothing():
+def test_a_reviewer_that_is_asked_nothing_says_nothing():
     with pytest.raises(ValueError, match="nothing was asked"):
         Reviewer(small_scene(), None).review(lambda: None)
 
@@ -359,7 +360,7 @@ def test_what_was_not_told_from_its_beginning_is_not_guessed(session):
 
 @pytest.mark.parametrize("sha256", ["0" * 64, None])
 def test_a_mesh_that_changed_is_said(sha256):
-    with pytest.raises(InputError, match="the mesh changed since the session was opened"):
+    with pytest.raises(InputError, match=approved_pattern("mesh.changed_after_opening")):
         ReviewedPart(scene_and_surface()[0], sha256).load_surface()
 
 

@@ -14,6 +14,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec
 from skincal.session.session import Session
 from skincal.taxels.result import Method, State
+from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates, small_scene, some_pokes
 
 NUMBERS = st.integers(1, 9)
@@ -131,8 +132,8 @@ def play(session, move, number, outcomes):
         elif move == "look":
             session.snapshot()
         else:
-            wishes = {"exclude": Exclude(number), "restore": Restore(number), "undo": Undo()}
-            session.act((wishes | {"dead": MarkDead(channel), "revive": Revive(channel)})[move])
+            actions = {"exclude": Exclude(number), "restore": Restore(number), "undo": Undo()}
+            session.act((actions | {"dead": MarkDead(channel), "revive": Revive(channel)})[move])
     except InputError:
         pass
 
@@ -163,7 +164,7 @@ def test_undo_takes_back_everything_the_newest_first(outcomes):
         session.act(Undo())
         assert same_estimates(session.snapshot(), before)
         assert session.snapshot().dead == before.dead
-        assert [one.excluded for one in session.snapshot().pokes] == [one.excluded for one in before.pokes]
+        assert [record.excluded for record in session.snapshot().pokes] == [record.excluded for record in before.pokes]
     assert words == ["return of poke 1", "mark of channel 7", "exclusion of poke 1"]
     for poke in (3, 2, 1):
         assert session.snapshot().can_undo == f"poke {poke}"
@@ -185,14 +186,14 @@ def test_undo_after_an_exclusion_of_the_last_poke_restores_it(outcomes):
 @pytest.mark.parametrize(
     ("action", "words"),
     [
-        (Exclude(99), "not an accepted poke"),
+        (Exclude(99), approved("session.not_accepted")),
         (Restore(1), "counts already"),
-        (SetPose("sideways"), "not in the scene"),
+        (SetPose("sideways"), approved("session.pose_unknown")),
         (MarkDead(24), "expected 0 to 23"),
     ],
     ids=str,
 )
-def test_a_wish_that_cannot_be_met_changes_nothing(outcomes, action, words):
+def test_an_action_that_cannot_be_done_changes_nothing(outcomes, action, words):
     session = session_of(outcomes)
     before = session.snapshot()
     with pytest.raises(InputError, match=words):
@@ -204,7 +205,7 @@ def test_a_dead_channel_is_not_estimated_and_a_revived_one_is_as_before(outcomes
     session = session_of(outcomes)
     before = session.snapshot()
     session.act(MarkDead(7))
-    dead = {one.channel: one for one in session.snapshot().estimates[Method.FREE]}[7]
+    dead = {estimate.channel: estimate for estimate in session.snapshot().estimates[Method.FREE]}[7]
     assert (dead.state, dead.position) == (State.DEAD, None)
     assert session.snapshot().touched.tolist() == [7]
     session.act(Revive(7))
@@ -252,5 +253,5 @@ def test_the_calibration_carries_what_was_used_and_what_was_not(outcomes):
     assert calibration.excluded == (2,)
     assert [contact.poke for contact in calibration.contacts] == list(range(1, 10))
     assert list(calibration.dead) == [20]
-    assert all(isinstance(one, Contact) for one in calibration.contacts)
+    assert all(isinstance(each, Contact) for each in calibration.contacts)
     assert len(calibration.estimates[Method.FREE]) == len(calibration.channels) == 24

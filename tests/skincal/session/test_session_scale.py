@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.journal.documents import Ending, Taken, taken_to_json
+from skincal.journal.documents import Ending, Taken, note_to_json
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
 from skincal.model.actions import Exclude, Restore, Undo
@@ -92,8 +92,8 @@ def test_a_session_is_opened_in_little_more_than_its_notes_take_to_parse(tmp_pat
     pokes = contacts(1500)
     write_pokes(tmp_path / "s", scene, pokes)
     loaded = load(tmp_path / "s")
-    assert [outcome_key(one) for one in loaded.session.contacts] == [outcome_key(one) for one in pokes]
-    notes = [json.dumps(taken_to_json(Taken([(one, None)]))) for one in pokes for _ in range(2)]
+    assert [outcome_key(contact) for contact in loaded.session.contacts] == [outcome_key(poke) for poke in pokes]
+    notes = [json.dumps(note_to_json(Taken([(poke, None)]))) for poke in pokes for _ in range(2)]
     parsing = least(lambda: [json.loads(note) for note in notes])
     assert least(lambda: load(tmp_path / "s")) < 3.0 * parsing
 
@@ -211,7 +211,7 @@ def test_a_record_that_did_not_change_is_the_same_object():
     session.add(pokes[5])
     session.act(Exclude(2))
     after = session.snapshot().pokes
-    assert [one is other for one, other in zip(before, after, strict=False)] == [True, False, True, True, True]
+    assert [first is second for first, second in zip(before, after, strict=False)] == [True, False, True, True, True]
 
 
 def test_a_poke_that_becomes_a_rejection_leaves_no_trace():

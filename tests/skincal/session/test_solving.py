@@ -108,8 +108,8 @@ def test_a_file_is_written_from_what_is_solved_to_the_end(rig, contacts):
     assert in_parts.unsolved
     written = in_parts.calibration().estimates[Method.MODULES]
     assert not in_parts.unsolved
-    assert [one.position.tolist() for one in written] == [
-        one.position.tolist() for one in at_once.snapshot().estimates[Method.MODULES]
+    assert [estimate.position.tolist() for estimate in written] == [
+        estimate.position.tolist() for estimate in at_once.snapshot().estimates[Method.MODULES]
     ]
 
 

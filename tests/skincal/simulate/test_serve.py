@@ -4,7 +4,7 @@ import socket
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def serving(*, tcp, form="skb", name="flat-patch"):
     rng = np.random.default_rng(1)
     line = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng), rng, DeviceSettings(format=form))
     stop = threading.Event()
-    with Server(line, tcp=tcp) as server:
+    with closing(Server(line, tcp=tcp)) as server:
         thread = threading.Thread(target=server.run, args=(stop,))
         thread.start()
         try:

@@ -21,6 +21,7 @@ from skincal.streams.decoders.delimited import TextDecoder
 from skincal.streams.decoders.detect import NAMES, make_decoder
 from skincal.streams.decoders.skb import SkbDecoder, unstuffed
 from skincal.streams.decoders.skt import SktDecoder
+from tests.approved import approved
 
 ALL = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
 SKB_TAXELS = bytes.fromhex("020102110420300502C902C7040609C803F32E00")
@@ -308,7 +309,7 @@ def test_numbers_beyond_every_integer_are_no_fault():
 def test_error_record_is_a_sentence():
     decoder = SktDecoder(4, ALL)
     decoder.feed(skt("E,3,mux stuck"))
-    assert decoder.note == "The board reports error 3,mux stuck"
+    assert decoder.note == approved("links.board_error", code=3, words="mux stuck")
 
 
 # ------------------------------------------------------------------ sequences and clocks

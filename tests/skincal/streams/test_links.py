@@ -17,18 +17,20 @@ import serial
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams import links
-from skincal.streams.link_reader import NEW_REASON_S, Reader
 from skincal.streams.links import (
+    NEW_REASON_S,
     Address,
     FailureKind,
     LinkFailure,
     LinkKind,
     LinkSpec,
+    Reader,
     describe_links,
     open_link,
     parse_address,
     split_baud,
 )
+from tests.approved import approved, approved_pattern
 
 LOST_WITHIN_S = 0.3
 PATIENCE_S = 5.0
@@ -172,7 +174,7 @@ def test_port_that_comes_later_is_opened_then(tmp_path):
     port = tmp_path / "tty"
     with reading(port) as items:
         event = next_event(items, LinkState.FAILED)
-        assert event.text == f"There is no port {port}; plug the device in, or check the name."
+        assert event.text == approved("links.no_port", port=port)
         with pty() as device:
             port.symlink_to(device.path)
             next_event(items, LinkState.OPEN)
@@ -184,11 +186,11 @@ def test_port_that_comes_later_is_opened_then(tmp_path):
 def test_port_in_use_is_said_and_taken_when_it_is_free():
     with pty() as device:
         other = serial.Serial(device.path, exclusive=True)
-        with pytest.raises(LinkFailure, match="port is used by another program") as failure:
+        with pytest.raises(LinkFailure, match=approved_pattern("links.in_use")) as failure:
             open_link(spec(device.path))
         assert failure.value.kind is FailureKind.IN_USE
         with reading(device.path) as items:
-            assert "port is used by another program" in next_event(items, LinkState.FAILED).text
+            assert approved("links.in_use") in next_event(items, LinkState.FAILED).text
             other.close()
             next_event(items, LinkState.OPEN)
 
@@ -206,7 +208,7 @@ def test_port_taken_by_another_program_while_away_is_told_after_a_while(tmp_path
                 first.unplug()
                 next_event(items, LinkState.LOST)
                 told = next_event(items, LinkState.LOST, NEW_REASON_S + PATIENCE_S)
-                assert "port is used by another program" in told.text
+                assert approved("links.in_use") in told.text
             next_event(items, LinkState.OPEN)
 
 
@@ -332,7 +334,7 @@ def test_file_without_a_device_clock_plays_at_its_baud_rate(tmp_path):
 
 
 def test_missing_file_is_said(tmp_path):
-    with pytest.raises(LinkFailure, match=r"There is no file .*nothing\.log") as failure:
+    with pytest.raises(LinkFailure, match=approved_pattern("links.no_file", path=tmp_path / "nothing.log")) as failure:
         open_link(spec(f"file:{tmp_path / 'nothing.log'}"))
     assert failure.value.kind is FailureKind.ABSENT
 
@@ -364,7 +366,7 @@ def test_only_links_that_are_known_are_opened(tmp_path, monkeypatch, address):
     with pytest.raises(InputError) as error:
         parse_address(address)
     begins = address.partition(":")[0]
-    assert f"{address}: skincal does not open what begins with {begins}:, expected a serial port" in str(error.value)
+    assert approved("links.refused_scheme", address=address, scheme=begins) in str(error.value)
     with pytest.raises(LinkFailure) as failure:
         open_link(spec(address))
     assert failure.value.kind is FailureKind.ADDRESS
@@ -394,7 +396,7 @@ def test_what_an_address_names(address, kind, place, number):
 def test_a_port_s_name_is_never_a_url(monkeypatch):
     """Were the check above gone, pyserial still would not look for a handler of `spy://`."""
     monkeypatch.setattr(links, "SCHEME", re.compile("(?!)(x)"))
-    with pytest.raises(LinkFailure, match="There is no port") as failure:
+    with pytest.raises(LinkFailure, match=approved_pattern("links.no_port_begin")) as failure:
         open_link(spec("spy:///dev/null"))
     assert failure.value.kind is FailureKind.ABSENT
 
@@ -405,7 +407,7 @@ def test_address_that_cannot_be_right_is_said_once_and_left(address):
     reader = Reader(spec(address), items)
     reader.start()
     event = next_event(items, LinkState.FAILED)
-    assert "expected a serial port such as" in event.text
+    assert approved("links.no_address") in event.text
     time.sleep(0.3)
     assert not reader.running
     assert items.empty()
@@ -437,13 +439,13 @@ def test_baud_rate_in_the_address(address, port, baud):
     [
         ("linux", serial.SerialException(errno.EACCES, "denied"), FailureKind.DENIED, "dialout"),
         ("darwin", serial.SerialException(errno.EACCES, "denied"), FailureKind.DENIED, "permission denied"),
-        ("linux", serial.SerialException(errno.EBUSY, "busy"), FailureKind.IN_USE, "port is used by another program"),
-        ("linux", serial.SerialException(errno.ENOENT, "none"), FailureKind.ABSENT, "There is no port"),
+        ("linux", serial.SerialException(errno.EBUSY, "busy"), FailureKind.IN_USE, approved("links.in_use")),
+        ("linux", serial.SerialException(errno.ENOENT, "none"), FailureKind.ABSENT, approved("links.no_port_begin")),
         (
             "win32",
             serial.SerialException("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)"),
             FailureKind.IN_USE,
-            "port is used by another program",
+            approved("links.in_use"),
         ),
         (
             "win32",
@@ -451,7 +453,7 @@ def test_baud_rate_in_the_address(address, port, baud):
                 "could not open port 'COM9': FileNotFoundError(2, 'The system cannot find the file', None, 2)"
             ),
             FailureKind.ABSENT,
-            "There is no port",
+            approved("links.no_port_begin"),
         ),
         ("linux", OSError(errno.EPROTO, "odd"), FailureKind.OTHER, "cannot be opened"),
     ],
@@ -470,7 +472,7 @@ def test_what_the_system_says_becomes_a_sentence(monkeypatch, platform, error, k
 @pytest.mark.skipif(sys.platform == "win32", reason="no such file there")
 def test_file_that_is_no_port():
     for path in (os.devnull, "/"):
-        with pytest.raises(LinkFailure, match="is not a serial port") as failure:
+        with pytest.raises(LinkFailure, match=approved_pattern("links.no_serial_port")) as failure:
             open_link(spec(path))
         assert failure.value.kind is FailureKind.ADDRESS
 
@@ -479,7 +481,7 @@ def test_fault_in_the_thread_arrives_as_a_message(monkeypatch):
     def broken(_spec):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("skincal.streams.link_reader.open_link", broken)
+    monkeypatch.setattr("skincal.streams.links.open_link", broken)
     items = queue.SimpleQueue()
     reader = Reader(spec("x"), items)
     reader.start()
@@ -490,5 +492,5 @@ def test_fault_in_the_thread_arrives_as_a_message(monkeypatch):
 def test_serial_is_imported_only_when_a_port_is_opened():
     import subprocess
 
-    code = "import sys, skincal.streams.intake, skincal.streams.link_reader; sys.exit('serial' in sys.modules)"
+    code = "import sys, skincal.streams.intake, skincal.streams.links; sys.exit('serial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0

@@ -10,7 +10,8 @@ import pytest
 from skincal.simulate.courses import TABLE_I
 from skincal.studies import paper
 from skincal.studies.figures import write_figure
-from skincal.studies.paper import QUICK, ErrorSpread, run_course, run_good, run_trial
+from skincal.studies.paper import QUICK, run_course, run_good, run_trial, spread
+from tests.approved import approved
 
 TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84))
 
@@ -29,7 +30,7 @@ def test_it_gives_what_is_asked_of_it():
     assert set(found["per_pose_mm"]) == {"free", "surface", "modules"}
     assert all(list(poses) == list(TABLE_I) for poses in found["per_pose_mm"].values())
     assert all(len(course) == 7 for course in found["averaged_mm"].values())
-    assert [one["landmark_pokes"] for one in found["landmarks"]] == [21, 70]
+    assert [row["landmark_pokes"] for row in found["landmarks"]] == [21, 70]
     assert len(said) == 2 + 3
     assert sum("bar" in line for line in paper.summary(found)) == len(found["bars"])
 
@@ -44,7 +45,7 @@ def test_landmarks_help_and_modules_do():
     found, _ = result()
     assert found["mean_mm"]["modules_21"] < 0.5 * found["mean_mm"]["modules"]
     assert found["good_rig_mm"]["modules"] < 0.5 * found["good_rig_mm"]["surface"]
-    assert all(one["held_out_after_mm"] < one["held_out_before_mm"] for one in found["landmarks"])
+    assert all(row["held_out_after_mm"] < row["held_out_before_mm"] for row in found["landmarks"])
 
 
 def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
@@ -60,31 +61,30 @@ def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
         assert times[name][2] is None, "only 84 pokes are timed"
         assert 0 < times[name][0] < times[name][1]
     assert times["free"][1] < times["modules"][1] < times["modules_21"][1]
-    assert any("84 pokes solved as it came" in line for line in paper.summary(found))
+    assert any(approved("study.as_it_came", pokes=84) in line for line in paper.summary(found))
 
 
 def test_a_course_is_the_same_again_but_for_its_times():
     first, again = (run_course(1, timed, (28,), 0.1) for timed in (0, 28))
-    assert first.errors == again.errors
-    assert np.isnan(first.seconds["free"]).all()
-    assert again.seconds["free"][0] > 0
+    assert first["errors"] == again["errors"]
+    assert np.isnan(first["seconds"]["free"]).all()
+    assert again["seconds"]["free"][0] > 0
 
 
 def test_a_trial_is_the_same_again_and_another_seed_is_another_rig():
     first, again, other = run_trial(1, 0.1), run_trial(1, 0.1), run_trial(2, 0.1)
-    assert first.pooled == again.pooled
-    assert first.pooled != other.pooled
-    assert first.pokes == sum(round(0.1 * minutes * 24) for minutes in TABLE_I.values())
+    assert first["pooled"] == again["pooled"]
+    assert first["pooled"] != other["pooled"]
+    assert first["pokes"] == sum(round(0.1 * minutes * 24) for minutes in TABLE_I.values())
 
 
 def test_more_pokes_of_a_good_rig_tell_more():
     good = run_good(3, (42, 252))
-    assert all(good.course[252][method].mean < good.course[42][method].mean for method in ("surface", "modules"))
+    assert all(good["course"][252][method]["mean"] < good["course"][42][method]["mean"] for method in ("surface", "modules"))
 
 
 def test_errors_are_summed_up_in_millimetres():
-    said = ErrorSpread.of(np.array([0.001, 0.003, np.nan]))
-    assert (said.mean, said.sd, said.largest, said.missing) == pytest.approx((2.0, 1.0, 3.0, 1))
+    assert spread(np.array([0.001, 0.003, np.nan])) == pytest.approx({"mean": 2.0, "sd": 1.0, "largest": 3.0, "missing": 1})
 
 
 def test_the_figure_is_drawn(tmp_path):

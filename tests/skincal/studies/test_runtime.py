@@ -16,10 +16,11 @@ from skincal.simulate.benches import SHAPES, Bench
 from skincal.studies import alternatives, runtime
 from skincal.studies.alternatives import closest_in_triangles
 from skincal.studies.figures import write_figure
-from skincal.studies.measuring import Quartiles, at_rest, sampled, time_words, timed
+from skincal.studies.measuring import at_rest, quartiles, time_words, timed
 from skincal.studies.runtime import main_rows, positions_of, runtime_bars, summary, touching
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
+from tests.approved import approved
 from tests.skincal.studies.studies_support import FOREARM, TINY, tiny
 
 
@@ -76,7 +77,7 @@ def test_the_papers_way_solves_each_triangle(solver, off, rng):
 def test_the_papers_stacked_rows_give_the_shipped_free_answer(way):
     rows = alternatives.stacked(poked(), bench().channels)
     ours = positions_of(shipped(Method.FREE))
-    doubted = {channel for channel, one in shipped(Method.FREE).items() if one.doubted}
+    doubted = {channel for channel, estimate in shipped(Method.FREE).items() if estimate.doubted}
     pairs = {
         channel: p for channel, p in zip(rows.channels, way(rows), strict=True) if channel in ours and channel not in doubted
     }
@@ -191,8 +192,8 @@ def test_without_quadprog_the_study_says_so_and_goes_on(monkeypatch):
     small = replace(TINY, small=replace(TINY.small, seeds=1, repeats=1, meshes=(), pokes=()), growth_until_s=0.0)
     said = []
     result = runtime.run(True, said.append, small)
-    assert "quadprog is not installed; left out" in result["left_out"]
-    assert "quadprog is not installed; left out" in said
+    assert approved("study.no_quadprog") in result["left_out"]
+    assert approved("study.no_quadprog") in said
     assert "quadprog" not in {row["method"] for row in result["table"]}
     assert "quadprog_over_surface" not in result["ratios"]
     # No time for growth either: that is said, and what the ratios need is there.
@@ -217,14 +218,14 @@ def test_the_figure_is_drawn_with_a_name_for_every_method(tmp_path):
 def test_a_sample_stops_when_its_time_is_spent_and_never_before_its_first_piece():
     done = []
     works = [partial(lambda k: (done.append(k), time.sleep(0.02)), k) for k in range(100)]
-    assert len(sampled(works, 0.05)) == len(done) < 20
-    assert len(sampled(works[:1], 0.0)) == 1
-    assert len(sampled(iter(works[:2]), 10.0)) == 2
+    assert len(timed(works, 0.05)[0]) == len(done) < 20
+    assert len(timed(works[:1], 0.0)[0]) == 1
+    assert len(timed(iter(works[:2]), 10.0)[0]) == 2
 
 
 def test_garbage_is_left_alone_while_the_clock_runs():
-    seen = timed(gc.isenabled, 2)
-    assert seen[1] is False
+    seen = timed([gc.isenabled] * 2)
+    assert seen[1] == [False, False]
     assert len(seen[0]) == 2
     assert gc.isenabled()
     with pytest.raises(ValueError, match="inside"), at_rest():
@@ -233,9 +234,7 @@ def test_garbage_is_left_alone_while_the_clock_runs():
 
 
 def test_a_spread_is_a_median_with_its_quartiles():
-    spread = Quartiles.of([4.0, 1.0, 2.0, 3.0, 5.0])
-    assert (spread.median, spread.q1, spread.q3, spread.count) == (3.0, 2.0, 4.0, 5)
-    assert spread.times(2.0).plus(1.0).json() == {"median": 7.0, "q1": 5.0, "q3": 9.0, "count": 5}
+    assert quartiles([4.0, 1.0, 2.0, 3.0, 5.0]) == {"median": 3.0, "q1": 2.0, "q3": 4.0, "count": 5}
 
 
 @pytest.mark.parametrize(

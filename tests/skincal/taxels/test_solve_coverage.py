@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from skincal.methods import estimate_taxels
-from skincal.simulate.contacts import recipe, simulate_contacts, unguided
+from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import PER_TAXEL, Method, State
-from tests.skincal.sim_support import make_rig
+from tests.skincal.sim_support import make_rig, recipe
 
 LONG = bool(os.environ.get("SKINCAL_LONG"))
 SEEDS = 200 if LONG else 5

@@ -16,13 +16,13 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import pitch
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
-from skincal.simulate.contacts import recipe, simulate_contacts, unguided
+from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Method
 from skincal.taxels.solve import solve
-from tests.skincal.sim_support import make_rig
+from tests.skincal.sim_support import make_rig, recipe
 
 LONG = bool(os.environ.get("SKINCAL_LONG"))
 SEEDS = 40 if LONG else 6

@@ -1,3 +1,5 @@
+"""The predicted uncertainty of a taxel: by another route, against the truth of many draws, and with what makes it grow."""
+
 from dataclasses import replace
 
 import numpy as np

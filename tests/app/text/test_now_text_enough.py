@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from app.state.policies import Running
+from app.state.running import Running
 from app.text.now_text import modules_enough_words
 from skincal.session.guiding import ModulesEnough, plan_of
 from skincal.taxels.result import Estimate, Method, State
 from tests.app.guide_support import guidance, part
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import PLAN, frame, session, slip, touch
+from tests.approved import approved
 
 FIRST, SECOND = 3, 15
 """A taxel of each of the two modules."""
@@ -24,7 +25,7 @@ ENOUGH = (
 
 def at(pokes=ENOUGH, sd=1e-3, generation=1, excluded=(), blind=(), dead=(), done=(), method=Method.FREE, **changes):
     """A moment in which the modules method knows every taxel to `sd`, m, but those that are blind or dead."""
-    told = {one.channel: one for one in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
+    told = {each.channel: each for each in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
     told |= {channel: Estimate(channel, Method.MODULES, State.BLIND, 2) for channel in blind}
     told |= {channel: Estimate(channel, Method.MODULES, State.DEAD, 0) for channel in dead}
     snapshot = session(generation, pokes=pokes, excluded=excluded)
@@ -44,7 +45,7 @@ def test_it_is_said_once():
     short = ShortWay(plan_of(part()))
     assert short.news(at(ENOUGH[:7], generation=1)) == ""
     words = short.news(at(generation=2))
-    assert "4 pokes on every module" in words
+    assert approved("modules_check.pokes_on_every_module") in words
     assert "3 mm" in words
     assert short.news(at(generation=3)) == ""
 

@@ -9,8 +9,7 @@ from mcap.reader import make_reader
 
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.journal import reader
-from skincal.journal.documents import Taken, Totals
-from skincal.journal.lines import LineWriter, key_of, lines_path, read_lines
+from skincal.journal.documents import LineWriter, Taken, Totals, key_of, lines_path, read_lines
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
 from skincal.model.actions import Exclude, MarkDead, Restore, Undo

@@ -1,3 +1,5 @@
+"""Remarks on a calibration before it is written: what is odd is named with its channels, and what is right is not."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -5,6 +7,7 @@ import pytest
 
 from skincal.files.export import lint, write_calibration
 from skincal.taxels.result import Method
+from tests.approved import approved
 from tests.skincal.files.files_support import Part, make_calibration, make_part
 
 
@@ -42,12 +45,12 @@ def test_noise_of_a_good_calibration_is_no_fault(part, tmp_path):
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        ({"position": np.array([np.nan, 0, 0])}, "free: NaN or infinite position or normal: channels 4."),
-        ({"normal": np.array([0, 0, np.inf])}, "free: NaN or infinite position or normal: channels 4."),
-        ({"position": np.array([1e-7, 0, -1e-7])}, "free: at 0 0 0, which readers take as no taxel: channels 4."),
-        ({"normal": np.array([0, 0, 0.75])}, "free: a normal that is not unit: channels 4."),
-        ({"normal": None}, "free: no normal, written as 0 0 0: channels 4."),
-        ({"normal": np.array([0, 0, -1.0])}, "free: a normal that points into the part, against the surface: channels 4;"),
+        ({"position": np.array([np.nan, 0, 0])}, approved("lint.not_finite", channels=4)),
+        ({"normal": np.array([0, 0, np.inf])}, approved("lint.not_finite", channels=4)),
+        ({"position": np.array([1e-7, 0, -1e-7])}, approved("lint.at_origin", channels=4)),
+        ({"normal": np.array([0, 0, 0.75])}, approved("lint.not_unit", channels=4)),
+        ({"normal": None}, approved("lint.no_normal", channels=4)),
+        ({"normal": np.array([0, 0, -1.0])}, approved("lint.inward", channels=4)),
     ],
 )
 def test_a_faulty_taxel_is_named(part, tmp_path, edit, said):
@@ -63,13 +66,13 @@ def test_copies_of_a_position_are_named(part):
 def test_a_typo_of_ten_centimetres_is_named(part, tmp_path):
     typo = {9: {"position": part.places[9] + [0, 0.15, 0]}}
     found = exported(changed(make_calibration(part), typo), tmp_path)
-    assert any("outside the box of the surface" in sentence and "channels 9;" in sentence for sentence in found)
+    assert any(approved("lint.outside_surface") in sentence and "channels 9;" in sentence for sentence in found)
 
 
 def test_millimetres_taken_for_metres_are_named(part, tmp_path):
     found = exported(moved(make_calibration(part), lambda p: p * 1000), tmp_path)
-    assert any("outside the box of the surface" in sentence for sentence in found)
-    assert any("times as far apart as in the layout" in sentence for sentence in found)
+    assert any(approved("lint.outside_surface") in sentence for sentence in found)
+    assert any(approved("lint.too_far_apart") in sentence for sentence in found)
 
 
 def test_without_a_surface_the_plan_is_the_reference(part, tmp_path):
@@ -77,8 +80,8 @@ def test_without_a_surface_the_plan_is_the_reference(part, tmp_path):
     flat = replace(calibration, scene=replace(calibration.scene, surface=None), mesh_sha256=None)
     inside = {9: {"position": part.places[9] + [0, 0.15, 0], "normal": np.array([0, 0, -1.0])}}
     found = exported(changed(flat, inside), tmp_path)
-    assert any("outside the box of the layout as planned" in sentence for sentence in found)
-    assert any("against the layout as planned: channels 9;" in sentence for sentence in found)
+    assert any(approved("lint.outside_plan") in sentence for sentence in found)
+    assert any(approved("lint.inward_by_plan", channels=9) in sentence for sentence in found)
 
 
 def test_a_mirrored_part_is_named(part):
@@ -89,9 +92,7 @@ def test_a_mirrored_part_is_named(part):
         for e in make_calibration(part).estimates[Method.FREE]
     }
     found = lint(changed(make_calibration(part), edits), Method.FREE)
-    assert found == (
-        "free: mirrored against the layout, seen from outside: modules 17, 21, 25; check mirror and channel order.",
-    )
+    assert found == (approved("lint.mirrored", modules="17, 21, 25"),)
 
 
 def test_a_turned_part_is_not_mirrored(part):
@@ -114,7 +115,7 @@ def test_five_taxels_do_not_show_handedness(part):
 
 def test_a_module_without_its_centre_is_named(part):
     found = lint(make_calibration(part, unseen=(15,), blind=(39,)), Method.SURFACE)
-    assert found == ("surface: no position for the centre taxel, which stands for the module in taxel2Repr: modules 21, 25.",)
+    assert found == (approved("lint.no_centre", modules="21, 25"),)
 
 
 def test_a_position_on_a_thermal_pad_is_named(part):
@@ -122,9 +123,9 @@ def test_a_position_on_a_thermal_pad_is_named(part):
     first = calibration.estimates[Method.FREE][0]
     extra = replace(first, channel=18, position=np.array([0.0, 0.14, 0.041]))
     with_pad = replace(calibration, estimates={Method.FREE: (*calibration.estimates[Method.FREE], extra)})
-    assert "free: a position where the layout has no taxel: channels 18." in lint(with_pad, Method.FREE)
+    assert approved("lint.pad_placed", channels=18) in lint(with_pad, Method.FREE)
 
 
 def test_no_position_at_all_is_said(part):
     found = lint(make_calibration(part, unseen=tuple(range(48))), Method.FREE)
-    assert found == ("free: no taxel has a position; poke some more before you load such a file.",)
+    assert found == (approved("lint.nothing_placed"),)

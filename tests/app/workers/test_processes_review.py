@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from app.workers.processes import SKIN, ProcessService, ReviewClient
+from app.workers.threads import ThreadService
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
@@ -25,6 +26,7 @@ from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from tests.app.whole_window import OPEN_MS
+from tests.approved import approved
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +112,7 @@ def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot,
     qtbot.waitUntil(lambda: bool(heard.reviews), timeout=OPEN_MS)
     qtbot.wait(200)
     (answer,) = heard.reviews
-    assert [one.poke for one in answer.pokes] == [1, 2, 3], "of the newest alone"
+    assert [poke.poke for poke in answer.pokes] == [1, 2, 3], "of the newest alone"
     assert answer.used is session.snapshot().corrections
     reviewer = Reviewer(session.scene, session.surface)
     reviewer.take(Asked().change(session, session.snapshot()))
@@ -136,7 +138,7 @@ def test_a_process_that_dies_is_replaced_and_told_all(qtbot, session, client, pr
     os.kill(processes.pid, signal.SIGKILL)
     tell(session, client, 2, 3)
     qtbot.waitUntil(lambda: len(heard.reviews) > 1, timeout=OPEN_MS)
-    assert [one.poke for one in heard.reviews[-1].pokes] == [1, 2, 3]
+    assert [poke.poke for poke in heard.reviews[-1].pokes] == [1, 2, 3]
     assert heard.failures == []
 
 
@@ -152,7 +154,7 @@ def test_processes_that_die_again_and_again_are_said_once(qtbot, session, client
 
     qtbot.waitUntil(kill, timeout=OPEN_MS)
     assert len(killed) == 2, "asked again once"
-    assert "The rig is not reviewed any more: its process ended (code -9), twice." in heard.failures[0]
+    assert approved("workers.review_process_gone", code=-9) in heard.failures[0]
     tell(session, client, 2, 3)
     qtbot.wait(100)
     assert len(heard.failures) == 1
@@ -178,14 +180,14 @@ def test_a_session_that_is_let_go_asks_and_hears_no_more_and_the_next_takes_its_
     following.stop()
 
 
-def test_a_fault_of_a_review_is_said_and_logged(qtbot, session, client, heard, caplog, monkeypatch):
+def test_a_fault_of_a_review_is_said_and_logged(qtbot, session, client, processes, heard, caplog, monkeypatch):
     def fault(*_arguments):
         raise ZeroDivisionError("ours")
 
-    monkeypatch.setattr(client._processes, "ask", fault)
+    monkeypatch.setattr(processes, "ask", fault)
     tell(session, client, 1)
     qtbot.waitUntil(lambda: bool(heard.failures), timeout=5000)
-    assert heard.failures == ["The rig is not reviewed any more: ZeroDivisionError('ours'); details are in the log."]
+    assert heard.failures == [approved("workers.review_failed", error="ZeroDivisionError('ours')")]
     assert "Traceback" in caplog.text
 
 
@@ -195,23 +197,25 @@ def test_a_mesh_that_changed_is_said_and_the_rest_is_silence(qtbot, session, cli
     )
     tell(session, client, 1)
     qtbot.waitUntil(lambda: bool(heard.failures), timeout=OPEN_MS)
-    assert "the mesh changed since the session was opened" in heard.failures[0]
+    assert approved("mesh.changed_after_opening") in heard.failures[0]
     tell(session, client, 2)
     qtbot.wait(50)
     assert (len(heard.failures), heard.reviews) == (1, [])
 
 
 @pytest.fixture
-def asked(client, monkeypatch):
+def asked(monkeypatch):
     """What a client asks, in order; each is answered at once with nothing, and no process is started."""
     changes = []
-    monkeypatch.setattr(client._threads, "submit", lambda work, done, _failed: (changes.append(work.args[-1]), done(None)))
+    monkeypatch.setattr(
+        ThreadService, "submit", lambda _service, work, done, _failed: (changes.append(work.args[-1]), done(None))
+    )
     return changes
 
 
 def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     tell(session, client, 1)
-    assert [one.generation for one in asked] == [1]
+    assert [change.generation for change in asked] == [1]
     client.follow(session.snapshot())
     session.set_current_pose("2", np.eye(4))
     client.follow(session.snapshot())
@@ -225,7 +229,7 @@ def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     client.follow(session.snapshot())
     session.add(replace(session.outcome(1), end_s=9.0))
     client.follow(session.snapshot())
-    assert [one.generation for one in asked] == [1, 2, 3, 4, 5]
+    assert [change.generation for change in asked] == [1, 2, 3, 4, 5]
     assert list(asked[-1].pokes) == [1], "a landmark poke that is told again"
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
     client.follow(session.snapshot())
@@ -260,11 +264,11 @@ def test_pokes_on_the_skin_are_told_by_tens_and_one_that_is_taken_out_at_once(se
     assert (len(asked), list(asked[-1].pokes)) == (4, [12])
 
 
-def test_one_review_at_a_time_and_the_newest_next(session, client, heard, monkeypatch):
+def test_one_review_at_a_time_and_the_newest_next(session, client, processes, heard, monkeypatch):
     waiting, tickets = [], []
-    monkeypatch.setattr(client._threads, "submit", lambda work, done, _failed: waiting.append((work.args, done)))
-    ticket = client._processes.ticket
-    monkeypatch.setattr(client._processes, "ticket", lambda: tickets.append(ticket()) or tickets[-1])
+    monkeypatch.setattr(ThreadService, "submit", lambda _service, work, done, _failed: waiting.append((work.args, done)))
+    ticket = processes.ticket
+    monkeypatch.setattr(processes, "ticket", lambda: tickets.append(ticket()) or tickets[-1])
     tell(session, client, 1, 2, 3)
     ((arguments, done),) = waiting
     assert arguments[1] < tickets[-1], "the work gives way"
@@ -284,7 +288,7 @@ def test_one_review_at_a_time_and_the_newest_next(session, client, heard, monkey
 
 def test_a_review_that_took_long_is_passed_on_although_newer_was_asked(session, client, heard, monkeypatch):
     waiting = []
-    monkeypatch.setattr(client._threads, "submit", lambda work, done, _failed: waiting.append((work.args, done)))
+    monkeypatch.setattr(ThreadService, "submit", lambda _service, work, done, _failed: waiting.append((work.args, done)))
     tell(session, client, 1)
     used = session.snapshot().corrections
     reviewer = Reviewer(session.scene, session.surface)

@@ -8,7 +8,7 @@ import pytest
 from skincal.contacts.outcome import Reason
 from skincal.geometry import move_wrench
 from skincal.guide.guide import Guide
-from skincal.guide.places import plan_from
+from skincal.guide.knowledge import plan_from
 from skincal.mesh.lay import lay
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
@@ -18,11 +18,23 @@ from skincal.session.landmark_pokes import poke_at
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceTimeline
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Guided, Habits, Move, Told
-from skincal.simulate.orders import NoTarget, PokeOrder, PoseOrder, TargetOrder, read_order, write_wish
+from skincal.simulate.operator import (
+    Auto,
+    Guided,
+    Habits,
+    Move,
+    NoTarget,
+    PokeOrder,
+    PoseOrder,
+    TargetOrder,
+    Told,
+    read_order,
+    write_target,
+)
 from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
+from tests.approved import approved_pattern
 from tests.skincal.sim_support import make_rig
 
 FOLLOWS = replace(Habits.careful(), ignores=0.0)
@@ -203,15 +215,15 @@ def test_the_pace_shortens_the_ways_and_not_the_presses():
     assert usual.at_pace(1.0) == usual
 
 
-@pytest.mark.parametrize("wish", list(NoTarget))
-def test_a_line_without_a_target_says_what_to_do(wish):
-    assert read_order(write_wish(wish) + "\n") is wish
+@pytest.mark.parametrize("word", list(NoTarget))
+def test_a_line_without_a_target_says_what_to_do(word):
+    assert read_order(write_target(word) + "\n") is word
 
 
 def test_a_target_survives_its_line():
     push = np.array([0.28, -0.31, -0.91])
     shown = TargetOrder(204, np.array([0.0123456, -0.06, 0.1]), push / np.linalg.norm(push))
-    line = write_wish(shown)
+    line = write_target(shown)
     assert line.startswith("target 204 12.35 -60.00 100.00 ")
     read = read_order(line)
     assert read.channel == 204
@@ -219,7 +231,7 @@ def test_a_target_survives_its_line():
     np.testing.assert_allclose(read.push, shown.push, atol=1e-4)
     assert not read.known
     for known, start in ((False, "target - 12.35 "), (True, "target + 12.35 ")):
-        line = write_wish(replace(shown, channel=None, known=known))
+        line = write_target(replace(shown, channel=None, known=known))
         assert line.startswith(start)
         assert (read_order(line).channel, read_order(line).known) == (None, known)
     assert np.linalg.norm(read.push) == pytest.approx(1.0, abs=1e-12)
@@ -235,19 +247,19 @@ def test_a_target_survives_its_line():
     ],
 )  # fmt: skip
 def test_a_line_that_is_no_target_is_named(line):
-    with pytest.raises(InputError, match=r"is not an order; expected poke .*target CHANNEL\|-\|\+ X_MM"):
+    with pytest.raises(InputError, match=approved_pattern("operator.no_order_expected")):
         read_order(line)
 
 
 def test_each_operator_says_what_it_does_not_take(rig, rng):
     guided, told = Guided(rig, FOLLOWS, rng), Told(rig, FOLLOWS, rng)
-    with pytest.raises(InputError, match="channel 0 is not a taxel"):
+    with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=0)):
         guided.accept(TargetOrder(0, np.zeros(3), np.array([0.0, 0.0, -1.0])))
     for order in (PokeOrder(204), PoseOrder("2")):
-        with pytest.raises(InputError, match="are for --operator told"):
+        with pytest.raises(InputError, match=approved_pattern("operator.for_told")):
             guided.accept(order)
     for order in (target_at(rig, 204), NoTarget.WAIT):
-        with pytest.raises(InputError, match="are for --operator guided"):
+        with pytest.raises(InputError, match=approved_pattern("operator.for_guided")):
             told.accept(order)
     assert told.next(0.0) is None
 
@@ -299,7 +311,7 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
     assert np.linalg.norm(rig.places - heads[0][0], axis=1).min() > 0.03, "no taxel feels it"
     for (head, outward), felt in zip(heads, (False, True), strict=True):
         operator = Guided(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
-        operator.accept(read_order(write_wish(TargetOrder(None, head, -outward, known=True))))
+        operator.accept(read_order(write_target(TargetOrder(None, head, -outward, known=True))))
         line = DeviceTimeline(rig, operator, np.random.default_rng(4))
         pipeline = Pipeline(
             scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface

@@ -8,7 +8,7 @@ import pytest
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.guide import guidance as landmarks_module
 from skincal.guide.guidance import A_POSE, ASTRAY, Guidance, GuidePhase, LandmarkRound, LandmarkTarget, rig_moves, was_there
-from skincal.guide.places import believed, plan_from
+from skincal.guide.knowledge import believed, plan_from
 from skincal.mesh.lay import lay
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain

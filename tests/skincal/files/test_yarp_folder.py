@@ -1,3 +1,4 @@
+import re
 import tracemalloc
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.detect import make_decoder
 from skincal.streams.decoders.yarp_log import LINE_MAX
 from skincal.streams.intake import Intake
+from tests.approved import approved, approved_pattern
 
 EPOCH = 1_420_000_000.0
 CHANNELS = 24
@@ -90,7 +92,7 @@ def test_a_recording_decodes_to_what_was_logged(tmp_path, options, format_):
         field = {"wrench": "wrench", "skin": "values", "joints": "angles"}[name]
         got = np.vstack([getattr(batch, field) for batch in batches[name]])
         np.testing.assert_allclose(got, np.radians(wanted) if name == "joints" else wanted, rtol=1e-15)
-    assert findings[0] == "wrench: 300 lines in 3.0 s, 100 a second."
+    assert findings[0] == approved("csv_log.rate", link="wrench", lines=300, seconds=3.0, rate=100)
     assert len(findings) == 3
 
 
@@ -154,8 +156,8 @@ def test_lines_without_a_time_of_the_sender_are_placed_by_the_receivers(tmp_path
     assert not any(sum(counts.values()) for counts in decode(links, chunks)[1].values())
     count = 150 if which is None else len(which)
     assert links[1].format == "yarp-rx"
-    said = f"skin: {count} of 150 lines without a time of the sender (0): all are placed by the receiver's, "
-    assert [finding for finding in findings if "sender" in finding and "skin" in finding] == [f"{said}which is a little later."]
+    said = approved("yarp_log.no_sender_time", count=count, lines=150)
+    assert [finding for finding in findings if "sender" in finding and "skin" in finding] == [said]
     samples = samples_of(folders)
     assert len(samples) == len(expected) > 140
     for sample, other in zip(samples, expected, strict=True):
@@ -166,7 +168,7 @@ def test_lines_without_a_time_of_the_sender_are_placed_by_the_receivers(tmp_path
 def test_a_log_of_a_sender_without_times_and_of_nothing_else_is_refused(tmp_path):
     folders = recording(tmp_path, info="Type: Bottle;\nStamp: tx;\n")
     without_sender_times(folders["skin"])
-    with pytest.raises(InputError, match=r"skin/data.log: every time is 0, since the sender gave none; record .* --rxTime"):
+    with pytest.raises(InputError, match=approved_pattern("yarp_log.no_time_at_all")):
         read_yarp(folders["wrench"], folders["skin"])
 
 
@@ -208,7 +210,7 @@ def test_a_stamp_that_is_no_time_is_no_record(tmp_path, stamp):
     links, chunks, findings = read_yarp(folders["wrench"], folders["skin"])
     _, counts = decode(links, chunks)
     assert counts["wrench"][Loss.UNREADABLE] == 1
-    assert "wrench: 1 line not of the form <number> <time> <values>: left out." in findings
+    assert approved("yarp_log.odd_line", link="wrench", count=1) in findings
 
 
 def test_the_end_of_a_line_that_is_too_long_is_no_record(tmp_path):
@@ -221,7 +223,7 @@ def test_the_end_of_a_line_that_is_too_long_is_no_record(tmp_path):
     batches, counts = decode(links, chunks)
     assert sum(len(batch.seq) for batch in batches["skin"]) == 150
     assert counts["skin"] == {Loss.UNREADABLE: 1}
-    assert "skin: 1 line not of the form <number> <time> <values>: left out." in findings
+    assert approved("yarp_log.odd_line", link="skin", count=1) in findings
 
 
 def test_a_clock_set_back_in_all_logs_loses_nothing(tmp_path):
@@ -240,7 +242,7 @@ def test_a_clock_set_back_in_all_logs_loses_nothing(tmp_path):
         # One clock, so one shift: the same instant as without the jump, to within an interval of the first file.
         assert (chunk.host_ns - START_NS) * 1e-9 == pytest.approx((lines[chunk.link] - 1) / rates[chunk.link], abs=1e-5)
     assert lines == {name: 3 * rate for name, rate in rates.items()}
-    assert sum("the clock was set back 1 time (3600.0" in finding for finding in findings) == 3
+    assert sum(approved("yarp_log.clock_back", count=1, seconds=3600.0) in finding for finding in findings) == 3
     assert len(samples_of(folders)) > 120
 
 
@@ -254,14 +256,14 @@ def test_messages_out_of_order_and_gaps_are_said_and_kept(tmp_path):
     placed = {int(line.split()[0]): c.host_ns for c in chunks if c.link == "wrench" for line in c.data.splitlines()}
     assert list(placed) == list(range(100))
     assert placed[60] - placed[59] == 2_010_000_000
-    assert "wrench: 1 gap in time, the longest 2.01 s." in findings
-    assert "wrench: 1 stamp before the one before it; kept in the file's order." in findings
+    assert approved("yarp_log.gap", link="wrench", count=1, seconds=2.01) in findings
+    assert approved("yarp_log.stamp_back", link="wrench", count=1) in findings
 
 
 def test_an_early_gap_is_said_too(tmp_path):
     rows = [(k, EPOCH + k / 100 + (1.0 if k >= 3 else 0.0), "1 2 3 4 5 6") for k in range(2000)]
     _, _, findings = read_yarp(write_log(tmp_path / "w", rows), recording(tmp_path)["skin"])
-    assert "wrench: 1 gap in time, the longest 1.01 s." in findings
+    assert approved("yarp_log.gap", link="wrench", count=1, seconds=1.01) in findings
 
 
 def test_empty_unreadable_and_cut_lines_are_counted(tmp_path):
@@ -278,11 +280,11 @@ def test_empty_unreadable_and_cut_lines_are_counted(tmp_path):
     # The unreadable line is also a number that is missing.
     assert counts["wrench"] == {Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 1, Loss.MISSING: 1}
     assert [finding for finding in findings if finding.startswith("wrench")] == [
-        "wrench: 298 lines in 3.0 s, 100 a second.",
-        "wrench: 1 line with another number of values than 6.",
-        "wrench: 1 line without values: nothing was sent.",
-        "wrench: 1 line not of the form <number> <time> <values>: left out.",
-        "wrench: the last line has no end: it was cut while it was written, and is left out.",
+        approved("csv_log.rate", link="wrench", lines=298, seconds=3.0, rate=100),
+        approved("yarp_log.odd_width", link="wrench", count=1, width=6),
+        approved("yarp_log.empty_line", link="wrench", count=1),
+        approved("yarp_log.odd_line", link="wrench", count=1),
+        approved("yarp_log.cut_line", link="wrench"),
     ]
 
 
@@ -291,7 +293,7 @@ def test_a_binarised_skin_is_said(tmp_path, high):
     rows = [(k, EPOCH + k / 50, text([0, high if k > 70 else 0, 0])) for k in range(150)]
     wrench = recording(tmp_path)["wrench"]
     _, _, findings = read_yarp(wrench, write_log(tmp_path / "s", rows))
-    assert any(f"every value is 0 or {high}: skinManager was binarising" in finding for finding in findings)
+    assert any(approved("yarp_log.binarised", high=high) in finding for finding in findings)
 
 
 @pytest.mark.parametrize("values", [[0, 100, 40], [0, 0, 0], [100, 255, 0], [244, 240, 0]])
@@ -309,14 +311,14 @@ def test_the_new_ports_structure_is_read(tmp_path):
     batches, counts = decode(links, chunks)
     np.testing.assert_array_equal(np.vstack([b.wrench for b in batches["wrench"]])[:, 5], np.arange(300))
     assert not counts["wrench"]
-    assert "wrench: 2 force/torque sensors in one port; the first is read." in findings
+    assert approved("yarp_log.two_sensors", link="wrench", count=2) in findings
 
 
 def test_logs_placed_by_different_clocks_are_said(tmp_path):
     wrench = recording(tmp_path / "a", info="Type: Bottle;\nStamp: tx;\n")["wrench"]
     skin = recording(tmp_path / "b", info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.001)["skin"]
     _, _, findings = read_yarp(wrench, skin)
-    assert any("wrench by the sender's clock, skin by the recorder's clock" in finding for finding in findings)
+    assert any(approved("yarp_log.two_clocks") in finding for finding in findings)
 
 
 def test_the_log_is_found_by_file_folder_and_numbered_folder(tmp_path):
@@ -325,41 +327,46 @@ def test_the_log_is_found_by_file_folder_and_numbered_folder(tmp_path):
     assert len(findings) == 2
     numbered = folders["wrench"].rename(tmp_path / "right_arm_00001")
     _, chunks, findings = read_yarp(tmp_path / "right_arm", folders["skin"])
-    assert "right_arm_00001 was read: it holds the only log" in findings[0]
+    assert approved("yarp_log.only_log", folder="right_arm_00001") in findings[0]
     assert any(chunk.link == "wrench" for chunk in chunks)
     recording(tmp_path)["wrench"].rename(tmp_path / "right_arm_00002")
-    with pytest.raises(InputError, match=r"several folders hold a log .*right_arm_00001.*right_arm_00002"):
+    with pytest.raises(
+        InputError, match=approved_pattern("yarp_log.several_folders", names=f"{numbered}, {tmp_path / 'right_arm_00002'}")
+    ):
         read_yarp(tmp_path / "right_arm", folders["skin"])
     numbered.rename(tmp_path / "right_arm")
     _, _, findings = read_yarp(tmp_path / "right_arm", folders["skin"])
-    assert "there is also right_arm_00002" in findings[0]
+    assert approved("yarp_log.another_folder", folder="right_arm_00002") in findings[0]
     (tmp_path / "all").mkdir()
     (tmp_path / "right_arm").rename(tmp_path / "all" / "analog")
     _, _, findings = read_yarp(tmp_path / "all", folders["skin"])
-    assert "analog was read: it holds the only log" in findings[0]
+    assert approved("yarp_log.only_log", folder="analog") in findings[0]
 
 
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda _: None, "there is no such folder"),
-        (lambda folder: folder.mkdir(), "the folder has no data.log"),
-        (lambda folder: write_log(folder, []), "is empty; expected a log"),
-        (lambda folder: write_log(folder, [("a", 1.0, "b")] * 3), "has 3 lines, none of them of the form"),
+        (lambda _: None, approved("yarp_log.no_folder")),
+        (lambda folder: folder.mkdir(), approved("yarp_log.no_log")),
+        (lambda folder: write_log(folder, []), approved("yarp_log.empty")),
+        (lambda folder: write_log(folder, [("a", 1.0, "b")] * 3), approved("yarp_log.no_line_fits", lines=3)),
         (
             lambda folder: write_log(folder, [(1, 1.0, "f.ppm")], info="Type: Image:ppm;\n"),
-            "its type is 'Image:ppm'; expected Bottle",
+            approved("yarp_log.wrong_type", type="Image:ppm"),
         ),
-        (lambda folder: write_log(folder, [(1, 1.0, "1 2")], info="Stamp: gps;\n"), "Stamp is 'gps'; expected tx, rx or tx"),
-        (lambda folder: write_log(folder, [(1, 1.0, text(range(384)))]), "its lines hold 384 values; expected six"),
-        (lambda folder: write_log(folder, [(1, EPOCH - 900.0, text(range(6)))]), "expected recordings of the same time"),
+        (
+            lambda folder: write_log(folder, [(1, 1.0, "1 2")], info="Stamp: gps;\n"),
+            approved("yarp_log.wrong_stamp", stamp="gps"),
+        ),
+        (lambda folder: write_log(folder, [(1, 1.0, text(range(384)))]), approved("yarp_log.wrong_values", values=384)),
+        (lambda folder: write_log(folder, [(1, EPOCH - 900.0, text(range(6)))]), approved("recording.other_time")),
     ],
     ids=["no folder", "no log", "empty", "not a log", "images", "stamp", "swapped", "another day"],
 )
 def test_wrong_input_is_said(tmp_path, make, said):
     skin = recording(tmp_path)["skin"]
     make(tmp_path / "given")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=re.escape(said)):
         read_yarp(tmp_path / "given", skin)
 
 

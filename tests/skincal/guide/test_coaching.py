@@ -7,8 +7,7 @@ import pytest
 
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.geometry import axis_point, move_wrench
-from skincal.guide.coaching import FELT, KEPT, Coaching, coach, smooth
-from skincal.guide.guidance import Target
+from skincal.guide.guidance import FELT, KEPT, Coaching, Target, coach, smooth
 
 SOME_WAY = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 """A rotation."""
