@@ -102,7 +102,7 @@ class NoiseSettings:
     radius: float = 0.03
     """m, of the part across its axis under the skin: pokes beside a taxel lean with the skin, so the axes meet below it. A
     forearm's; 1 where the part is flat."""
-    skin: float = 0.0015
+    skin: float = 0.001
     """m, sd of how far the face that is touched lies above the taxels, or the mesh beside them: a push that leans acts so much
     farther along the skin. 2 to 3 mm of foam or fabric on an iCub."""
     pose_turn: float = 0.0

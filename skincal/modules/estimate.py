@@ -157,7 +157,7 @@ def _carried(
 ) -> list[Estimate]:
     """Return the estimates with what shared errors add: `shared_errors`, with the unknowns of a module for those of a place."""
     evidence = touches.evidence
-    order = np.lexsort((evidence.pokes[touches.rows], evidence.poses[touches.rows], touches.of))
+    order = np.lexsort((evidence.pokes[touches.rows], touches.of))
     at, rows = touches.rows[order], whitened(touches, fitted.pads, noise)
     pairs, places = evidence.pairs[at], touches.middles(fitted.pads)[0][order]
     slopes, whiten = rows.slopes[order], rows.whiten[order]

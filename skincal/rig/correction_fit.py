@@ -324,7 +324,7 @@ class _Fit:
         every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISIER for off in PLACES_OFF]
         likelihoods = [marginal.log_likelihood(added) for added in every]
         self.likelihood = max(likelihoods)
-        self.doubtful = likelihoods[0] < self.likelihood
+        self.doubtful = self.likelihood - likelihoods[0] > PLAUSIBLE
         return every[int(np.argmax(likelihoods))]
 
     def _landmark_rows(self, state: RigState) -> RigRows:
@@ -458,8 +458,9 @@ class _Marginal:
 
     def __init__(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> None:
         self._counts = np.repeat(trust > 0.0, 2)
-        own, root = rows.of_rig.reshape(len(self._counts), -1)[self._counts], base[:-1, :-1]
-        self._misses = rows.misses.ravel()[self._counts] - own @ np.linalg.solve(root, base[:-1, -1])
+        own = rows.of_rig.reshape(len(self._counts), -1)[self._counts]
+        root, right = base[: own.shape[1], :-1], base[: own.shape[1], -1]
+        self._misses = rows.misses.ravel()[self._counts] - own @ np.linalg.solve(root, right)
         spread = np.linalg.solve(root.T, own.T)
         self._known = spread.T @ spread + np.diag(np.repeat(1.0 / trust[trust > 0.0], 2))
 

@@ -183,7 +183,7 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
         return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)
     if tried is None:
         return None
-    return correct_action(RIG, tried, rig.before, rig.after, pokes, rig.ratio)
+    return correct_action(RIG, tried, rig.before, rig.after, pokes, 0.0 if np.isnan(rig.ratio) else rig.ratio)
 
 
 def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int, ratio: float = 0.0) -> Correct:

@@ -40,7 +40,7 @@ NEAR = SLOW // 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pulls:
-    """How m pokes hold g groups, taxels or modules, with d unknowns each; ordered by group, then by arm pose, then by poke."""
+    """How m pokes hold g groups, taxels or modules, with d unknowns each; ordered by group, then by poke."""
 
     starts: IntArray
     """(g,) where each group begins."""
@@ -112,7 +112,7 @@ def carried(
         if estimate.doubted:
             own = slice(*evidence.starts[row : row + 2].tolist())
             trust[own] = [estimate.doubted.get(poke, 1.0) for poke in evidence.pokes[own].tolist()]
-    order = np.lexsort((evidence.pokes, evidence.poses, evidence.taxels))
+    order = np.lexsort((evidence.pokes, evidence.taxels))
     of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
     places = np.array([estimate.position for estimate in known])[of]
     normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
