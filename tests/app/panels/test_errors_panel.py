@@ -344,7 +344,7 @@ def test_work_that_fails_is_tried_again_once_the_session_is_another(queue, monke
     made = poked(6)
     follow(tracker, at(made))
     with monkeypatch.context() as fault:
-        fault.setattr("skincal.session.error_history.point_of", broken)
+        fault.setattr("skincal.session.error_history.spreads_of", broken)
         with pytest.raises(RuntimeError, match="of the estimate"):
             queue.finish()
     follow(tracker, at(made, now_s=101.0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import queue
 import sys
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -166,7 +167,7 @@ def without_a_window(folder, lived) -> None:
             items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
     surface = load_surface(log.scene.surface)[0]
     headless = Pipeline(log.scene, log.links, surface)
-    _loop(headless, items, {}, None, None)
+    _loop(headless, items, {}, (None, None), threading.Event())
     headless.close()
     here, there = headless.snapshot(), lived.snapshot()
     assert here.at_landmarks == there.at_landmarks
