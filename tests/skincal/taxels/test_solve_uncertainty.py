@@ -15,7 +15,7 @@ from skincal.taxels.solve import factor
 from skincal.taxels.solve import solve as solve_evidence
 from tests.skincal.estimate_support import gather, solve
 
-NOISE = NoiseSettings()
+NOISE = NoiseSettings(skin=0.0)
 FLAT = replace(NOISE, radius=1e9)
 EVEN = 0.4
 """Mean of sqrt(ln(1/k)) from which on all neighbours' offsets are one (`uncertainty.h`)."""
@@ -79,8 +79,8 @@ def test_the_95_percent_ellipsoid_covers_the_truth(method, count):
 
 def test_the_lever_runs_from_the_sensor_and_not_from_the_links_origin():
     rng = np.random.default_rng(21)
-    only_force = NoiseSettings(force=0.1, moment=1e-9, contact=1e-9, reach=1e-9, radius=1e9)
-    quiet = NoiseSettings(1e-12, 1e-12, 1e-12, 1e-12)
+    only_force = NoiseSettings(force=0.1, moment=1e-9, contact=1e-9, reach=1e-9, radius=1e9, skin=0.0)
+    quiet = NoiseSettings(1e-12, 1e-12, 1e-12, 1e-12, skin=0.0)
     pose, normal = sensor_pose(), np.array([0.0, 0.0, 1.0])
     for taxel, exact in ((pose[:3, 3] + [0, 0, 1e-4], True), (np.array([0.0, 0.0, 0.0]), False)):
         contacts = pokes(rng, 10, taxel, normal, pose, quiet)
@@ -213,7 +213,7 @@ def test_uncertainty_grows_with_noise_and_shrinks_with_pokes():
     few, many = (solve(contacts[:n], [0], Method.FREE, FLAT, None)[0] for n in (10, 40))
     assert 0.35 < many.rms / few.rms < 0.7
     # Not to the last digit: what is doubted differs.
-    louder = NoiseSettings(*(2 * value for value in (NOISE.force, NOISE.moment, NOISE.contact, NOISE.reach)), radius=1e9)
+    louder = NoiseSettings(*(2 * value for value in (NOISE.force, NOISE.moment, NOISE.contact, NOISE.reach)), radius=1e9, skin=0.0)
     assert solve(contacts, [0], Method.FREE, louder, None)[0].rms == pytest.approx(2 * many.rms, rel=0.02)
 
 
