@@ -10,8 +10,8 @@ M M'. What is the same in the M of all taxels shifts the whole skin; the rest mo
 
 **Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the
 free method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
-H^-1 sum 2 k sigma_f^2/|f|^2 (p - o). It is taken as a standard deviation and not put back: how large the noise is, the scene says
-and not the pokes, and the point stays the paper's.
+H^-1 sum 2 k sigma_f^2/|f|^2 (p - o). It is taken as a standard deviation and not put back: how large the noise is, the
+scene says and not the pokes, and the point stays the paper's.
 """
 
 from __future__ import annotations
@@ -131,7 +131,8 @@ def carried(
     if shared is not None:
         pulled = np.add.reduceat(pulls @ shared(ordered.pokes, places, pairs), starts)
         moves = list(-outward @ np.linalg.solve(held, pulled))
-    found = {each.channel: with_shared(each, *more) for each, *more in zip(known, added, moves, strict=True)}
+    rows = zip(known, added, moves, strict=True)
+    found = {estimate.channel: with_shared(estimate, more, move) for estimate, more, move in rows}
     return [found.get(estimate.channel, estimate) for estimate in estimates]
 
 
