@@ -10,7 +10,8 @@ M M'. What is the same in the M of all taxels shifts the whole skin; the rest mo
 
 **Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the free
 method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
-H^-1 sum 2 k sigma_f^2/|f|^2 (p - o). It is taken as a standard deviation and not put back: how large the noise is, the scene
+H^-1 sum 2 k sigma_f^2/|f|^2 u u'(p - o): of the lever the part along the push u, since each row is divided by its own noisy
+|f|. It is taken as a standard deviation and not put back: how large the noise is, the scene
 says and not the pokes, and the point stays the paper's.
 """
 
@@ -149,7 +150,8 @@ def carried(
     outward = free.transpose(0, 2, 1)
     inside = ordered.covariances(noise.skin)
     if known[0].method is Method.FREE:
-        levers = places - evidence.sensors[order]
+        pushes = evidence.directions[order]
+        levers = pushes * np.sum(pushes * (places - evidence.sensors[order]), axis=1, keepdims=True)
         share = 2.0 * noise.force**2 * (trust * evidence.weights**2)[order] / evidence.forces[order] ** 2
         biases = np.linalg.solve(held, np.add.reduceat(share[:, None] * levers, starts)[:, :, None])
         inside = inside + biases @ biases.transpose(0, 2, 1)
