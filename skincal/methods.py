@@ -62,7 +62,8 @@ def estimate_taxels(
     alone = [method for method in methods if method in PER_TAXEL]
     solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting)
     for method in alone:
-        solved[method] = dict(zip(channels, carried(table, list(solved[method].values()), noise, shared), strict=True))
+        moved = carried(table, list(solved[method].values()), noise, shared)
+        solved[method] = {estimate.channel: estimate for estimate in moved}
     if Method.MODULES in methods:
         if model is None:
             raise ValueError("the modules method needs the modules of a layout")
@@ -136,6 +137,7 @@ def average_over_poses(
     noise: NoiseSettings,
     surface: Surface | None,
     model: ModuleModel | None = None,
+    shared: SharedRows | None = None,
 ) -> dict[int, Estimate]:
     """Estimate each pose's contacts alone and average the positions with equal weights, the paper's IV-B.
 
@@ -144,7 +146,7 @@ def average_over_poses(
 
     Parameters
     ----------
-    contacts, channels, method, noise, surface, model
+    contacts, channels, method, noise, surface, model, shared
         As for `estimate_taxels`; poses are distinguished by `Contact.pose`.
     """
     poses: dict[str, list[Contact]] = {}
@@ -152,7 +154,7 @@ def average_over_poses(
         poses.setdefault(contact.pose, []).append(contact)
     # By name, so that the order in which the poses came does not matter. Without contacts every taxel is unseen.
     each = [poses[pose] for pose in sorted(poses)] or [[]]
-    solved = [estimate_taxels(own, channels, [method], noise, surface, model=model)[method] for own in each]
+    solved = [estimate_taxels(own, channels, [method], noise, surface, model=model, shared=shared)[method] for own in each]
     return {int(channel): _average([found[int(channel)] for found in solved]) for channel in channels}
 
 
@@ -171,18 +173,22 @@ def _average(of_poses: list[Estimate]) -> Estimate:
             channel, method, State.BLIND, contacts, normal=best.normal, weakest=best.weakest, sd=best.sd, reason=reason
         )
     position, covariance = np.zeros(3), np.zeros((3, 3))
+    moves = [estimate.moved for estimate in good if estimate.moved is not None]
     for count, estimate in enumerate(good, start=1):
         # A running mean: of equal positions it is that position, to the last bit.
         position = position + (np.asarray(estimate.position) - position) / count
         covariance = covariance + np.asarray(estimate.covariance)
-    covariance = covariance / len(good) ** 2
+    # What is shared does not shrink with the number of poses as the rest does.
+    moved = np.mean(moves, axis=0) if moves else None
+    covariance = (covariance - sum(move @ move.T for move in moves)) / len(good) ** 2
+    covariance = covariance if moved is None else covariance + moved @ moved.T
     values, axes = np.linalg.eigh(covariance)
     normals = np.sum([estimate.normal for estimate in good if estimate.normal is not None] or [np.zeros(3)], axis=0)
     length = float(np.linalg.norm(normals))
     return Estimate(
         channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
         covariance=covariance, weakest=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
-        rms=float(np.sqrt(np.trace(covariance))),
+        rms=float(np.sqrt(np.trace(covariance))), moved=moved,
         reason=StateReason(Cause.MEAN_OF_POSES, len(good), blind=len(seen) - len(good)),
     )  # fmt: skip
 

@@ -102,8 +102,7 @@ def solve(
     methods = report.method_summaries(snapshot.estimates, known, pipeline.session.scene.skin.layout)
     if per_pose:
         methods |= _per_pose(pipeline, known)
-    rig, rig_lines = _corrected(pipeline, known)
-    unchecked, unchecked_lines = _unchecked(pipeline.session)
+    rig, rig_lines, unchecked = _corrected(pipeline, known)
     methods |= rig.pop("methods", {})
     # Before anything is written: its file may be refused.
     modules, module_lines = _layout_result(pipeline.session, layout, layout_out)
@@ -113,7 +112,7 @@ def solve(
     losses = report.loss_counts(totals.links, totals.unpaired)
     text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *unchecked_lines, *module_lines]
+    text += [*rig_lines, *module_lines]
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -122,7 +121,7 @@ def solve(
         "methods": methods,
         **losses,
         **({"rig": rig} if rig else {}),
-        "unchecked_rig_mm": unchecked,
+        "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
         **modules,
         "dead": dead,
         "files": files,
@@ -143,11 +142,8 @@ def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dic
 
     session = pipeline.session
     asked = session.contacts, session.channels
-    rest = session.scene.noise, session.surface
-    averaged = {
-        method: tuple(average_over_poses(*asked, method, *rest, model=session.module_model).values())
-        for method in session.methods
-    }
+    rest = session.scene.noise, session.surface, session.module_model, session.shared_errors
+    averaged = {method: tuple(average_over_poses(*asked, method, *rest).values()) for method in session.methods}
     return report.method_summaries(averaged, known, session.scene.skin.layout, "-per-pose")
 
 
@@ -230,14 +226,15 @@ def _correct(session: Session) -> None:
         raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
 
-def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
-    """Return what landmark pokes say about the rig, as JSON and in lines; nothing where there are none.
+def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str], float | None]:
+    """Return what landmark pokes say about the rig, as JSON and in lines, and how far it may be off unseen, metres.
 
-    Where no correction is in use, the estimates under the one that was found stand beside the others.
+    Without such pokes the JSON is empty. Where no correction is in use, the estimates under the one that was found stand beside
+    the others.
     """
     session = pipeline.session
     if not session.landmark_pokes:
-        return {}, []
+        return {}, *_unchecked(session, None)
     from skincal.cli import report
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG, CorrectionErrors
@@ -266,20 +263,26 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         rig["methods"] = report.method_summaries(found, known, session.scene.skin.layout, "-corrected")
     lines = [] if frame is None else [frame_sentence(frame)]
     lines += [correction_sentence(used) for used in session.corrections.values()]
-    return rig, [*lines, *rig_sentences(answer)[1 if RIG in session.corrections else 0 :]]
+    lines += rig_sentences(answer)[1 if RIG in session.corrections else 0 :]
+    unchecked_lines, unchecked = _unchecked(session, answer)
+    return rig, [*lines, *unchecked_lines], unchecked
 
 
-def _unchecked(session: Session) -> tuple[float | None, list[str]]:
-    """Return by how much a rig that is not corrected may be off, mm, as a number and in lines; None under a correction."""
+def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], float | None]:
+    """Return by how much the rig's errors may move the taxels beside what is predicted, in lines and in metres.
+
+    Parameters
+    ----------
+    answer : what landmark pokes say
+    """
+    from skincal.guide.verdict import landmark_agreement, unchecked_of
     from skincal.rig.correction import RIG
-    from skincal.rig.expected_gain import unchecked_error
     from skincal.sentences import unchecked_sentence
 
-    if RIG in session.corrections:
-        return None, []
-    estimates, contacts = session.snapshot().estimates[session.methods[-1]], session.contacts
-    off = unchecked_error(estimates, contacts, session.landmark_pokes, session.scene.noise)
-    return (None, []) if off is None else (off * 1e3, [unchecked_sentence(off)])
+    used, estimates = session.corrections.get(RIG), session.snapshot().estimates[session.methods[-1]]
+    landmarks, noise = landmark_agreement(answer, used), session.scene.noise
+    off = unchecked_of(used, landmarks, estimates, session.contacts, session.landmark_pokes, noise)
+    return ([] if off is None else [unchecked_sentence(off)]), off
 
 
 def _calibration(session: Session) -> Calibration:

@@ -34,7 +34,8 @@ from skincal.modules.estimate import predicted_squares
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_poked
 from skincal.rig.correction import UsedCorrection
-from skincal.rig.correction_fit import RigAnswer
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.rig.expected_gain import unchecked_error
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
@@ -121,6 +122,28 @@ def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> La
         ratio = rig.plain_ratio if used is None else rig.ratio
         return LandmarkAgreement(len(rig.trust), ratio, used is not None)
     return None if used is None or np.isnan(used.ratio) else LandmarkAgreement(used.pokes, used.ratio, True)
+
+
+def unchecked_of(
+    used: UsedCorrection | None,
+    landmarks: LandmarkAgreement | None,
+    estimates: Sequence[Estimate],
+    contacts: Sequence[Contact],
+    pokes: Sequence[LandmarkPoke],
+    noise: NoiseSettings,
+) -> float | None:
+    """Return by how much the rig's errors may move the taxels beside what is predicted, metres; None where all is predicted.
+
+    Parameters
+    ----------
+    used : the correction of the rig that is in use
+    landmarks : how the rig passes them: where it does not as predicted, or nobody knows, it may be as wrong as any
+    estimates, contacts, pokes, noise : see `unchecked_error`
+    """
+    if used is not None and not used.correction.exact:
+        return None
+    known = used is not None or (landmarks is not None and landmarks.agrees)
+    return unchecked_error(estimates, contacts, pokes if known else (), noise)
 
 
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
@@ -275,8 +298,8 @@ class Verdict:
     predicted: PredictedError | None
     """Of the taxels that are estimated; None where none is."""
     unchecked: float | None
-    """m: by how much the rig's errors may move the taxels beside what is predicted, root mean square; None under a correction,
-    whose own uncertainty is in the prediction."""
+    """m: by how much the rig's errors may move the taxels beside what is predicted, root mean square; None under a correction
+    whose own uncertainty is in the prediction, or where no taxel is known."""
     pokes: int
     """Accepted, and not taken out."""
     seconds: float

@@ -164,15 +164,14 @@ def _carried(
     weighted = fitted.trust[order][:, None, None] * slopes.transpose(0, 2, 1)
     begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ whiten
     held = np.add.reduceat(weighted @ slopes, begins)
-    misses = np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
+    misses = fitted.trust[order, None] * np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
     pokes = evidence.pokes[at]
     ordered = Pulls(begins, pokes, evidence.poses[at], pairs, misses, pulls, held, rows.normals[order])
     added, gradients = ordered.covariances(noise.skin), fitted.pads.gradients
     moves: FloatArray | None = None
     if shared is not None:
-        # What the pokes do not determine has no estimate, and is not moved.
-        inverse = np.linalg.pinv(held, rcond=NO_RANK, hermitian=True)
-        moves = -inverse @ np.add.reduceat(pulls @ shared(pokes, places, pairs), begins)
+        moves, of_poses = ordered.moves(shared, places)
+        added = added + of_poses
     pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
     found: list[Estimate] = []
     for estimate in estimates:

@@ -43,11 +43,16 @@ class Correction:
     motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """For some arm poses (4, 4) float, metres: and times this."""
     root: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """(n, n) float, SI: root root' is the covariance of the unknowns, the matrix with the quadratic's columns row by row, then
-    turn and shift of each of
-    `motions` by name; (0, 0) of a correction that is taken for exact."""
+    """(n, n) float, SI, upper triangular: root root' is the covariance of the unknowns, the matrix with the quadratic's columns
+    row by row, then turn and shift of each of `motions` by name, or of none of them where there are more than `POSES_KEPT`;
+    (0, 0) of a correction that is taken for exact."""
     quadratic: FloatArray = field(default_factory=lambda: np.empty((6, 0)))
     """(6, 21) float, SI: the true wrench has besides this times its `products`; (6, 0) of a sensor that is taken for linear."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is taken for exact: what it does not know was not recorded, or nobody knows it."""
+        return not len(self.root)
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
         """Return link_from_sensor, (4, 4), of the arm pose of that name; of one that is not known, by `everywhere` alone."""
@@ -74,6 +79,9 @@ class Correction:
         return replace(poke, force=force, moment=moment, link_from_sensor=self.pose(poke.link_from_sensor, poke.pose))
 
 
+POSES_KEPT = 24
+"""Arm poses up to which their uncertainty is kept, with how it goes together. Streamed joints make hundreds of names, each for
+a few pokes, which hardly tell more of it than its prior: 2 million numbers for 315 of them."""
 LOAD = 10.0
 """N: the force at which a sensor that is not linear is off by the share `RigPrior.quadratic`; hands press with 6 to 13 N."""
 _FIRST, _SECOND = np.triu_indices(6)
@@ -124,7 +132,7 @@ class RigPrior:
     """m, sd of the contact beside the landmark in each direction: a tip on a screw head, by hand."""
 
     def scales(self, poses: int) -> FloatArray:
-        """Return (6 columns + 6 poses,) the sd of each unknown: C row by row, 6 or 27 columns, then turn and shift of poses."""
+        """Return (6 columns + 6 poses,) the sd of each unknown: C row by row, 6 or 27 columns, then turn and shift of each."""
         units = LOAD * np.repeat([1.0, self.arm], 3)
         matrix = self.matrix * units[:, None] / units[None, :]
         if self.quadratic:
@@ -235,9 +243,10 @@ def rig_rows(
 
 
 class CorrectionErrors:
-    """What a correction of a rig does not know: errors that all pokes share, as `skincal.taxels.shared_errors.SharedRows`.
+    """What a correction of a rig does not know, as `skincal.taxels.shared_errors.SharedRows`.
 
-    An arm pose that the correction does not know is as wrong as any may be before something is known of it.
+    An arm pose that the correction's root does not know is as wrong as any may be before something is known of it, and by
+    itself. All of it is to first order in the correction.
 
     Parameters
     ----------
@@ -246,15 +255,16 @@ class CorrectionErrors:
     """
 
     def __init__(self, correction: Correction, contact_of: Callable[[int], Contact], prior: RigPrior | None = None) -> None:
-        self._contact_of, self._prior = contact_of, prior or RigPrior()
+        self._contact_of, self._of_pose = contact_of, (prior or RigPrior()).scales(1)[-6:]
         self._root, self._columns = correction.root, 6 + correction.quadratic.shape[1]
-        self._poses = {name: index for index, name in enumerate(sorted(correction.motions))}
+        known = sorted(correction.motions) if len(self._root) > 6 * self._columns else []
+        self._poses = {name: index for index, name in enumerate(known)}
 
-    def __call__(self, pokes: IntArray, places: FloatArray, pairs: FloatArray) -> FloatArray:
-        """Return (m, 2, n) metres; see `SharedRows`."""
+    def __call__(self, pokes: IntArray, places: FloatArray, pairs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (m, 2, n) and (m, 2, 6) metres; see `SharedRows`."""
         numbers, row = np.unique(pokes, return_inverse=True)
         contacts = [self._contact_of(poke) for poke in numbers.tolist()]
-        poses = np.array([self._index(contact.pose) for contact in contacts])[row]
+        poses = np.array([self._poses.get(contact.pose, -1) for contact in contacts])[row]
         wrenches = np.array([np.concatenate([contact.force, contact.moment]) for contact in contacts])[row]
         reported = np.array([contact.link_from_sensor for contact in contacts])[row]
         sensor_from_link = reported[:, :3, :3].transpose(0, 2, 1)
@@ -268,18 +278,11 @@ class CorrectionErrors:
         pull = across_push @ cross_matrix(force)
         of_pose = np.concatenate([pull @ here, -pull], axis=2)
         size = 6 * self._columns
-        own = self._root[size + 6 * poses[:, None] + np.arange(6)]
-        return of_matrix.reshape(len(places), 2, size) @ self._root[:size] + of_pose @ own
-
-    def _index(self, pose: str) -> int:
-        """Return the place of an arm pose among those known; one that is new comes last, as its prior has it."""
-        if pose not in self._poses:
-            self._poses[pose] = len(self._poses)
-            old = len(self._root)
-            root = np.zeros((old + 6, old + 6))
-            root[:old, :old], root[old:, old:] = self._root, np.diag(self._prior.scales(1)[-6:])
-            self._root = root
-        return self._poses[pose]
+        alike = of_matrix.reshape(len(places), 2, size) @ self._root[:size]
+        for pose in np.unique(poses[poses >= 0]).tolist():
+            own = size + 6 * pose
+            alike[poses == pose] += of_pose[poses == pose] @ self._root[own : own + 6]
+        return alike, np.where((poses < 0)[:, None, None], of_pose * self._of_pose, 0.0)
 
 
 def rigid_motion(turn: FloatArray, shift: FloatArray) -> FloatArray:

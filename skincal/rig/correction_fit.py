@@ -28,7 +28,7 @@ from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings, Scene
 from skincal.modules.pose import ModuleModel, ModulePoses
 from skincal.modules.pose_fit import Touches, fit_poked, trust_of
-from skincal.rig.correction import Correction, RigPrior, RigReadings, RigRows, RigState, rig_rows, rigid_motion
+from skincal.rig.correction import POSES_KEPT, Correction, RigPrior, RigReadings, RigRows, RigState, rig_rows, rigid_motion
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 
@@ -240,9 +240,9 @@ class RigAnswer:
     distances: Mapping[int, float]
     """m: of each landmark poke, how far its axis passes the landmark under the correction."""
     unknowns: FloatArray
-    """(36 + 6 poses,) float: the correction in standard deviations of the prior."""
+    """(n,) float: the correction in standard deviations of the prior; n as in `RigPrior.scales`."""
     known: FloatArray
-    """(36 + 6 poses,) float: sd of each unknown over that of its prior, 0 to 1; 1 is not determined."""
+    """(n,) float: sd of each unknown over that of its prior, 0 to 1; 1 is not determined."""
     ratio: float = float("nan")
     """Misses of held-out pokes over what was predicted for them, root mean square; NaN where there is none. Above 1 something
     is wrong that the correction does not know of, and its uncertainty is as many times larger."""
@@ -366,7 +366,7 @@ class _Fit:
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
         _, root = _solved(base, rows, self._shared, self.trust)
         inverse = np.asarray(np.linalg.inv(root), dtype=np.float64)
-        known = np.sqrt(np.sum(inverse**2, axis=1))
+        known, spread = np.sqrt(np.sum(inverse**2, axis=1)), self.scales[:, None] * inverse
         pokes = [poke.poke for poke in self.landmarks]
         poses = zip(names, self.state.turns, self.state.shifts, strict=True)
         motions = {name: rigid_motion(turn, shift) for name, turn, shift in poses}
@@ -375,7 +375,7 @@ class _Fit:
                 np.eye(6) + self.state.matrix[:, :LINEAR],
                 motions=motions,
                 quadratic=self.state.matrix[:, LINEAR:],
-                root=max(1.0, ratio) * self.scales[:, None] * inverse,
+                root=max(1.0, ratio) * (spread if len(names) <= POSES_KEPT else _first_rows(spread, 6 * self.columns)),
             ),
             used=bool(after < BETTER * before),
             before=float(metre * np.sqrt(before)),
@@ -434,6 +434,11 @@ def qr_factor(rows: FloatArray) -> FloatArray:
     """Return R of the QR of rows, square or with fewer rows than columns."""
     factor: Any = np.linalg.qr(rows, mode="r")
     return np.asarray(factor, dtype=np.float64)
+
+
+def _first_rows(root: FloatArray, count: int) -> FloatArray:
+    """Return (count, count) upper triangular U, U U' the covariance of the first unknowns under that of all, root root'."""
+    return np.ascontiguousarray(qr_factor(root[count - 1 :: -1].T).T[::-1, ::-1])
 
 
 def _solved(base: FloatArray, rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:

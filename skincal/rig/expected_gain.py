@@ -110,13 +110,13 @@ def expected_error(
 def unchecked_error(
     estimates: Sequence[Estimate], contacts: Sequence[Contact], pokes: Sequence[LandmarkPoke], noise: NoiseSettings
 ) -> float | None:
-    """Return by how much the errors of a rig that is not corrected may move the taxels, root mean square, metres.
+    """Return by how much a rig's errors may move the taxels that are in no covariance, root mean square, metres.
 
     Parameters
     ----------
     estimates : of one method; those without a position or a normal tell nothing
     contacts : in whose arm poses they were poked
-    pokes : at landmarks
+    pokes : at landmarks, where the rig passes them as predicted or is corrected by them; else they do not make it better
 
     Returns
     -------

@@ -15,7 +15,7 @@ from skincal.contacts.outcome import Outcome, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.model.actions import Correct, Uncorrect
 from skincal.model.errors import InputError
-from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
+from skincal.rig.correction import FRAME, POSES_KEPT, RIG, Correction, UsedCorrection
 from skincal.rig.frame_check import frame_correction
 from skincal.session.undo import Step
 
@@ -141,7 +141,8 @@ def correction_of(action: Correct) -> Correction:
     wanted = (36, 16, 16 * len(action.poses))
     if action.of not in KINDS or sizes != wanted:
         raise InputError(f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(KINDS)}, with {wanted}.")
-    size = 36 + len(action.quadratic) + 6 * len(action.poses) if action.spread else 0
+    of_poses = 6 * len(action.poses) if len(action.poses) <= POSES_KEPT else 0
+    size = 36 + len(action.quadratic) + of_poses if action.spread else 0
     if len(action.quadratic) not in (0, 126) or len(action.spread) != size * (size + 1) // 2:
         numbers = f"{len(action.quadratic)} numbers of what is not linear and {len(action.spread)} of its uncertainty"
         raise InputError(f"A correction of {len(action.poses)} arm poses with {numbers}; expected as many as skincal writes.")
@@ -150,7 +151,11 @@ def correction_of(action: Correct) -> Correction:
     matrix, everywhere = np.reshape(action.matrix, (6, 6)), np.reshape(action.everywhere, (4, 4))
     motions, quadratic = np.reshape(action.motions, (-1, 4, 4)), np.reshape(action.quadratic, (6, -1))
     numbers = (matrix, everywhere, motions, root, quadratic, np.array([action.before, action.after, action.ratio]))
-    if not all(np.isfinite(values).all() for values in numbers) or not abs(np.linalg.det(matrix)) > 0 or action.pokes < 0:
+    if (
+        not all(np.isfinite(values).all() for values in numbers)
+        or not abs(np.linalg.det(matrix)) > 0
+        or min(action.pokes, action.ratio) < 0
+    ):
         raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
     if not all(_is_motion(motion) for motion in (everywhere, *motions)):
         raise InputError("A correction of the rig moves a pose by what is no rigid motion; expected a rotation and a shift.")

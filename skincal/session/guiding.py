@@ -16,12 +16,12 @@ from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, Landmark
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
-from skincal.guide.verdict import Verdict, landmark_agreement, verdict_of
+from skincal.guide.verdict import Verdict, landmark_agreement, unchecked_of, verdict_of
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
-from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_error
+from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error
 from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
@@ -106,6 +106,7 @@ class SessionGuide:
         rig : what landmark pokes say; None where nobody has looked
         """
         estimates, noise, used = snapshot.estimates[guidance.method], self._scene.noise, snapshot.corrections.get(RIG)
+        landmarks = landmark_agreement(rig, used)
         return verdict_of(
             guidance,
             estimates,
@@ -115,8 +116,8 @@ class SessionGuide:
             self._surface,
             GuideSettings(),
             self._module_model,
-            landmark_agreement(rig, used),
-            None if used is not None else unchecked_error(estimates, snapshot.contacts, self.landmarks.made(snapshot), noise),
+            landmarks,
+            unchecked_of(used, landmarks, estimates, snapshot.contacts, self.landmarks.made(snapshot), noise),
         )
 
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:

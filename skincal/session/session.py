@@ -42,6 +42,7 @@ from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
 from skincal.session.undo import History, Step
 from skincal.taxels.result import Method
+from skincal.taxels.shared_errors import SharedRows
 
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
@@ -128,6 +129,11 @@ class Session:
     def landmark_pokes(self) -> tuple[LandmarkPoke, ...]:
         """The pokes that were at a landmark and count, in the order of their numbers, in the right frame."""
         return self._known.pokes(self.framed().values())
+
+    @property
+    def shared_errors(self) -> SharedRows | None:
+        """What the correction of the rig that is in use does not know; None without one, or where that was not recorded."""
+        return self._solving.shared
 
     @property
     def corrections(self) -> Mapping[str, UsedCorrection]:
@@ -307,8 +313,8 @@ class Session:
             if isinstance(outcome, Contact):
                 self._solving.poke_changed(poke, ())
         used = self.corrections.get(RIG)
-        known = used is not None and len(used.correction.root) > 0
-        self._solving.shared = CorrectionErrors(used.correction, self._contact) if used is not None and known else None
+        exact = used is None or used.correction.exact
+        self._solving.shared = None if used is None or exact else CorrectionErrors(used.correction, self._contact)
         self._solving.taxels_changed(self.channels)
 
     def _contact(self, poke: int) -> Contact:

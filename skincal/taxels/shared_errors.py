@@ -10,8 +10,9 @@ M M'. What is the same in the M of all taxels shifts the whole skin; the rest mo
 
 **Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the
 free method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
-H^-1 sum 2 k sigma_f^2/|f|^2 (p - o). It is taken as a standard deviation and not put back: how large the noise is, the
-scene says and not the pokes, and the point stays the paper's.
+H^-1 sum 2 k sigma_f^2/|f|^2 u u'(p - o): of the lever the part along the push u, since each row is divided by its own noisy
+|f|. It is taken as a standard deviation and not put back: how large the noise is, the scene says and not the pokes, and the
+point stays the paper's.
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable, Evidence, across
 from skincal.taxels.result import Estimate, Method
 
-SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], FloatArray]
+SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Of pokes by number (m,), with the places (m, 3), metres, that they are said to touch and the directions E (m, 2, 3) across
-their pushes, link frame: B (m, 2, n), metres for each of n shared errors in its standard deviations."""
+their pushes, link frame: B (m, 2, n), metres for each of n errors in its standard deviations that all pokes share, and
+(m, 2, k) for each of k that the pokes in one arm pose share, those of each pose independent of the others'."""
 
 
 SLOW = 30
@@ -51,7 +53,7 @@ class Pulls:
     pairs: FloatArray
     """(m, 2, 3) float, unit, E: across the push."""
     misses: FloatArray
-    """(m, 2) float, metres: how far the axis passes the place that it touches."""
+    """(m, 2) float, metres: how far the axis passes the place that it touches, times the poke's trust."""
     pulls: FloatArray
     """(m, d, 2) float: how the two rows pull at the group's unknowns; `held` (g, d, d) over pulls is the way that these go."""
     held: FloatArray
@@ -60,9 +62,9 @@ class Pulls:
 
     def covariances(self, skin: float) -> FloatArray:
         """Return (g, d, d) what slow errors and the skin's thickness, sd `skin`, m, add to the covariances of the unknowns."""
-        of = np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.pokes))))
-        moved = self.pulls @ self.pairs
-        block = self.pokes // SLOW
+        of, moved = self._of(), self.pulls @ self.pairs
+        # Counted from the first poke of each group: where the numbers begin says nothing.
+        block = (self.pokes - self.pokes[self.starts][of]) // SLOW
         new = np.ones(len(of), dtype=bool)
         new[1:] = (of[1:] != of[:-1]) | (self.poses[1:] != self.poses[:-1]) | (block[1:] != block[:-1])
         first = np.flatnonzero(new)
@@ -70,8 +72,34 @@ class Pulls:
         slow = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(first, self.starts))
         along = np.add.reduceat((moved @ self.normals[:, :, None])[:, :, 0], self.starts)
         added = self._slow_variances(of)[:, None, None] * slow + skin**2 * along[:, :, None] * along[:, None]
-        inverse = np.linalg.pinv(self.held, rcond=1e-9, hermitian=True)
+        inverse = self.inverse()
         return inverse @ added @ inverse
+
+    def moves(self, shared: SharedRows, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (g, d, n) how errors that all pokes share move the unknowns, and (g, d, d) the covariance by those of poses.
+
+        Parameters
+        ----------
+        places : (m, 3) float, metres, link frame: what the pokes touch
+        """
+        alike, of_pose = shared(self.pokes, places, self.pairs)
+        of, inverse = self._of(), self.inverse()
+        _, first, pose = np.unique(of * (self.poses.max() + 1) + self.poses, return_index=True, return_inverse=True)
+        # By group, then by the first poke in the pose: the poses' numbers are those of a table that knows more of them.
+        ordered = np.argsort(first[pose], kind="stable")
+        begins = np.sort(first)
+        runs = np.searchsorted(first[pose][ordered], begins)
+        together = np.add.reduceat((self.pulls @ of_pose)[ordered], runs)
+        own = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(begins, self.starts))
+        return -inverse @ np.add.reduceat(self.pulls @ alike, self.starts), inverse @ own @ inverse
+
+    def inverse(self) -> FloatArray:
+        """Return (g, d, d) the inverse of `held`; what the pokes do not determine has no estimate, and is not moved."""
+        return np.asarray(np.linalg.pinv(self.held, rcond=1e-9, hermitian=True), dtype=np.float64)
+
+    def _of(self) -> IntArray:
+        """Return (m,) the group of each poke."""
+        return np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.pokes))))
 
     def _slow_variances(self, of: IntArray) -> FloatArray:
         """Return (g,) the variance of what pokes near each other share, each direction, m^2.
@@ -107,39 +135,42 @@ def carried(
     if not known:
         return list(estimates)
     evidence = table.evidence([estimate.channel for estimate in known])
+    trust = _trust(evidence, known)
     order = np.lexsort((evidence.pokes, evidence.taxels))
-    of, pairs = evidence.taxels, evidence.pairs[order]
+    of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
     places = np.array([estimate.position for estimate in known])[of]
     normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
-    # Outward from the unknowns to space: on a surface they lie in the triangle's plane.
-    plane = known[0].method is Method.SURFACE
-    outward = across(normals).transpose(0, 2, 1) if plane else np.tile(np.eye(3), (len(known), 1, 1))
-    inward = outward.transpose(0, 2, 1)
-    weights = (_trust_of(known, evidence) * evidence.weights**2)[order]
-    pulls = weights[:, None, None] * (inward[of] @ pairs.transpose(0, 2, 1))
-    starts = evidence.starts[:-1]
-    held = np.add.reduceat(pulls @ pairs, starts) @ outward
-    misses = np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
+    free = np.tile(np.eye(3), (len(known), 1, 1))
+    if known[0].method is Method.SURFACE:
+        free = across(normals)
+    pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
+    held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
+    misses = trust[order, None] * np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
     ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
-    added = outward @ ordered.covariances(noise.skin) @ inward
+    outward = free.transpose(0, 2, 1)
+    inside = ordered.covariances(noise.skin)
     if known[0].method is Method.FREE:
-        share = 2.0 * noise.force**2 * weights / evidence.forces[order] ** 2
-        pulled = np.add.reduceat(share[:, None] * (places - evidence.sensors[order]), starts)
-        biases = np.linalg.solve(held, pulled[:, :, None])
-        added = added + biases @ biases.transpose(0, 2, 1)
-    moves: Sequence[FloatArray | None] = [None] * len(known)
+        pushes = evidence.directions[order]
+        levers = pushes * np.sum(pushes * (places - evidence.sensors[order]), axis=1, keepdims=True)
+        share = 2.0 * noise.force**2 * (trust * evidence.weights**2)[order] / evidence.forces[order] ** 2
+        biases = np.linalg.solve(held, np.add.reduceat(share[:, None] * levers, starts)[:, :, None])
+        inside = inside + biases @ biases.transpose(0, 2, 1)
+    moves: FloatArray | None = None
     if shared is not None:
-        pulled = np.add.reduceat(pulls @ shared(ordered.pokes, places, pairs), starts)
-        moves = list(-outward @ np.linalg.solve(held, pulled))
-    rows = zip(known, added, moves, strict=True)
-    found = {estimate.channel: with_shared(estimate, more, move) for estimate, more, move in rows}
+        alike, of_poses = ordered.moves(shared, places)
+        moves, inside = outward @ alike, inside + of_poses
+    added = outward @ inside @ free
+    found = {
+        estimate.channel: with_shared(estimate, added[row], None if moves is None else moves[row])
+        for row, estimate in enumerate(known)
+    }
     return [found.get(estimate.channel, estimate) for estimate in estimates]
 
 
-def _trust_of(known: Sequence[Estimate], evidence: Evidence) -> FloatArray:
-    """Return (n,) the trust that the solver found for each answer of the taxels of `known`."""
+def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
+    """Return (n,) how far each answer counts, 0 to 1, for the estimates of the taxels that answered."""
     trust = np.ones(len(evidence.pokes))
-    for row, estimate in enumerate(known):
+    for row, estimate in enumerate(estimates):
         if estimate.doubted:
             own = slice(*evidence.starts[row : row + 2].tolist())
             trust[own] = [estimate.doubted.get(poke, 1.0) for poke in evidence.pokes[own].tolist()]

@@ -12,15 +12,25 @@ from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest
 from app.state.policies import Offer
-from app.text.verdict_text import check_words, done_words, figures, left_words, rig_state, sentence
+from app.text.verdict_text import (
+    check_words,
+    done_words,
+    figures,
+    landmark_words,
+    left_words,
+    predicted_words,
+    rig_state,
+    sentence,
+)
 from skincal.guide.progress import Need, Why
-from skincal.guide.verdict import Check, Left, Verdict
+from skincal.guide.verdict import AS_PREDICTED, Check, LandmarkAgreement, Left, Verdict
 from skincal.rig.correction import RIG, Correction, UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke, RigAnswer
 from skincal.sentences import correction_sentence, rig_sentences
 from skincal.session.corrections import correct_action
 from skincal.session.review import Review
 from skincal.taxels.result import Method
+from skincal.taxels.shared_errors import PredictedError
 from tests.app.window_support import NAMES, changed, pixels
 from tests.approved import approved
 
@@ -31,12 +41,22 @@ EARLY = Left(9, Why.EARLY, (Need.BALANCE,))
 
 
 AGREES = Check(14, 13)
+PASSED = LandmarkAgreement(21, 0.94, corrected=True)
+MISSED = LandmarkAgreement(21, 4.2, corrected=False)
+APART = PredictedError(0.0012, 0.0005, 0.0013)
 
 
-def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
+def verdict(
+    *left: Left,
+    checked: Check = AGREES,
+    used: int = 24,
+    landmarks: LandmarkAgreement | None = PASSED,
+    unchecked: float | None = None,
+    predicted: PredictedError | None = APART,
+) -> Verdict:
     done = used - sum(taxel.why is not Why.DEAD for taxel in left)
     enough = all(taxel.why is not Why.EARLY for taxel in left)
-    return Verdict(Method.SURFACE, enough, 0.003, done, used, left, checked, 252, 552.0)
+    return Verdict(Method.SURFACE, enough, 0.003, done, used, left, checked, landmarks, predicted, unchecked, 252, 552.0)
 
 
 @pytest.mark.parametrize(
@@ -51,6 +71,11 @@ def verdict(*left: Left, checked: Check = AGREES, used: int = 24) -> Verdict:
         (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, target_mm=3)),
         (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
         (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
+        (verdict(landmarks=None), approved("verdict.all_done_without_landmarks", count=24, target_mm=3)),
+        (verdict(landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
+        (verdict(checked=Check(11, 8), landmarks=None), approved("verdict.all_done_hardly", count=24, target_mm=3)),
+        (verdict(checked=Check(4, 4), landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
+        (verdict(checked=Check(14, 7), landmarks=MISSED), approved("verdict.all_done_against", count=24, target_mm=3)),
         (verdict(UNUSED, used=0), approved("verdict.none_used")),
         (verdict(used=0), approved("verdict.none_answered")),
     ],
@@ -67,6 +92,8 @@ def test_the_figures_are_those_of_the_verdict():
             approved("verdict.needs_surface", target_mm=3),
         ),
         ("Check", approved("verdict.check", good=13, held_out=14)),
+        ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
+        ("Predicted", approved("verdict.predicted_apart", every_mm="1.3", whole_mm="1.2", among_mm="0.5")),
         ("Work", "252 pokes in 9 min"),
     )
     assert approved("verdict.check_against") in check_words(verdict(checked=Check(14, 7)))
@@ -74,6 +101,36 @@ def test_the_figures_are_those_of_the_verdict():
     assert hardly == approved("verdict.check_hardly", good=8, held_out=11)
     assert check_words(verdict(checked=Check(4, 4))).endswith(approved("verdict.check_too_few"))
     assert check_words(verdict(checked=Check(0, 0))) == approved("verdict.check_none")
+
+
+def test_what_landmarks_say_and_what_nobody_checked_is_said():
+    assert landmark_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
+    assert landmark_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
+    unchecked = verdict(landmarks=None, unchecked=0.0071)
+    assert predicted_words(unchecked) == approved("verdict.predicted_unchecked", every_mm="1.3", unchecked_mm="7.1")
+    assert predicted_words(verdict(predicted=None, unchecked=0.0071)) == approved("verdict.predicted_none")
+    assert "nan" not in " ".join(value for _, value in figures(verdict(used=0, predicted=None, landmarks=None)))
+
+
+@pytest.mark.parametrize(
+    ("what", "believed", "doubted"),
+    [
+        (verdict(), True, False),
+        (verdict(landmarks=None), False, False),
+        (verdict(landmarks=MISSED), False, True),
+        (verdict(landmarks=LandmarkAgreement(21, AS_PREDICTED, corrected=True)), True, False),
+        (verdict(landmarks=LandmarkAgreement(21, AS_PREDICTED + 1e-9, corrected=True)), False, True),
+        (verdict(checked=Check(4, 4)), False, False),
+        (verdict(checked=Check(11, 8)), False, False),
+        (verdict(checked=Check(14, 7)), False, True),
+    ],
+)
+def test_only_what_landmarks_and_the_skin_speak_for_is_believed(qtbot, what, believed, doubted):
+    assert (what.believed, what.doubted) == (believed, doubted)
+    dialog = VerdictDialog(what, NAMES)
+    qtbot.addWidget(dialog)
+    assert dialog.export.isDefault() is not doubted
+    assert dialog.go_on.isDefault() is doubted
 
 
 def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
@@ -210,7 +267,7 @@ def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
     assert dialog.sentence.text().startswith(approved("verdict.not_enough_begin", done=0, count=84))
-    assert dialog.figures[3][1].text() == "3 pokes in 1 min"
+    assert dialog.figures[5][1].text() == "3 pokes in 1 min"
     assert dialog.left.model().rowCount() == 84
     on_map = pixels(session_view.workspace.map)
     dialog.left.setFocus()

@@ -11,16 +11,31 @@ from scipy import stats
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import unplaced
 from skincal.guide.progress import PAUSE_S, GuideSettings, Need, Tried, Why, given_up, pace, pokes_left, worked
-from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
+from skincal.guide.verdict import (
+    INSIDE,
+    ONE_IN,
+    Check,
+    LandmarkAgreement,
+    check,
+    held_out,
+    landmark_agreement,
+    unchecked_of,
+    verdict_of,
+)
 from skincal.methods import estimate_taxels
 from skincal.model.actions import MarkDead
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel
+from skincal.rig.correction import RIG, Correction, UsedCorrection
+from skincal.rig.correction_fit import RigAnswer, RigRequest, correct_rig
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.courses import Conditions, errors_of, poked, rig_beside, tilt_recipe
+from skincal.simulate.faults import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
+from tests.skincal.sim_support import make_rig
 
 SETTINGS = GuideSettings()
 TRIED = Tried(own=5, contacts=9, unanswered=0, shut=False, tilt=SETTINGS.usable_tilt)
@@ -258,3 +273,79 @@ def test_it_is_not_enough_where_there_is_nothing():
     guidance = guide.update({}, estimates, session.evidence)
     verdict = verdict_of(guidance, estimates[Method.FREE], {}, session.evidence, NoiseSettings(), None, SETTINGS)
     assert (verdict.done, verdict.used, verdict.enough) == (0, 0, False)
+
+
+# ---- landmarks ----
+
+
+def used_correction(ratio=1.1, root=1e-3):
+    return UsedCorrection(
+        RIG, Correction(np.eye(6), root=root * np.eye(36) if root else np.empty((0, 0))), 0.009, 0.001, 21, ratio
+    )
+
+
+def test_landmarks_are_judged_as_the_rig_is_used():
+    """By held-out pokes under a correction, as reported without one; by what was recorded where nobody looked since."""
+    some = np.zeros(42)
+    answer = RigAnswer(Correction(np.eye(6)), True, 0.009, 0.001, 6, dict.fromkeys(range(21), 1.0), {}, some, some, 1.2, 6.5)
+    assert landmark_agreement(answer, None) == LandmarkAgreement(21, 6.5, False)
+    assert landmark_agreement(answer, used_correction()) == LandmarkAgreement(21, 1.2, True)
+    assert landmark_agreement(None, used_correction(1.1)) == LandmarkAgreement(21, 1.1, True)
+    assert landmark_agreement(replace(answer, correction=None), used_correction(1.1)) == LandmarkAgreement(21, 1.1, True)
+    assert landmark_agreement(replace(answer, correction=None), None) is None
+    assert landmark_agreement(None, used_correction(np.nan)) is None
+    assert landmark_agreement(None, None) is None
+
+
+def landmark_case(errors, seed):
+    """A rig, its contacts, what landmark pokes say, and the estimates of the modules as reported."""
+    rng, rig = np.random.default_rng([seed, 3]), make_rig(errors, seed)
+    contacts = [poke for pose in rig.stances for poke in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
+    contacts = [replace(contact, poke=number) for number, contact in enumerate(contacts, start=1)]
+    known = poke_landmarks(rig, rig.scene.landmarks, 3, rng, 10_001)
+    model = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
+    channels, noise = rig.channels.tolist(), rig.scene.noise
+    found = estimate_taxels(contacts, channels, [Method.MODULES], noise, rig.surface, model=model)[Method.MODULES]
+    return rig, contacts, known, correct_rig(RigRequest(rig.scene, rig.surface, contacts, known)), list(found.values())
+
+
+def test_a_rig_that_landmarks_speak_against_may_be_as_wrong_as_any():
+    """Landmark pokes make it no better until it is corrected by them; where they agree, they say how right it is."""
+    rig, contacts, known, answer, found = landmark_case(RigErrors.paper(), 1)
+    noise, against = rig.scene.noise, landmark_agreement(answer, None)
+    assert not against.agrees
+    plain = unchecked_of(None, None, found, contacts, (), noise)
+    assert plain == unchecked_of(None, against, found, contacts, known, noise)
+    off = [
+        estimate.position - place for estimate, place in zip(found, rig.places, strict=True) if estimate.position is not None
+    ]
+    assert plain > 0.5 * np.sqrt(np.mean(np.sum(np.square(off), axis=1)))
+    # One whose own uncertainty is in the prediction adds nothing; of one of old only what its landmarks leave is known.
+    assert unchecked_of(used_correction(), None, found, contacts, known, noise) is None
+    assert 0.0 < unchecked_of(used_correction(root=0.0), None, found, contacts, known, noise) < 0.4 * plain
+    rig, contacts, known, answer, found = landmark_case(RigErrors.noise(), 2)
+    agrees = landmark_agreement(answer, None)
+    assert agrees.agrees
+    assert unchecked_of(None, agrees, found, contacts, known, rig.scene.noise) < 0.4 * plain
+    assert unchecked_of(None, None, [], contacts, known, rig.scene.noise) is None
+
+
+def test_a_session_of_a_rig_that_is_wrong_is_not_believed_without_its_correction():
+    rig, contacts, known, answer, _ = landmark_case(RigErrors.paper(), 1)
+    right = [answer.correction.corrected(contact) for contact in contacts]
+    used = UsedCorrection(RIG, answer.correction, answer.before, answer.after, len(known), answer.ratio)
+    assert landmark_agreement(answer, used).agrees
+    guide = Guide(part().plan, rig.scene.noise, Method.FREE, part().spacing)
+    for correction, pokes in ((None, contacts), (used, right)):
+        session = Session(rig.scene, rig.surface)
+        for contact in pokes:
+            session.add(contact)
+        estimates, by_poke = session.snapshot().estimates, {each.poke: each for each in session.contacts}
+        guidance = guide.update(by_poke, estimates, session.evidence)
+        verdict = verdict_of(
+            replace(guidance, method=Method.MODULES), estimates[Method.MODULES], by_poke, session.evidence, rig.scene.noise,
+            rig.surface, SETTINGS, session.module_model, landmark_agreement(answer, correction),
+        )  # fmt: skip
+        assert verdict.believed is (correction is not None and verdict.check.agrees)
+        assert verdict.doubted is (correction is None or not verdict.check.believed)
+        assert verdict.predicted.every > 0

@@ -103,7 +103,7 @@ def without_solver(_table, channels, methods, *_):
     return {method: {channel: Estimate(channel, method, State.UNSEEN, 0) for channel in channels} for method in methods}
 
 
-def without_module_fit(table, model, modules, *_):
+def without_module_fit(table, model, modules, *_, **__):
     """Stands for the fit of boards, whose work grows with the pokes of a module."""
     return without_solver(table, model.channels_of(modules), [Method.MODULES])[Method.MODULES]
 
