@@ -109,6 +109,15 @@ def poke_lines(counts: Mapping[str, Any]) -> list[str]:
     return [line + "".join(f", {count} {words}" for words, count in beside.items() if count)]
 
 
+LEADS = "; leads, as the one that predicts the smallest error"
+
+
+def method_lines(methods: Mapping[str, Mapping[str, Any]], leads: str | None) -> list[str]:
+    """Return a line of text for each summary of `method_summaries`, by its name; that of the one that leads comes first."""
+    order = sorted(methods, key=lambda name: name != leads)
+    return [method_line(name, methods[name]) + (LEADS if name == leads else "") for name in order]
+
+
 def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:
     """Return one line of text for `method_summary`."""
     name = method.value if isinstance(method, Method) else method
