@@ -93,7 +93,6 @@ def solve(
     """
     from skincal.cli import report
     from skincal.files.reference import read_reference
-    from skincal.methods import leading_method
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
@@ -115,8 +114,7 @@ def solve(
     findings = [*pipeline.findings, *written]
     totals = pipeline.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
-    lead = leading_method(snapshot.estimates)
-    leads = None if lead is None else lead.value
+    leads = report.leading_name(snapshot.estimates)
     text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
     text += [*rig_lines, *unchecked_lines, *module_lines]
@@ -326,8 +324,8 @@ def export(
     method: Annotated[
         Method | None,
         typer.Option(
-            help="Whose positions to write; else of the methods that know at least 95 % of the taxels that any one knows the one "
-            "that predicts the smallest error.",
+            help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
+            "know at least 95 % of the taxels that any one knows.",
             show_default=False,
         ),
     ] = None,

@@ -21,8 +21,8 @@ from skincal.model.tables import Table, check_metres, read_toml
 # Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 SETTING_LEAST, SETTING_MOST = 1e-9, 1e6
-"""Of thresholds and of noise, in their units. What is finer than a nanometre or a nanonewton, no sensor of a robot resolves, and
-its inverse square loses the digits of what it weighs; raw units of a device of 20 bits end at a million, all else before."""
+"""Of thresholds and of noise, in their units. No sensor of a robot resolves a nanometre or a nanonewton, and a weight of its
+inverse square leaves others no digits; raw units of a device of 20 bits end at a million, all else before."""
 SECONDS_MOST = 60.0
 """s. Nobody holds still, or keeps the hands off, for a minute at each poke."""
 JOINTS_MOST = 1000

@@ -18,7 +18,7 @@ LENGTH_MAX = 10.0
 INTEGER_MAX = 10**18
 """Whole numbers of 64 bits end soon after; no count, channel or setting is as large."""
 DIRECTION_MAX = 1e100
-"""The square of a longer vector, or of one shorter than its inverse, leaves the range of a double, and its direction is lost."""
+"""The square of a longer vector, or of one shorter than its inverse, leaves the range of a double: its direction is lost."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ clock that never runs backwards. Neither holds more than a line of each file.
   one before it, and its own stamp, which stands in its line, says when it was taken.
 - A stamp far before it is a clock set back: from there on the file is shifted so that it goes on one interval later.
   Two files whose clocks were set back by the same amount share one shift, so that they stay paired.
-- A clock that was set and within `AWAY_S` set again by as much the other way was wrong in between: only these lines are shifted.
+- A clock that was set, and within `AWAY_S` by as much the other way, was wrong in between: only these lines are shifted.
 - A stamp far off that is right again within `ASTRAY_LINES` was written wrong (a flipped bit): its lines are placed at the time
   of the one before, and nothing is shifted.
 - A gap stays a gap.
@@ -93,7 +93,7 @@ class RecordedTimes:
         self.gaps, self.longest_gap = 0, 0.0
         self.out_of_order = 0
         self.jumps: dict[int, float] = {}
-        """The first line after each time that the clock was set, and by how much more the stamps from there on are shifted, s."""
+        """The first line after each time that the clock was set, and how far the stamps from there on are shifted, s."""
         self.astray: set[int] = set()
         """Indices of lines whose stamps were written wrong."""
         self._shift = 0.0
@@ -102,7 +102,7 @@ class RecordedTimes:
         self._leap: _Leap | None = None
         # The last leap that is believed, as long as the clock may still be set again the other way.
         self._away: _Leap | None = None
-        # Of times when a clock was wrong for a while: by how much, s; for how long, s; and the lines where that began and ended.
+        # Of times when the clock was wrong for a while: by how much, s; for how long, s; and the lines where it was set.
         self._errors: list[tuple[float, float]] = []
         self._error_lines: set[int] = set()
         self._intervals: list[float] = []
