@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 _NONE_DEAD: Mapping[int, str] = {}
 _NONE_BEFORE: Mapping[int, Estimate] = {}
 LEADS_FROM = 0.95
-"""Share of the taxels that the best-known method knows, from which on another may lead: a small error of few taxels is no better
-calibration, and one taxel in twenty is what a method may leave blind on a part that is poked well."""
+"""Share of the taxels that the best-known method knows, from which on another may lead: a small error of few taxels is no
+better calibration, and one taxel in twenty is what a method may leave blind on a part that is poked well."""
 _AT_ONCE = 40_000
 """Answers solved at once: what is made of them, some 20 MB, stays in the processor's cache."""
 

@@ -176,7 +176,7 @@ def _between(known: Session, begin_s: float, row: Sequence[str], where: str) -> 
     names = {poke.poke: row[2] for poke in within if can_be_at_landmark(poke)}
     if not names:
         raise InputError(
-            f"{where}: no poke that can be at a landmark from {start_s:g} to {end_s:g} s; without options they are listed."
+            f"{where}: no poke from {start_s:g} to {end_s:g} s can be at a landmark; without options all are listed."
         )
     return names
 
@@ -194,8 +194,8 @@ def _in_order(known: Session, order: str) -> Names:
         if len(pokes) == len(names):
             return dict(zip(pokes, ["" if name == NOWHERE else name for name in names], strict=True))
     raise InputError(
-        f"--order names {plural(len(names), 'landmark')}, but no taxel answered {plural(len(silent), 'poke')}, {len(before)} of "
-        f"them before the first that one answered; expected a landmark for each, or {NOWHERE} for a poke at none."
+        f"--order names {plural(len(names), 'landmark')}, but no taxel answered {plural(len(silent), 'poke')}, {len(before)} "
+        f"of them before the first that one answered; expected a landmark for each, or {NOWHERE} for a poke at none."
     )
 
 
@@ -218,9 +218,8 @@ def _write(folder: Path, known: Session, said: Iterable[Names], *, find: bool, a
     names: Names = {}
     for poke, name in (pair for part in said for pair in part.items()):
         if names.setdefault(poke, name) != name:
-            raise InputError(
-                f"Poke {poke} is said to be at {names[poke] or 'none'} and at {name or 'none'}; leave out one of them."
-            )
+            both = f"{names[poke] or 'none'} and at {name or 'none'}"
+            raise InputError(f"Poke {poke} is said to be at {both}; leave out one of them.")
     nearest, before = _nearest(known), known.at_landmarks
     unsure: list[str] = []
     if find:
