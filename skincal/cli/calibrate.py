@@ -87,7 +87,10 @@ def solve(
     replay: Replay = False,
     as_json: Json = False,
 ) -> None:
-    """Estimate every taxel of a session by each method of its scene."""
+    """Estimate every taxel of a session by each method of its scene.
+
+    The method that predicts the smallest error comes first, among those that know 95 % of the taxels that any one knows.
+    """
     from skincal.cli import report
     from skincal.files.reference import read_reference
 
@@ -110,7 +113,8 @@ def solve(
     findings = [*pipeline.findings, *written]
     totals = pipeline.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
-    text = [*report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
+    leads = report.leading_name(snapshot.estimates)
+    text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
     text += [*rig_lines, *module_lines]
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
@@ -119,6 +123,7 @@ def solve(
         "session": session,
         **counts,
         "methods": methods,
+        "leads": leads,
         **losses,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
@@ -320,7 +325,12 @@ def export(
     format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file.")],
     out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak.")],
     method: Annotated[
-        Method | None, typer.Option(help="Whose positions to write; the surface method where the scene has a surface.")
+        Method | None,
+        typer.Option(
+            help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
+            "know at least 95 % of the taxels that any one knows.",
+            show_default=False,
+        ),
     ] = None,
     layout: LayoutFile = None,
     correct: Correct = False,
@@ -331,6 +341,7 @@ def export(
     """Write the calibration file of a session."""
     from skincal.cli import report
     from skincal.files.export import write_calibration
+    from skincal.methods import leading_method
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
@@ -338,7 +349,8 @@ def export(
     if correct:
         _correct(pipeline.session)
     calibration = _calibration(pipeline.session)
-    chosen = method or (Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE)
+    leads = leading_method(calibration.estimates)
+    chosen = method or leads or next(reversed(calibration.estimates))
     if chosen not in calibration.estimates:
         lacks = "surface" if chosen is Method.SURFACE else "layout"
         known = " or ".join(method.value for method in calibration.estimates)
@@ -346,6 +358,7 @@ def export(
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
-    text = [report.method_line(chosen, summary), *findings, f"wrote {out}"]
+    lead = report.LEADS if chosen is leads else ""
+    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}"]
     result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

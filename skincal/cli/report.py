@@ -15,6 +15,7 @@ from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.reference import error_summary
 from skincal.geometry import FloatArray
 from skincal.journal.documents import LinkTotals
+from skincal.methods import leading_method
 from skincal.model.readings import LinkHealth, LinkState
 from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
@@ -107,6 +108,21 @@ def poke_lines(counts: Mapping[str, Any]) -> list[str]:
     line += f" ({rejected})" if rejected else ""
     beside = {"excluded": counts["excluded"], "at landmarks": counts["at_landmarks"]}
     return [line + "".join(f", {count} {words}" for words, count in beside.items() if count)]
+
+
+def leading_name(estimates: Mapping[Method, tuple[Estimate, ...]]) -> str | None:
+    """Return the name of the method that leads; None where none knows a taxel."""
+    leads = leading_method(estimates)
+    return None if leads is None else leads.value
+
+
+LEADS = "; leads, as the one that predicts the smallest error"
+
+
+def method_lines(methods: Mapping[str, Mapping[str, Any]], leads: str | None) -> list[str]:
+    """Return a line of text for each summary of `method_summaries`, by its name; that of the one that leads comes first."""
+    order = sorted(methods, key=lambda name: name != leads)
+    return [method_line(name, methods[name]) + (LEADS if name == leads else "") for name in order]
 
 
 def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:

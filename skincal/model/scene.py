@@ -20,6 +20,13 @@ from skincal.model.tables import Table, check_metres, read_toml
 
 # Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
+SETTING_LEAST, SETTING_MOST = 1e-9, 1e6
+"""Of thresholds and of noise, in their units. No sensor of a robot resolves a nanometre or a nanonewton, and a weight of its
+inverse square leaves others no digits; raw units of a device of 20 bits end at a million, all else before."""
+SECONDS_MOST = 60.0
+"""s. Nobody holds still, or keeps the hands off, for a minute at each poke."""
+JOINTS_MOST = 1000
+"""Columns of a joint stream: a humanoid has some hundred."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -238,6 +245,8 @@ def _read_arm(table: Table) -> ArmSpec:
     columns: FloatArray = table.array("joints", (None,))
     if not len(columns) or (columns < 0).any() or (columns != np.rint(columns)).any():
         raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns of the joint stream, counted from 0.")
+    if (columns >= JOINTS_MOST).any():
+        raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns below {JOINTS_MOST}.")
     joints = tuple(int(j) for j in columns)
     rows: FloatArray = table.array("dh", (len(joints), 4))
     check_metres(rows[:, :2], f"{table.where}: dh")
@@ -287,6 +296,9 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
         if not (value > 0 or value == default):
             expected = "0 or a number above" if default == 0 else "a number above 0"
             raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")
+        most = SECONDS_MOST if key.endswith("_s") else SETTING_MOST
+        if value != default and not SETTING_LEAST <= value <= most:
+            raise InputError(f"{table.where}: {key} is {value:g}; expected a number from {SETTING_LEAST:g} to {most:g}.")
         given[item.name] = value if key == item.name else float(np.radians(value))
     return kind(**given)
 

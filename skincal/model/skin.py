@@ -212,15 +212,15 @@ def _check_owners(modules: tuple[Module, ...], path: Path) -> None:
 
 
 def _read_kind(name: str, table: Table) -> ModuleKind:
-    pads = table.array("pads_mm", (None, 2), gaps=True)
-    outline = table.array("outline_mm", (None, 2))
+    pads = table.lengths_mm("pads_mm", (None, 2), gaps=True)
+    outline = table.lengths_mm("outline_mm", (None, 2))
     centre = table.take("centre_pad", int)
     table.done()
     taxels = np.flatnonzero(~np.isnan(pads).any(axis=1))
     if centre not in taxels:
         raise InputError(f"{table.where}: centre_pad is {centre}; expected one of its taxels, {taxels.tolist()}.")
     pads[np.isnan(pads).any(axis=1)] = np.nan
-    return ModuleKind(name, pads * 1e-3, outline * 1e-3, centre)
+    return ModuleKind(name, pads, outline, centre)
 
 
 def _read_module(table: Table, kinds: dict[str, ModuleKind], width: int) -> Module:
@@ -235,7 +235,7 @@ def _read_module(table: Table, kinds: dict[str, ModuleKind], width: int) -> Modu
         id=number,
         kind=kind,
         first_channel=first,
-        place=table.array("place_mm", (2,), np.zeros(2)) * 1e-3,
+        place=table.lengths_mm("place_mm", (2,), np.zeros(2)),
         angle=float(np.radians(table.take("angle_deg", float, 0.0))),
         mirror=table.take("mirror", bool, False),
         anchor=None if anchor is None else read_anchor(anchor),
@@ -249,7 +249,7 @@ def read_anchor(table: Table) -> Anchor:
 
     Raises InputError: a key is missing, is not numbers, or `x` and `normal` are not perpendicular to within a degree.
     """
-    at, point = table.array("at_mm", (2,)) * 1e-3, table.array("point_mm", (3,)) * 1e-3
+    at, point = table.lengths_mm("at_mm", (2,)), table.lengths_mm("point_mm", (3,))
     x, normal = table.direction("x"), table.direction("normal")
     table.done()
     if abs(float(x @ normal)) >= np.sin(np.radians(1.0)):

@@ -15,6 +15,10 @@ T = TypeVar("T")
 
 LENGTH_MAX = 10.0
 """m. No length of a robot is larger; millimetres taken for metres are."""
+INTEGER_MAX = 10**18
+"""Whole numbers of 64 bits end soon after; no count, channel or setting is as large."""
+DIRECTION_MAX = 1e100
+"""The square of a longer vector, or of one shorter than its inverse, leaves the range of a double: its direction is lost."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -62,6 +66,8 @@ class Table:
                 raise InputError(f"{self.where}: {key} is missing; expected {_name(kind)}.")
             return default
         value = self._values.pop(key)
+        if isinstance(value, int) and abs(value) > INTEGER_MAX:
+            raise InputError(f"{self.where}: {key} has {len(str(abs(value)))} digits; expected {_name(kind)} of 18 at most.")
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         # To Python true and false are whole numbers.
@@ -79,8 +85,8 @@ class Table:
         wanted = " x ".join("n" if size is None else str(size) for size in shape)
         try:
             array = np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            # Rows of different lengths, or words: nothing that fits any shape.
+        except (TypeError, ValueError, OverflowError):
+            # Rows of different lengths, words, or whole numbers beyond every double: nothing that fits any shape.
             array = np.empty(0)
         fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
         if not fits or not (np.isfinite(array) | (gaps & np.isnan(array))).all():
@@ -90,10 +96,23 @@ class Table:
     def direction(self, key: str) -> FloatArray:
         """Return three numbers as a unit vector."""
         vector: FloatArray = self.array(key, (3,))
-        length = float(np.linalg.norm(vector))
+        with np.errstate(over="ignore", under="ignore"):
+            length = float(np.linalg.norm(vector))
         if not length > 0:
             raise InputError(f"{self.where}: {key} is {vector.tolist()}; expected a direction, which is not zero.")
+        if not 1 / DIRECTION_MAX < length < DIRECTION_MAX:
+            raise InputError(f"{self.where}: {key} is {vector.tolist()}; expected a direction, of a length near 1.")
         return vector / length
+
+    def lengths_mm(self, key: str, shape: tuple[int | None, ...], default: Any = ..., *, gaps: bool = False) -> FloatArray:
+        """Return an array that the file gives in millimetres, in metres; as `array`, and none beyond `LENGTH_MAX`."""
+        lengths: FloatArray = self.array(key, shape, default, gaps=gaps)
+        longest = float(np.nanmax(np.abs(lengths), initial=0.0))
+        if longest > LENGTH_MAX * 1e3:
+            raise InputError(
+                f"{self.where}: {key} has a length of {longest:g}; millimetres up to {LENGTH_MAX * 1e3:g} were expected."
+            )
+        return lengths * 1e-3
 
     def choice(self, key: str, known: dict[str, T], default: Any = ...) -> T:
         """Return what stands for one of the words in `known`."""

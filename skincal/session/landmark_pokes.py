@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.guide.guidance import was_there
 from skincal.model.actions import AddLandmark, AtLandmark, FoundAtLandmark
 from skincal.model.errors import InputError
@@ -25,6 +26,29 @@ REACTION_S = 0.25
 """s. A poke that is held so soon after another landmark came up was on its way to the one before: a visual reaction."""
 ON_SURFACE = 0.010
 """m: what lies farther from the surface is no point of it, such as one of a jig, and may be poked from any side."""
+
+WITHIN = 0.020
+"""m. A poke is taken to be at the landmark that its axis passes within this..."""
+OTHERS_FARTHER = 2.0
+"""...if it passes every other one that it pushes at this many times as far. On 40 rigs with the paper's errors that names 90 %
+of 840 pokes at landmarks, and none wrongly: axes pass their landmarks at 10 mm in the median, at 19 in nine of ten. The axes of
+29 % of the pokes on the skin pass one in the same way, so that a poke that a taxel answered is never taken."""
+FACING = -0.5
+"""Cosine of the push with what is outward at a landmark: a push that leans by more than 60 degrees slides off."""
+
+
+@dataclass(frozen=True, slots=True)
+class NearestLandmark:
+    """The landmark that a poke's axis passes nearest, of those that it pushes at."""
+
+    poke: int
+    name: str
+    miss: float
+    """m, how far the axis passes it."""
+    other: float
+    """m, how far it passes the next one; infinite where there is none."""
+    sure: bool
+    """The poke was at it: no taxel answered, and no other landmark is nearly as near."""
 
 
 class SessionLandmarks:
@@ -126,6 +150,12 @@ def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], n
     return [poke for poke in found if poke is not None]
 
 
+def can_be_at_landmark(outcome: Outcome) -> bool:
+    """Return whether a poke has an axis, and was rejected for no more than that no taxel answered."""
+    nowhere = Landmark("", np.zeros(3), None)
+    return poke_at(outcome, nowhere) is not None
+
+
 def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
     """Return a poke as one at a landmark; None where it was rejected for more than that no taxel answered."""
     if isinstance(outcome, Rejection) and outcome.reason is not Reason.NO_TAXEL:
@@ -134,6 +164,38 @@ def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
     if force is None or moment is None or pose is None:
         return None
     return LandmarkPoke(outcome.poke, landmark.name, landmark.place, force, moment, pose, outcome.pose)
+
+
+def nearest_landmarks(
+    outcomes: Iterable[Outcome], landmarks: Sequence[Landmark], surface: Surface | None
+) -> dict[int, NearestLandmark]:
+    """Return for each poke that can be at a landmark, by its number, which its axis passes nearest; see `WITHIN`.
+
+    Parameters
+    ----------
+    outcomes : in the right frame
+    surface : where it says what is outward at landmarks that do not say so themselves
+    """
+    if not landmarks:
+        return {}
+    places = np.array([landmark.place for landmark in landmarks])
+    outward = np.array([np.zeros(3) if normal is None else normal for normal in landmark_normals(landmarks, surface)])
+    found: dict[int, NearestLandmark] = {}
+    for outcome in outcomes:
+        poke = poke_at(outcome, landmarks[0])
+        if poke is None:
+            continue
+        force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+        push = force / np.linalg.norm(force)
+        misses = np.linalg.norm(np.cross(places - axis_point(force, moment), push), axis=1)
+        # Where nothing says what is outward, any push may be at it.
+        misses[(outward @ push > FACING) & outward.any(axis=1)] = np.inf
+        nearest = int(misses.argmin())
+        miss, other = float(misses[nearest]), float(np.delete(misses, nearest).min(initial=np.inf))
+        if np.isfinite(miss):
+            sure = isinstance(outcome, Rejection) and miss <= WITHIN and other >= OTHERS_FARTHER * miss
+            found[outcome.poke] = NearestLandmark(outcome.poke, landmarks[nearest].name, miss, other, sure)
+    return found
 
 
 def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> list[FloatArray | None]:

@@ -136,6 +136,17 @@ class Session:
         return self._solving.shared
 
     @property
+    def at_landmarks(self) -> Mapping[int, str]:
+        """The number of each poke that was at a landmark, and the landmark's name."""
+        return self._known.named(self.outcome)
+
+    @property
+    def can_undo(self) -> str:
+        """What undo would take back, in words; empty where there is nothing."""
+        last = self._history.last()
+        return "" if last is None else last.words
+
+    @property
     def corrections(self) -> Mapping[str, UsedCorrection]:
         """The corrections in use, by what they are of."""
         return self._corrections.used
@@ -258,7 +269,7 @@ class Session:
         self._solving.solve(channels, self._records.keys(), self._kept, self.dead, math.inf if self._last is None else within_s)
         if self.unsolved and self._last is not None:
             return self._last
-        fresh, last = self._solving.take_fresh(), self._history.last()
+        fresh = self._solving.take_fresh()
         # The first snapshot solves every taxel, which is no poke's doing: a session that is opened again shows none as new.
         if len(fresh) and self._generation:
             self._touched = fresh
@@ -270,9 +281,9 @@ class Session:
             pose=self._current_pose[0],
             link_from_sensor=self._current_pose[1],
             dead=self.dead,
-            can_undo="" if last is None else last.words,
+            can_undo=self.can_undo,
             landmarks=self.landmarks,
-            at_landmarks=self._known.named(self.outcome),
+            at_landmarks=self.at_landmarks,
             corrections=self.corrections,
         )
         return self._snapshot

@@ -213,7 +213,12 @@ class Cell:
         return self.row(method, [second for seconds, _ in both for second in seconds], [found[-1] for _, found in both], **more)
 
     def sampled(
-        self, method: str, ours: Row, pieces: Iterable[tuple[Callable[[], object], int]], whole: tuple[int, str, float]
+        self,
+        method: str,
+        ours: Row,
+        pieces: Iterable[tuple[Callable[[], object], int]],
+        whole: tuple[int, str, float],
+        seeds: int = 1,
     ) -> Callable[..., Row]:
         """Do pieces of a slow solve as far as the budget goes; return what makes the row of the positions that they gave.
 
@@ -221,21 +226,28 @@ class Cell:
         ----------
         ours : row of the method that it is compared with
         pieces : what is done, and how many of `whole` it is
-        whole : how many there are, what they are, and the seconds from contacts to what each of them begins from
+        whole : how many there are on one seed, what they are, and the seconds from contacts to what each of them begins from
+        seeds : on how many of them the pieces are; the row takes a sequence of positions, one a seed
         """
         works, sizes = zip(*pieces, strict=True)
         seconds, _ = timed(works, self.budget_s)
         (count, what, front), done = whole, sum(sizes[: len(seconds)])
-        part = None if done >= count else {what: done, f"of_{what}": count, "seconds": float(np.sum(seconds))}
+        part = None if done >= count * seeds else {what: done, f"of_{what}": count * seeds, "seconds": float(np.sum(seconds))}
         spent = [second / size * count + front for second, size in zip(seconds, sizes, strict=False)]
 
-        def row(found: Positions, near: Positions, beside: Positions) -> Row:
+        def row(found: Sequence[Positions], near: Sequence[Positions], beside: Sequence[Positions]) -> Row:
             # How far the answers lie from ours, and what they err more: the row's error is our row's plus that.
-            off = [float(np.linalg.norm(found[channel] - point)) for channel, point in near.items()]
-            made = self.row(method, spent, [found], off_ours_m=max(off, default=None), extrapolated_from=part)
-            if beside:
+            off = [
+                float(np.linalg.norm(theirs[channel] - point))
+                for theirs, points in zip(found, near, strict=True)
+                for channel, point in points.items()
+            ]
+            made = self.row(method, spent, found, off_ours_m=max(off, default=None), extrapolated_from=part)
+            both = [(theirs, points) for theirs, points in zip(found, beside, strict=True) if points]
+            if both:
                 errors, error = self.bench.errors, ours["error_mm"]
-                more = 1e3 * float(np.mean(errors({channel: found[channel] for channel in beside})) - np.mean(errors(beside)))
+                theirs = [np.mean(errors({channel: other[channel] for channel in points})) for other, points in both]
+                more = 1e3 * float(np.mean(theirs) - np.mean([np.mean(errors(points)) for _, points in both]))
                 made["error_beside_ours_mm"] = more
                 if error is not None:
                     made["error_mm"] = {**error, **{key: error[key] + more for key in ("median", "q1", "q3")}}
@@ -397,7 +409,7 @@ class Searches:
 
     def _row(self, found: Positions, row: Callable[..., Row]) -> Row:
         ours = {channel: point for channel, point in positions_of(self.ours).items() if channel in found}
-        return row(found, ours, ours)
+        return row([found], [ours], [ours])
 
     def _system(self, taxel: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         return self.systems.roots[taxel], self.systems.offsets[taxel], self.systems.pushes[taxel]
@@ -440,29 +452,35 @@ def _modules(cell: Cell) -> Iterator[Row]:
     row = shipped(cell, Method.MODULES, cell.repeats)
     yield row
     yield from _per_pose(cell, [Method.MODULES])
-    model, found, noise = cell.bench.modules_on(cell.surface), Positions(), cell.bench.scene.noise
-    (front,), (start,) = timed([lambda: _begin(cell, model)])
+    model, noise = cell.bench.modules_on(cell.surface), cell.bench.scene.noise
+    found = [Positions() for _ in cell.runs]
+    fronts, starts = timed([partial(_begin, cell, contacts, model) for contacts in cell.runs])
 
-    def solve(module: int) -> None:
-        places = start[module].by_least_squares(lambda pads: whitened(start[module].touches, pads, noise).misses, **GENERAL)
-        found.update(zip(model.channels_of([module]), places, strict=True))
+    def solve(seed: int, module: int) -> None:
+        begun = starts[seed][module]
+        places = begun.by_least_squares(lambda pads: whitened(begun.touches, pads, noise).misses, **GENERAL)
+        found[seed].update(zip(model.channels_of([module]), places, strict=True))
 
-    pieces = [(partial(solve, module), 1) for module in np.random.default_rng(3).permutation(list(start)).tolist()]
-    general = cell.sampled("modules-general", row, pieces, (len(start), "modules", front))
+    # The seeds in turn: where the time does not suffice for all, each has its share.
+    drawn = np.random.default_rng(3).permutation(model.modules_of(cell.channels)).tolist()
+    pieces = [(partial(solve, seed, module), 1) for module in drawn for seed, start in enumerate(starts) if module in start]
+    whole = (round(len(pieces) / len(starts)), "modules", float(np.mean(fronts)))
+    general = cell.sampled("modules-general", row, pieces, whole, len(starts))
 
-    def ours(doubting: bool) -> Positions:
-        channels, methods = sorted(found), [Method.MODULES]
-        return positions_of(
-            estimate_taxels(cell.runs[0], channels, methods, noise, cell.surface, {}, doubting, model)[methods[0]]
-        )
+    def ours(doubting: bool) -> list[Positions]:
+        solved = [
+            estimate_taxels(contacts, sorted(own), [Method.MODULES], noise, cell.surface, {}, doubting, model)[Method.MODULES]
+            for contacts, own in zip(cell.runs, found, strict=True)
+        ]
+        return [positions_of(estimates) for estimates in solved]
 
     # Near to ours, every poke counting fully; the errors beside ours as shipped.
     yield general(found, ours(doubting=False), ours(doubting=True))
 
 
-def _begin(cell: Cell, model: ModuleModel) -> dict[int, ModuleProblem]:
+def _begin(cell: Cell, contacts: Sequence[Contact], model: ModuleModel) -> dict[int, ModuleProblem]:
     """Solve by the surface method, and return pokes and start of each module that can be solved."""
-    table, noise = ContactTable(cell.runs[0]), cell.bench.scene.noise
+    table, noise = ContactTable(contacts), cell.bench.scene.noise
     others = [estimate_from(table, cell.channels, [Method.SURFACE], noise, cell.surface)[Method.SURFACE]]
     starts = {module: start_of(model, module, others) for module in model.modules_of(cell.channels)}
     begun = [ModuleProblem(model, module, table, start, noise) for module, start in starts.items() if start is not None]

@@ -8,6 +8,7 @@ clock that never runs backwards. Neither holds more than a line of each file.
   one before it, and its own stamp, which stands in its line, says when it was taken.
 - A stamp far before it is a clock set back: from there on the file is shifted so that it goes on one interval later.
   Two files whose clocks were set back by the same amount share one shift, so that they stay paired.
+- A clock that was set, and within `AWAY_S` by as much the other way, was wrong in between: only these lines are shifted.
 - A stamp far off that is right again within `ASTRAY_LINES` was written wrong (a flipped bit): its lines are placed at the time
   of the one before, and nothing is shifted.
 - A gap stays a gap.
@@ -38,6 +39,8 @@ SHARED_JUMP = 0.2
 """s. Two clocks set back by amounts this near were the same clock: the amount is known to within an interval of each file."""
 ASTRAY_LINES = 3
 """Lines. A clock that was set stays set; a stamp that was written wrong is right again after so many."""
+AWAY_S = 60.0
+"""s. A clock that is right again after no more than this was wrong meanwhile: time servers look every minute or so."""
 SPAN_MAX = 1e8
 """s. Three years: a recording that is longer has a clock that leapt."""
 TOGETHER = 0.05
@@ -75,6 +78,8 @@ class _Leap:
     pause: float
     # s. How far the clock was set back; None where it went on.
     back: float | None
+    # s. How far the clock is ahead of itself before, if it was set.
+    off: float
 
 
 class RecordedTimes:
@@ -88,13 +93,18 @@ class RecordedTimes:
         self.gaps, self.longest_gap = 0, 0.0
         self.out_of_order = 0
         self.jumps: dict[int, float] = {}
-        """The first line after each time that the clock was set back, and how far the stamps from there on are shifted, s."""
+        """The first line after each time that the clock was set, and how far the stamps from there on are shifted, s."""
         self.astray: set[int] = set()
         """Indices of lines whose stamps were written wrong."""
         self._shift = 0.0
         # Highest stamp since the clock was set back last.
         self._highest = 0.0
         self._leap: _Leap | None = None
+        # The last leap that is believed, as long as the clock may still be set again the other way.
+        self._away: _Leap | None = None
+        # Of times when the clock was wrong for a while: by how much, s; for how long, s; and the lines where it was set.
+        self._errors: list[tuple[float, float]] = []
+        self._error_lines: set[int] = set()
         self._intervals: list[float] = []
         # Long ones, kept back until the usual interval is known.
         self._pauses: list[float] = []
@@ -122,10 +132,15 @@ class RecordedTimes:
             found.append(
                 f"{self.name}: {plural(len(self.astray), 'stamp')} far from those around; placed with the line before."
             )
-        if self.jumps:
-            amounts = ", ".join([*(f"{back:.3f} s" for back in list(self.jumps.values())[:3]), *["..."][: len(self.jumps) > 3]])
+        found += [
+            f"{self.name}: the clock was wrong by {off:+.3f} s for {seconds:.1f} s; the lines meanwhile are placed without it."
+            for off, seconds in self._errors
+        ]
+        backs = [back for line, back in self.jumps.items() if line not in self._error_lines]
+        if backs:
+            amounts = ", ".join([*(f"{back:.3f} s" for back in backs[:3]), *["..."][: len(backs) > 3]])
             found.append(
-                f"{self.name}: the clock was set back {plural(len(self.jumps), 'time')} ({amounts}); "
+                f"{self.name}: the clock was set back {plural(len(backs), 'time')} ({amounts}); "
                 "the lines after it follow on without a break, but a poke that it cuts may be wrong."
             )
         return found
@@ -155,19 +170,41 @@ class RecordedTimes:
         self._settle()
         pause = max(stamp - self._highest, 0.0)
         back = None if pause else self.last + self.interval - (stamp + self._shift)
-        self._leap = _Leap(self.lines, self._highest, self._shift, pause, back)
+        off = stamp - self._highest - self.interval
+        self._leap = _Leap(self.lines, self._highest, self._shift, pause, back, off)
         self._highest = stamp
         self._shift += back or 0.0
 
     def _settle(self) -> None:
         """Believe the leap, if there is one."""
         leap, self._leap = self._leap, None
-        if leap is None:
+        if leap is None or self._came_back(leap):
             return
-        if leap.back is None:
-            self._pause(leap.pause)
-        else:
+        self._stay_away()
+        self._away = leap
+        if leap.back is not None:
             self.jumps[leap.line] = leap.back
+
+    def _came_back(self, leap: _Leap) -> bool:
+        """Return whether a leap takes back the one before it; then what lies between is shifted, and nothing after it."""
+        away = self._away
+        if away is None or abs(away.off + leap.off) > SHARED_JUMP:
+            return False
+        seconds = leap.highest - away.highest - away.off
+        if seconds > AWAY_S:
+            return False
+        self.jumps |= {away.line: -away.off, leap.line: away.off}
+        self._error_lines |= {away.line, leap.line}
+        self._errors.append((away.off, seconds))
+        self._away, self._shift = None, away.shift
+        self.last = self._highest + self._shift
+        return True
+
+    def _stay_away(self) -> None:
+        """Take the last leap for what it looks like: the clock goes on from there."""
+        away, self._away = self._away, None
+        if away is not None and away.back is None:
+            self._pause(away.pause)
 
     def _pause(self, pause: float) -> None:
         # Until the usual interval is known, long pauses are kept and judged at the end.
@@ -192,6 +229,7 @@ class RecordedTimes:
             self.astray.update(range(leap.line, self.lines))
             self.last, self._leap = leap.highest + leap.shift, None
         self._settle()
+        self._stay_away()
         self._gap_limit = max(GAP_MIN, GAP_INTERVALS * self.interval)
         self._count_gaps(self._pauses)
 

@@ -13,7 +13,7 @@ from skincal.files.importers.recorded_lines import (
     merged,
 )
 from skincal.model.errors import InputError
-from tests.approved import approved_pattern
+from tests.approved import approved, approved_pattern
 
 
 def lines(stamps):
@@ -142,3 +142,22 @@ def test_a_last_stamp_years_later_is_wrong_and_a_clock_that_stays_years_later_is
         InputError, match=approved_pattern("recording.over_years", link="wrench", first="1.000", last="900000000.050")
     ):
         check_overlap([RecordedTimes("wrench", [1.0, *(9e8 + k * 0.01 for k in range(6))])])
+
+
+@pytest.mark.parametrize("off", [5.0, -5.0])
+def test_a_clock_that_is_wrong_for_a_second_shifts_nothing_after_it(off):
+    """Both signs, in one of two files: the other one goes on meanwhile, and they stay paired."""
+    true = [10.0 + 0.02 * k for k in range(400)]
+    wrong = [stamp + off * (100 <= k < 150) for k, stamp in enumerate(true)]
+    found = RecordedTimes("skin", wrong)
+    assert (found.gaps, found.last) == (0, pytest.approx(true[-1]))
+    assert approved("recording.wrong_meanwhile", link="skin", off=f"{off:+.3f}", seconds="1.0") in found.sentences()
+    times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=true, skin=wrong) if chunk.link == "skin"]) * 1e-9
+    np.testing.assert_allclose(times, np.array(true) - 10.0, atol=2e-6)
+
+
+def test_a_clock_that_is_set_again_much_later_or_by_another_amount_was_set_twice():
+    later = [0.02 * k - 5.0 * (100 <= k < 3300) for k in range(4000)]
+    assert sorted(RecordedTimes("skin", later).jumps) == [100]
+    other = [0.02 * k + 5.0 * (100 <= k < 150) - 2.0 * (k >= 150) for k in range(300)]
+    assert RecordedTimes("skin", other).jumps == {150: pytest.approx(7.0)}

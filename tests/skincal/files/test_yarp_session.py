@@ -1,5 +1,6 @@
 """A robot's log of pokes becomes a calibration file whose positions are compared with the truth."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,8 @@ def truth_at(part: Part, time: float) -> tuple[np.ndarray, np.ndarray]:
     return wrench, skin
 
 
-def write_logs(part: Part, folder: Path) -> tuple[Path, Path]:
+def write_logs(part: Part, folder: Path, skin_off: Callable[[float], float] = lambda _: 0.0) -> tuple[Path, Path]:
+    """`skin_off` is by how much the clock of the skin's log is wrong, s, at a time, s."""
     rng = np.random.default_rng(3)
     seconds = PERIOD * len(PUSHES) * len(TAXELS)
     for name, rate, index, noise in (("wrench", 100, 0, 0.002), ("skin", 50, 1, 0.4)):
@@ -53,7 +55,8 @@ def write_logs(part: Part, folder: Path) -> tuple[Path, Path]:
                 values = truth_at(part, time)[index]
                 scale = np.array([1, 1, 1, 0.05, 0.05, 0.05]) if index == 0 else 1.0
                 noisy = values + noise * scale * rng.normal(size=len(values))
-                file.write(f"{seq} {EPOCH + time:.6f} {' '.join(f'{value:.6f}' for value in noisy)}\n")
+                stamp = EPOCH + time + (skin_off(time) if index else 0.0)
+                file.write(f"{seq} {stamp:.6f} {' '.join(f'{value:.6f}' for value in noisy)}\n")
     return folder / "wrench", folder / "skin"
 
 
@@ -75,6 +78,18 @@ def test_every_poke_of_the_log_is_a_contact(played):
     outcomes = [record.outcome for record in pipeline.snapshot().pokes]
     assert len(outcomes) == len(PUSHES) * len(TAXELS)
     assert all(isinstance(outcome, Contact) for outcome in outcomes)
+
+
+@pytest.mark.parametrize("off", [5.0, -5.0])
+def test_a_clock_that_is_wrong_for_a_second_costs_no_poke(tmp_path, off):
+    part = make_part(tmp_path / "part")
+    links, chunks, _ = read_yarp(*write_logs(part, tmp_path, lambda time: off * (6.1 <= time < 7.1)))
+    pipeline = Pipeline(part.scene, links, None)
+    for chunk in chunks:
+        pipeline.feed(chunk)
+    pipeline.close()
+    outcomes = [record.outcome for record in pipeline.snapshot().pokes]
+    assert sum(isinstance(outcome, Contact) for outcome in outcomes) == len(PUSHES) * len(TAXELS)
 
 
 @pytest.mark.parametrize("method", PER_TAXEL)

@@ -144,6 +144,19 @@ def test_a_general_solver_finds_the_modules_where_the_program_does():
     assert all(abs(row["error_beside_ours_mm"]) < 0.5 for row in rows)
 
 
+def test_a_general_solver_is_measured_on_every_seed():
+    """Which seed comes first does not matter, as it would if the others were left out."""
+    forearm = bench()
+    runs = [forearm.contacts(2, seed) for seed in (1, 2)]
+    cell = runtime.Cell(forearm, forearm.surface, 2, runs, forearm.channels, 1, math.inf)
+    found = []
+    for order in (runs, runs[::-1]):
+        rows = [row for row in runtime._modules(replace(cell, runs=order)) if row["method"] in ("modules", "modules-general")]
+        found.append([row["error_mm"]["median"] for row in rows])
+        assert rows[1]["extrapolated_from"] is None
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
 def test_a_poke_is_timed_by_the_methods_of_the_paper_and_by_all():
     for poke in tiny()[0]["poke"]:
         assert poke["with_modules_ms"]["median"] > 2.0 * poke["time_ms"]["median"]

@@ -1,0 +1,343 @@
+"""`skincal landmarks`: an imported log reaches the error of a session whose landmarks were asked for, in each way."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.cli import main
+from skincal.contacts.outcome import Contact
+from skincal.journal.writer import create_session
+from skincal.model.actions import AtLandmark, Undo
+from skincal.model.scene import load_scene
+from skincal.session.pipeline import Pipeline
+from skincal.session.replay import load, replay, resume
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulate.faults import RigErrors
+from tests.approved import approved
+from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, write_scene
+from tests.skincal.sim_support import make_rig
+
+EPOCH = 1_420_000_000.0
+POSES = ("1", "2", "3", "6", "7")
+"""Those that the streamed joints tell apart: 4 and 5 differ from 1 only in the shoulder."""
+EACH, LANDMARK_POKES = 14, 4
+"""Pokes on the skin and at landmarks in each of them."""
+RESTING = 240.0
+"""Raw units; the forearm's answers go down from there."""
+
+
+class Log:
+    """What `yarpdatadumper` writes of a rig with the paper's errors, and at which landmark each poke was."""
+
+    def __init__(self, folder: Path) -> None:
+        rig, rng = make_rig(RigErrors.paper(), 1), np.random.default_rng(8)
+        self.rig = rig
+        at = poke_landmarks(rig, rig.scene.landmarks, LANDMARK_POKES, rng)
+        script = Script(rig.scene, rng=rng, force_noise=0.01, moment_noise=0.001, skin_noise=0.5, resting=RESTING).quiet()
+        self.names: dict[int, str] = {}
+        self.angles: list[np.ndarray] = []
+        count = 0
+        for name in POSES:
+            mine = [poke for poke in at if poke.pose == name]
+            # The arm moves, then rests: without a tare in the new pose no poke counts.
+            script.quiet(1.0)
+            some = unguided(rig, 1, rng).take(slice(0, EACH))
+            for poke in [*mine, *simulate_contacts(rig, some, rng, name)]:
+                count += 1
+                answers = {}
+                if isinstance(poke, Contact):
+                    answers = dict(zip(poke.channels.tolist(), np.minimum(poke.responses, 200.0).tolist(), strict=True))
+                else:
+                    self.names[count] = poke.name
+                self._press(script, np.r_[poke.force, poke.moment], answers)
+            self.angles += [np.degrees(rig.scene.arm.poses[name])] * (len(script.samples) - len(self.angles))
+        self.count = count
+        self.folder = folder
+        self._write(script)
+        (folder / "truth.json").write_text(json.dumps(rig.truth()), encoding="utf-8")
+
+    @staticmethod
+    def _press(script: Script, wrench: np.ndarray, answers: dict[int, float]) -> None:
+        for share in (0.5, *[1.0] * 22, 0.5):
+            script.step(share * wrench, {channel: share * answer for channel, answer in answers.items()})
+        script.quiet(0.5)
+
+    def _write(self, script: Script) -> None:
+        start = script.samples[0].host_s
+        for name in ("wrench", "skin", "joints"):
+            (self.folder / name).mkdir()
+            with (self.folder / name / "data.log").open("w", encoding="utf-8") as file:
+                for seq, (sample, angles) in enumerate(zip(script.samples, self.angles, strict=True)):
+                    joints = [0.0, 0.0, 0.0, *angles]
+                    values = {"wrench": sample.wrench, "skin": sample.skin, "joints": joints}[name]
+                    digits = 1 if name == "skin" else 6
+                    stamp = EPOCH + sample.host_s - start
+                    file.write(f"{seq} {stamp:.6f} {' '.join(f'{value:.{digits}f}' for value in values)}\n")
+
+    def arguments(self) -> list[str]:
+        return [word for name in ("wrench", "skin", "joints") for word in (f"--{name}", str(self.folder / name))]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return Log(tmp_path_factory.mktemp("log"))
+
+
+@pytest.fixture(scope="module")
+def imported(log, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("imported") / "s"
+    assert main(["import", "yarp", *log.arguments(), "--scene", "icub-forearm", "--out", str(folder)]) == 0
+    return folder
+
+
+def run(capsys, *words: object) -> tuple[int, str, str]:
+    capsys.readouterr()
+    code = main([str(word) for word in words])
+    return code, *capsys.readouterr()
+
+
+def answered(capsys, *words: object) -> dict:
+    code, out, err = run(capsys, *words, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+def corrected_error(capsys, folder: Path, log: Log) -> dict[str, float]:
+    said = answered(capsys, "solve", folder, "--correct", "--reference", log.folder / "truth.json")
+    return {name: method["error_mm"]["mean"] for name, method in said["methods"].items()}
+
+
+@pytest.fixture(scope="module")
+def asked(log, imported, tmp_path_factory):
+    """The same session as the window records it: each poke at a landmark is named there."""
+    folder = shutil.copytree(imported, tmp_path_factory.mktemp("asked") / "s")
+    pipeline = resume(folder)
+    for number, (poke, name) in enumerate(log.names.items()):
+        pipeline.act(AtLandmark(poke, name), number + 1)
+    pipeline.close()
+    return folder
+
+
+def test_an_imported_log_knows_no_landmark_until_it_is_said(log, imported, capsys):
+    said = answered(capsys, "landmarks", imported)
+    assert len(said["pokes"]) == log.count
+    silent = [row["poke"] for row in said["pokes"] if row["outcome"] == "no taxel answered"]
+    assert silent == list(log.names)
+    assert {row["landmark"] for row in said["pokes"]} == {None}
+    assert len(said["landmarks"]) == 6
+    assert said["pokes"][0]["start_s"] == pytest.approx(2.0, abs=0.1)
+    text = run(capsys, "landmarks", imported)[1].splitlines()
+    assert text[0].startswith("landmarks, mm: elbow, outer (25.2, 13.2, -3.9);")
+    assert len([line for line in text if "nearest is" in line]) == len(log.names)
+    assert run(capsys, "solve", imported, "--correct")[0] == 2
+
+
+def ways(log: Log, imported: Path, folder: Path, capsys) -> dict[str, list[str]]:
+    rows = {row["poke"]: row for row in answered(capsys, "landmarks", imported)["pokes"]}
+    numbers = [f'{poke},"{name}"' for poke, name in log.names.items()]
+    times = [f'{rows[poke]["start_s"] - 0.3},{rows[poke]["end_s"] + 0.3},"{name}"' for poke, name in log.names.items()]
+    (folder / "numbers.csv").write_text("\n".join(["poke,landmark", *numbers]), encoding="utf-8")
+    (folder / "times.csv").write_text("\n".join(["start_s, end_s, landmark", *times]) + "\n\n", encoding="utf-8")
+    return {
+        "at": [word for poke, name in log.names.items() for word in ("--at", f"{poke}={name}")],
+        "numbers": ["--csv", str(folder / "numbers.csv")],
+        "times": ["--csv", str(folder / "times.csv")],
+        "order": ["--order", "; ".join(log.names.values())],
+    }
+
+
+def test_in_each_way_it_reaches_the_corrected_error_of_the_recorded_session(log, imported, asked, tmp_path, capsys):
+    error = corrected_error(capsys, asked, log)
+    plain = answered(capsys, "solve", imported, "--reference", log.folder / "truth.json")["methods"]
+    assert error["modules"] < 0.3 * plain["modules"]["error_mm"]["mean"]
+    for way, words in ways(log, imported, tmp_path, capsys).items():
+        folder = shutil.copytree(imported, tmp_path / way)
+        said = answered(capsys, "landmarks", folder, *words)
+        named = {row["poke"]: row["landmark"] for row in said["pokes"] if row["landmark"] is not None}
+        assert named == log.names
+        assert len(said["said"]) == len(log.names) + 1
+        assert corrected_error(capsys, folder, log) == error, way
+    assert main(["export", str(folder), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
+
+
+def test_what_was_found_from_the_axes_is_right_and_enough(log, imported, asked, tmp_path, capsys):
+    folder = shutil.copytree(imported, tmp_path / "s")
+    said = answered(capsys, "landmarks", folder, "--find")
+    named = {row["poke"]: row["landmark"] for row in said["pokes"] if row["landmark"] is not None}
+    assert named.items() <= log.names.items()
+    assert len(named) >= 0.8 * len(log.names)
+    unsure = [line for line in said["said"] if "not sure" in line]
+    assert len(unsure) == len(log.names) - len(named)
+    assert corrected_error(capsys, folder, log)["modules"] < 1.5 * corrected_error(capsys, asked, log)["modules"]
+
+
+def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(imported, tmp_path, capsys):
+    folder = shutil.copytree(imported, tmp_path / "s")
+    before = load(folder).snapshot()
+    answered(capsys, "landmarks", folder, "--at", "1=elbow, outer", "--at", "2=side, inner")
+    answered(capsys, "landmarks", folder, "--add", "bolt", "-1.5", "2", "3.25", "--at", "2=bolt", "--at", "1=")
+    now = load(folder)
+    assert now.session.at_landmarks == {2: "bolt"}
+    assert now.session.landmarks[-1].place == pytest.approx([-0.0015, 0.002, 0.00325])
+    assert same_estimates(now.snapshot(), replay(folder).snapshot())
+    assert replay(folder).session.at_landmarks == {2: "bolt"}
+    assert len(answered(capsys, "landmarks", folder, "--undo")["said"]) == 3
+    assert load(folder).session.at_landmarks == {1: "elbow, outer", 2: "side, inner"}
+    assert len(answered(capsys, "landmarks", folder, "--undo")["said"]) == 2
+    assert same_estimates(load(folder).snapshot(), before)
+    assert load(folder).session.at_landmarks == {}
+    assert run(capsys, "landmarks", folder, "--undo")[0] == 2
+    assert load(folder).session.excluded == (), "no poke was taken out instead"
+
+
+SCENE_LANDMARKS = (
+    '[[landmarks]]\nname = "head"\nplace = [0, 0, 0.1]\n[[landmarks]]\nname = "tail, left"\nplace = [0.05, 0, 0.1]\n'
+)
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Two pokes that no taxel answered, one on the skin, one more that none answered, and one that slid."""
+    scene = write_scene(tmp_path / "source")
+    scene.path.write_text(scene.path.read_text(encoding="utf-8") + SCENE_LANDMARKS, encoding="utf-8")
+    scene = load_scene(scene.path)
+    script = Script(scene).quiet()
+    head, tail = np.array([0.0, 0.0, 0.1]), np.array([0.05, 0.0, 0.1])
+    for point, answers, slide in ((head, {}, 0), (tail, {}, 0), (head, {3: 80.0}, 0), (tail, {}, 0), (tail, {}, 0.05)):
+        script.press(np.array([0.5, 1.0, -8.0]), point, answers, slide=np.array([slide, 0.0, 0.0])).quiet()
+    folder = tmp_path / "s"
+    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
+    for item in as_chunks(script.samples):
+        pipeline.feed(item)
+    pipeline.close()
+    return folder
+
+
+def named(folder: Path) -> dict[int, str]:
+    return dict(load(folder).session.at_landmarks)
+
+
+def test_an_order_is_of_all_pokes_that_no_taxel_answered_or_of_those_before_the_first_that_one_did(small, capsys):
+    assert run(capsys, "landmarks", small, "--order", "head;tail, left")[0] == 0
+    assert named(small) == {1: "head", 2: "tail, left"}
+    assert run(capsys, "landmarks", small, "--order", "-;head;tail, left")[0] == 0
+    assert named(small) == {2: "head", 4: "tail, left"}
+    code, out, _ = run(capsys, "landmarks", small, "--order", "-;head;tail, left")
+    assert (code, out.splitlines()[0]) == (0, approved("landmark.nothing_new"))
+
+
+def test_a_poke_that_a_taxel_answered_is_not_found_from_its_axis_and_can_be_said(small, capsys):
+    assert run(capsys, "landmarks", small, "--find")[0] == 0
+    assert named(small) == {1: "head", 2: "tail, left", 4: "tail, left"}
+    assert run(capsys, "landmarks", small, "--at", "3=head")[0] == 0
+    assert named(small)[3] == "head"
+
+
+def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, capsys):
+    scene = write_scene(tmp_path / "source")
+    folder = tmp_path / "s"
+    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
+    for item in as_chunks(Script(scene).quiet().press(np.array([0.0, 0.0, -8.0]), np.zeros(3), {}).quiet().samples):
+        pipeline.feed(item)
+    pipeline.close()
+    assert approved("landmark.none_in_scene") in run(capsys, "landmarks", folder)[1]
+    assert run(capsys, "landmarks", folder, "--find")[0] == 0
+    assert named(folder) == {}
+    assert run(capsys, "landmarks", folder, "--add", "bolt", 0, 0, 100, "--find")[0] == 0
+    assert named(folder) == {1: "bolt"}
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--at", "12"], approved("landmark.no_pair", where="--at 12")),
+        (["--at", "x=head"], approved("landmark.no_pair", where="--at x=head")),
+        (["--at", "1=nose"], approved("landmark.unknown", name="nose", known="head, tail, left")),
+        (["--at", "9=head"], approved("landmark.no_axis", poke=9)),
+        (["--at", "5=head"], approved("landmark.no_axis", poke=5)),
+        (
+            ["--at", "1=head", "--at", "1=tail, left"],
+            approved("landmark.said_twice", poke=1, first="head", second="tail, left"),
+        ),
+        (["--order", "head"], approved("landmark.order_count", names="1 landmark", pokes="3 pokes", before=2)),
+        (["--csv", "missing.csv"], "missing.csv"),
+        (["--undo"], approved("landmark.nothing_taken_back", last="poke 3")),
+        (["--undo", "--find"], approved("landmark.undo_alone", other="--find")),
+        (["--add", "head", "1", "2", "3"], approved("landmark.name_taken", name="head")),
+        (["--add", "far", "1", "2", "1e9"], "metres up to 10"),
+        (["--add", "a", "1", "2", "3", "--add", "b", "1", "2", "3"], approved("landmark.add_once")),
+        (["--add", "a", "1", "2"], "--add"),
+    ],
+)
+def test_each_refusal_is_one_sentence_and_writes_nothing(small, words, sentence, capsys):
+    files = sorted(small.iterdir())
+    code, out, err = run(capsys, "landmarks", small, *words)
+    assert (code, out) == (2, "")
+    assert sentence in err
+    assert len(err.strip().splitlines()) == 1
+    assert sorted(small.iterdir()) == files
+    assert named(small) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "begins with nothing"),
+        ("landmark,poke\nhead,1\n", "begins with landmark,poke"),
+        ("poke,landmark\n1,tail, left\n", approved("landmark.row_fields", line=2, fields=3, expected=2)),
+        ("poke,landmark\nfirst,head\n", approved("landmark.no_pair", where="line 2")),
+        ("start_s,end_s,landmark\n0,soon,head\n", approved("landmark.no_times", start=0, end="soon")),
+        ("start_s,end_s,landmark\n100,200,head\n", approved("landmark.no_poke_then", start=100, end=200)),
+        ("start_s,end_s,landmark\n0,3,head\n1,5,\"tail, left\"\n", "said to be at"),
+    ],
+)  # fmt: skip
+def test_a_file_that_does_not_fit_is_refused(small, tmp_path, text, sentence, capsys):
+    (tmp_path / "f.csv").write_text(text, encoding="utf-8")
+    code, _, err = run(capsys, "landmarks", small, "--csv", tmp_path / "f.csv")
+    assert code == 2
+    assert sentence in err
+    assert named(small) == {}
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from skincal.journal.lock import SessionLock
+lock = SessionLock(Path(sys.argv[1]))
+print(1, flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_session_that_is_being_recorded_can_be_listed_and_not_written(small, capsys):
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(small)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout.readline() == "1\n"
+        for words in (["--at", "1=head"], ["--find"], ["--undo"]):
+            code, _, err = run(capsys, "landmarks", small, *words)
+            assert code == 2
+            assert approved("landmark.in_use") in err
+        assert run(capsys, "landmarks", small)[0] == 0
+        holder.stdin.close()
+    assert named(small) == {}
+    assert run(capsys, "landmarks", small, "--at", "1=head")[0] == 0
+
+
+def test_a_poke_that_was_undone_since_is_not_taken_back_in_place_of_a_landmark(small, capsys):
+    """Undo of the last accepted poke, as in the window, comes after the landmark was named."""
+    assert run(capsys, "landmarks", small, "--at", "1=head")[0] == 0
+    pipeline = resume(small)
+    pipeline.act(Undo(), 1)
+    pipeline.act(Undo(), 2)
+    pipeline.close()
+    assert named(small) == {}
+    assert load(small).session.excluded == (3,)
+    assert run(capsys, "landmarks", small, "--undo")[0] == 2

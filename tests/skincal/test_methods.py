@@ -1,0 +1,62 @@
+"""Which method leads: that of the smallest predicted error, if it knows nearly every taxel that any one knows."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from skincal.cli import main
+from skincal.methods import leading_method
+from skincal.model.scene import resource
+from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
+from tests.approved import approved
+
+SAMPLE = str(resource("sessions/sample"))
+
+
+def estimates(method: Method, known: int, rms: float, count: int = 100) -> tuple[Estimate, ...]:
+    at = [Estimate(channel, method, State.ESTIMATED, 3, np.zeros(3), rms=rms) for channel in range(known)]
+    return (
+        *at,
+        *(Estimate(channel, method, State.UNSEEN, 0, reason=StateReason(Cause.UNPOKED)) for channel in range(known, count)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("of", "leads"),
+    [
+        ([(Method.FREE, 100, 3.0), (Method.SURFACE, 100, 1.24), (Method.MODULES, 100, 0.79)], Method.MODULES),
+        ([(Method.FREE, 90, 0.1), (Method.SURFACE, 100, 1.24), (Method.MODULES, 100, 1.3)], Method.SURFACE),
+        ([(Method.FREE, 95, 0.1), (Method.SURFACE, 100, 1.24)], Method.FREE),
+        ([(Method.FREE, 94, 0.1), (Method.SURFACE, 100, 1.24)], Method.SURFACE),
+        ([(Method.FREE, 100, 1.0), (Method.SURFACE, 100, 1.0)], Method.FREE),
+        ([(Method.FREE, 0, 1.0), (Method.SURFACE, 0, 1.0)], None),
+        ([], None),
+    ],
+)
+def test_the_smallest_predicted_error_leads_among_those_that_know_nearly_all(of, leads):
+    assert leading_method({method: estimates(method, known, rms * 1e-3) for method, known, rms in of}) is leads
+
+
+def test_solve_says_the_leading_method_first_and_keeps_the_order_of_its_json(capsys):
+    assert main(["solve", SAMPLE]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.split()[0] in ("free", "surface", "modules")]
+    assert [line.split()[0] for line in lines] == ["modules", "free", "surface"]
+    assert [line.endswith(approved("method.leads")) for line in lines] == [True, False, False]
+    assert main(["solve", SAMPLE, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert list(said["methods"]) == ["free", "surface", "modules"]
+    assert said["leads"] == "modules"
+
+
+def test_export_writes_the_leading_method_unless_it_is_named(tmp_path, capsys):
+    for words, method in (((), "modules"), (("--method", "surface"), "surface")):
+        out = ["--format", "icub", "--out", str(tmp_path / f"{method}.txt")]
+        assert main(["export", SAMPLE, *out, *words, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["method"] == method
+        assert main(["export", SAMPLE, *out, *words]) == 0
+        assert capsys.readouterr().out.splitlines()[0].endswith(approved("method.leads")) is (not words)
+    assert main(["export", "--help"]) == 0
+    assert approved("method.leads_in_help") in " ".join(capsys.readouterr().out.replace("│", " ").split())
