@@ -124,7 +124,7 @@ class RigPrior:
     """m, sd of the contact beside the landmark in each direction: a tip on a screw head, by hand."""
 
     def scales(self, poses: int) -> FloatArray:
-        """Return (6 columns + 6 poses,) the sd of each unknown: C row by row, of 6 or 27 columns, then turn and shift of each."""
+        """Return (6 columns + 6 poses,) the sd of each unknown: C row by row, 6 or 27 columns, then turn and shift of poses."""
         units = LOAD * np.repeat([1.0, self.arm], 3)
         matrix = self.matrix * units[:, None] / units[None, :]
         if self.quadratic:

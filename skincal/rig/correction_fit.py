@@ -58,8 +58,10 @@ PLACES_OFF = (0.0, 0.0005, 0.001, 0.002, 0.004)
 """m: how far the places of landmarks may be off, sd in each direction, alike for all pokes at one; the likeliest is taken."""
 NOISIER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """How many times larger than the scene says the noise of landmark pokes may be: an arm that wanders, a sensor that drifts."""
-QUADRATIC = (0.0, 0.02, 0.05)
-"""Shares of its load by which a sensor may be off that is not linear (`RigPrior.quadratic`)."""
+QUADRATIC = 0.03
+"""Share of its load by which a sensor may be off that is not linear (`RigPrior.quadratic`), where pokes speak for one."""
+STEPS_ON = 2
+"""Of the fit with such a sensor, from where that with a linear one ended."""
 PLAUSIBLE = 3.0
 """Logarithm of how many times likelier landmark pokes must be by a sensor that is not linear, for it to be taken: 20 times."""
 LINEAR = 6
@@ -264,26 +266,28 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     if len(request.landmarks) < FEWEST or points < FEWEST_POINTS:
         trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
         return RigAnswer(None, False, float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
-    fits: list[_Fit] = []
-    for quadratic in QUADRATIC:
-        fit = _Fit(request, names, replace(request.prior, quadratic=quadratic))
-        for _ in range(STEPS):
+    fit = _Fit(request, names, request.prior)
+    for _ in range(STEPS):
+        between()
+        fit.step()
+    if fit.doubtful:
+        other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC), fit)
+        for _ in range(STEPS_ON):
             between()
-            fit.step()
-        fits.append(fit)
-        if not fit.doubtful:
-            break
+            other.step()
+        if other.likelihood - fit.likelihood > PLAUSIBLE:
+            fit = other
     between()
-    return max(fits, key=lambda fit: fit.likelihood - (PLAUSIBLE if fit.columns > LINEAR else 0.0)).answer(names)
+    return fit.answer(names)
 
 
 class _Fit:
     """Steps of Gauss and Newton over the rig and the rigid groups."""
 
-    def __init__(self, request: RigRequest, names: list[str], prior: RigPrior) -> None:
+    def __init__(self, request: RigRequest, names: list[str], prior: RigPrior, begin: _Fit | None = None) -> None:
         self.noise, self.scales = request.scene.noise, prior.scales(len(names))
         self.columns = (len(self.scales) - 6 * len(names)) // 6
-        self.groups = _rigid_groups(request)
+        self.groups = _rigid_groups(request) if begin is None else begin.groups
         self.landmarks = sorted(request.landmarks, key=lambda poke: poke.poke)
         order = {name: index for index, name in enumerate(names)}
         self._known = readings_of(self.landmarks, order)
@@ -294,6 +298,10 @@ class _Fit:
         self._skin = readings_of([by_number[poke] for poke in pokes], order) if pokes else None
         self.state = RigState.at_prior(len(names), self.columns)
         self.trust = np.ones(len(self.landmarks))
+        if begin is not None:
+            added = np.zeros((LINEAR, self.columns - begin.columns))
+            self.state = replace(begin.state, matrix=np.concatenate([begin.state.matrix, added], axis=1))
+            self.trust = begin.trust
         points = sorted({poke.name for poke in self.landmarks})
         self._at_landmark = np.array([[poke.name == name for name in points] for poke in self.landmarks], dtype=float)
         self._shared = np.zeros((2 * len(self.landmarks),) * 2)

@@ -8,10 +8,10 @@ minimum of sum k |E (p - a)|^2 with the weights k of `contact_table`, so the err
 on a surface in the plane of its triangle alone. The covariance of all estimates together is that of the pokes' own noise and
 M M'. What is the same in the M of all taxels shifts the whole skin; the rest moves taxels against each other.
 
-**Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the free
-method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
-H^-1 sum 2 k sigma_f^2/|f|^2 (p - o). It is taken as a standard deviation and not put back: how large the noise is, the scene says
-and not the pokes, and the point stays the paper's.
+**Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the
+free method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
+H^-1 sum 2 k sigma_f^2/|f|^2 (p - o). It is taken as a standard deviation and not put back: how large the noise is, the
+scene says and not the pokes, and the point stays the paper's.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import ContactTable, across
+from skincal.taxels.contact_table import ContactTable, Evidence, across
 from skincal.taxels.result import Estimate, Method
 
 SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], FloatArray]
@@ -107,38 +107,43 @@ def carried(
     if not known:
         return list(estimates)
     evidence = table.evidence([estimate.channel for estimate in known])
+    order = np.lexsort((evidence.pokes, evidence.taxels))
+    of, pairs = evidence.taxels, evidence.pairs[order]
+    places = np.array([estimate.position for estimate in known])[of]
+    normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
+    # Outward from the unknowns to space: on a surface they lie in the triangle's plane.
+    plane = known[0].method is Method.SURFACE
+    outward = across(normals).transpose(0, 2, 1) if plane else np.tile(np.eye(3), (len(known), 1, 1))
+    inward = outward.transpose(0, 2, 1)
+    weights = (_trust_of(known, evidence) * evidence.weights**2)[order]
+    pulls = weights[:, None, None] * (inward[of] @ pairs.transpose(0, 2, 1))
+    starts = evidence.starts[:-1]
+    held = np.add.reduceat(pulls @ pairs, starts) @ outward
+    misses = np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
+    ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
+    added = outward @ ordered.covariances(noise.skin) @ inward
+    if known[0].method is Method.FREE:
+        share = 2.0 * noise.force**2 * weights / evidence.forces[order] ** 2
+        pulled = np.add.reduceat(share[:, None] * (places - evidence.sensors[order]), starts)
+        biases = np.linalg.solve(held, pulled[:, :, None])
+        added = added + biases @ biases.transpose(0, 2, 1)
+    moves: Sequence[FloatArray | None] = [None] * len(known)
+    if shared is not None:
+        pulled = np.add.reduceat(pulls @ shared(ordered.pokes, places, pairs), starts)
+        moves = list(-outward @ np.linalg.solve(held, pulled))
+    rows = zip(known, added, moves, strict=True)
+    found = {estimate.channel: with_shared(estimate, more, move) for estimate, more, move in rows}
+    return [found.get(estimate.channel, estimate) for estimate in estimates]
+
+
+def _trust_of(known: Sequence[Estimate], evidence: Evidence) -> FloatArray:
+    """Return (n,) the trust that the solver found for each answer of the taxels of `known`."""
     trust = np.ones(len(evidence.pokes))
     for row, estimate in enumerate(known):
         if estimate.doubted:
             own = slice(*evidence.starts[row : row + 2].tolist())
             trust[own] = [estimate.doubted.get(poke, 1.0) for poke in evidence.pokes[own].tolist()]
-    order = np.lexsort((evidence.pokes, evidence.taxels))
-    of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
-    places = np.array([estimate.position for estimate in known])[of]
-    normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
-    free = np.tile(np.eye(3), (len(known), 1, 1))
-    if known[0].method is Method.SURFACE:
-        free = across(normals)
-    pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
-    held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
-    misses = np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
-    ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
-    outward = free.transpose(0, 2, 1)
-    added = outward @ ordered.covariances(noise.skin) @ free
-    if known[0].method is Method.FREE:
-        levers = places - evidence.sensors[order]
-        share = 2.0 * noise.force**2 * (trust * evidence.weights**2)[order] / evidence.forces[order] ** 2
-        biases = np.linalg.solve(held, np.add.reduceat(share[:, None] * levers, starts)[:, :, None])
-        added = added + biases @ biases.transpose(0, 2, 1)
-    moves: FloatArray | None = None
-    if shared is not None:
-        pulled = np.add.reduceat(pulls @ shared(ordered.pokes, places, pairs), starts)
-        moves = -outward @ np.linalg.solve(held, pulled)
-    found = {
-        estimate.channel: with_shared(estimate, added[row], None if moves is None else moves[row])
-        for row, estimate in enumerate(known)
-    }
-    return [found.get(estimate.channel, estimate) for estimate in estimates]
+    return trust
 
 
 def with_shared(estimate: Estimate, added: FloatArray, moved: FloatArray | None) -> Estimate:
