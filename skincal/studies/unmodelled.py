@@ -16,7 +16,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
-from skincal.guide.verdict import LandmarkAgreement, check, is_believed, landmark_agreement
+from skincal.guide.verdict import Check, LandmarkAgreement, check, is_believed, landmark_agreement
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import estimate_taxels
@@ -113,7 +113,8 @@ def run_one(case: str, seed: int) -> Session:
     scene, true = part()
     poked = poke(scene, true.vertices, true.triangles, CASES[case], seed)
     surface = make_surface(poked.vertices, true.triangles)
-    found = {0: _solved(scene, surface, poked, poked.contacts)}
+    plain = _solved(scene, surface, poked, poked.contacts)
+    found = {0: _judged(plain, None, used=False)}
     for count in LANDMARKS[1:]:
         known = [
             LandmarkPoke(mark.poke, mark.name, mark.place, mark.force, mark.moment, mark.link_from_sensor, mark.pose)
@@ -121,36 +122,48 @@ def run_one(case: str, seed: int) -> Session:
             if mark.planned or count == LANDMARKS[-1]
         ]
         answer = correct_rig(RigRequest(scene, surface, poked.contacts, known))
-        used, right, shared = None, poked.contacts, None
         if answer.used and answer.correction is not None:
             used = UsedCorrection(RIG, answer.correction, answer.before, answer.after, len(known), answer.ratio)
             right = [answer.correction.corrected(contact) for contact in poked.contacts]
             shared = CorrectionErrors(answer.correction, {contact.poke: contact for contact in right}.__getitem__)
-        found[count] = _solved(scene, surface, poked, right, shared, landmark_agreement(answer, used))
+            solved = _solved(scene, surface, poked, right, shared)
+            found[count] = _judged(solved, landmark_agreement(answer, used), used=True)
+        else:
+            found[count] = _judged(plain, landmark_agreement(answer, None), used=False)
     return found
 
 
+Solved: TypeAlias = dict[str, tuple[dict[str, Any], Check]]
+"""By method what `_errors` gives, and what held-out pokes on the skin say."""
+
+
 def _solved(
-    scene: Scene, surface: Surface, poked: Poked, contacts: Sequence[Contact], shared: SharedRows | None = None,
-    landmarks: LandmarkAgreement | None = None,
-) -> dict[str, Found]:  # fmt: skip
+    scene: Scene, surface: Surface, poked: Poked, contacts: Sequence[Contact], shared: SharedRows | None = None
+) -> Solved:  # fmt: skip
     layout = scene.skin.layout
     assert layout is not None
     model, channels = ModuleModel(layout, scene.skin.anchor, surface), poked.channels.tolist()
     table = ContactTable(contacts)
     estimates = estimate_taxels(contacts, channels, tuple(Method), scene.noise, surface, model=model, shared=shared)
-    found: dict[str, Found] = {}
+    solved: Solved = {}
     for method, by_channel in estimates.items():
         own = list(by_channel.values())
         tried = check(contacts, channels, table.evidence, method, scene.noise, surface, model, own)
-        found[method.value] = Found(
-            **_errors(own, poked.places),
+        solved[method.value] = _errors(own, poked.places), tried
+    return solved
+
+
+def _judged(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> dict[str, Found]:
+    return {
+        name: Found(
+            **errors,
             skin_agrees=tried.tells and tried.agrees,
             ratio=float("nan") if landmarks is None else landmarks.ratio,
             believed=is_believed(tried, landmarks),
-            used=shared is not None,
+            used=used,
         )
-    return found
+        for name, (errors, tried) in solved.items()
+    }
 
 
 def _errors(estimates: Sequence[Estimate], places: FloatArray) -> dict[str, Any]:
