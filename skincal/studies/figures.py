@@ -233,7 +233,8 @@ def draw_paper(result: dict[str, Any], figure: Figure) -> None:
     _lines(pokes, course["pokes"], {name: (course["pokes"], numbers) for name, numbers in shown.items()})
     pokes.set(xlabel="pokes, of all seven arm poses from the first on", title="As wrong as the paper's: error against pokes")
     _draw_times(times, shown, result["bad_course_ms"])
-    _draw_unmodelled(*bottom.subplots(1, 2, sharey=True), result["unmodelled"])
+    errors, shares = bottom.subplots(1, 2, sharey=True)
+    _draw_unmodelled(errors, shares, result["unmodelled"])
 
 
 def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]], label: str) -> None:
