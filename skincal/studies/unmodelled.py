@@ -286,7 +286,8 @@ def unmodelled_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
     believed, wrongly = believed_shares(rows)
     return [
-        "rigs that are wrong as nobody models it, modules method without landmarks -> with 21 / 70 pokes at them:",
+        f"second simulator, {len(rows[0]['sessions'])} rigs of each kind, modules method without landmarks -> with 21 / 70 pokes "
+        "at them:",
         *(
             f"  {row['case']}: {row['uncorrected']:.1f} -> {both(row, '')} mm, inside {both(row, 'inside_')}, predicted "
             f"{both(row, 'predicted_')} mm rms of {both(row, 'true_rms_')}, believed in {both(row, 'believed_', '.0%')}"

@@ -143,7 +143,7 @@ def test_rows_are_means_over_seeds_and_of_predictions_and_ratios_root_mean_squar
 
 def made(case="nothing", **numbers):
     """A row in which every bar holds."""
-    row = {"case": case, "21": 0.1, "70": 0.1}
+    row = {"case": case, "21": 0.1, "70": 0.1, "sessions": [{}, {}]}
     for count in (21, 70):
         row |= {f"inside_{count}": 0.95, f"predicted_{count}": 1.0, f"true_rms_{count}": 1.0}
         row |= {f"believed_{count}": 1.0, f"wrongly_believed_{count}": 0.0}
@@ -194,3 +194,4 @@ def test_lines_say_what_is_believed():
     assert believed_shares(found) == (0.75, 0.125)
     assert "75%" in unmodelled_lines(found)[-1]
     assert "12.5%" in unmodelled_lines(found)[-1]
+    assert "2 rigs" in unmodelled_lines(found)[0], "bars of few rigs fall by chance"
