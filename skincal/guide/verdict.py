@@ -146,6 +146,14 @@ def unchecked_of(
     return unchecked_error(estimates, contacts, pokes if known else (), noise)
 
 
+def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
+    """Return whether what was held out speaks for the predicted errors: pokes on the skin, and landmarks.
+
+    Landmarks alone show a shift that all taxels share.
+    """
+    return check.tells and check.agrees and landmarks is not None and landmarks.agrees
+
+
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
     """Return number and strongest channel of every sixth contact, in the order of their numbers."""
     return [(contact.poke, int(contact.channels[contact.responses.argmax()])) for contact in contacts[ONE_IN - 1 :: ONE_IN]]
@@ -312,9 +320,8 @@ class Verdict:
 
     @property
     def believed(self) -> bool:
-        """Whether what was held out speaks for them: pokes on the skin, and landmarks, which alone show a common shift."""
-        tried = self.check.tells and self.check.agrees
-        return tried and self.landmarks is not None and self.landmarks.agrees
+        """Whether what was held out speaks for them (`is_believed`)."""
+        return is_believed(self.check, self.landmarks)
 
 
 def verdict_of(

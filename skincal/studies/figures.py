@@ -219,10 +219,11 @@ CORRECTED_WORDS = "modules, rig corrected by 21 landmark pokes"
 
 
 def draw_paper(result: dict[str, Any], figure: Figure) -> None:
-    """Draw six panels."""
-    figure.set_size_inches(13.0, 14.0)
+    """Draw six panels, and below them what is made of rigs that are wrong as nobody models it."""
+    figure.set_size_inches(13.0, 19.0)
     figure.suptitle(f"The paper's experiment on {result['seeds']} simulated rigs, each as wrong as the paper's")
-    (alone, averaged), (landmarks, good), (pokes, times) = figure.subplots(3, 2)
+    top, bottom = figure.subfigures(2, 1, height_ratios=[14.0, 5.0])
+    (alone, averaged), (landmarks, good), (pokes, times) = top.subplots(3, 2)
     _draw_alone(alone, result)
     _draw_averaged(averaged, result)
     _draw_landmarks(landmarks, result)
@@ -232,6 +233,8 @@ def draw_paper(result: dict[str, Any], figure: Figure) -> None:
     _lines(pokes, course["pokes"], {name: (course["pokes"], numbers) for name, numbers in shown.items()})
     pokes.set(xlabel="pokes, of all seven arm poses from the first on", title="As wrong as the paper's: error against pokes")
     _draw_times(times, shown, result["bad_course_ms"])
+    errors, shares = bottom.subplots(1, 2, sharey=True)
+    _draw_unmodelled(errors, shares, result["unmodelled"])
 
 
 def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]], label: str) -> None:
@@ -295,6 +298,40 @@ def _draw_times(axes: Axes, errors: Mapping[str, Sequence[float | None]], times:
     _lines(axes, ticks, {name: (seconds[name], course) for name, course in errors.items()})
     axes.set_xlabel("processor time (s) of all solves until then, each poke solved as it comes")
     axes.set_title("The same against processor time")
+
+
+UNMODELLED_LOOKS = {21: (BLUE, "o"), 70: (VERMILION, "s")}
+"""Colour and mark by landmark pokes."""
+
+
+def _draw_unmodelled(errors: Axes, shares: Axes, rows: Sequence[Measured]) -> None:
+    """Draw for each case the predicted beside the true error, and how many taxels are inside."""
+    for offset, (count, (colour, mark)) in zip((0.15, -0.15), UNMODELLED_LOOKS.items(), strict=True):
+        places = [offset - row for row in range(len(rows))]
+        predicted, true = ([row[f"{name}_{count}"] for row in rows] for name in ("predicted", "true_rms"))
+        look = {"color": colour, "marker": mark, "s": 28, "zorder": 3}
+        errors.hlines(places, predicted, true, color=colour, linewidth=1.0)
+        errors.scatter(true, places, label=f"true, {count} landmark pokes", **look)
+        errors.scatter(predicted, places, label="predicted", **{**look, "color": "white", "edgecolors": colour})
+        shares.scatter([row[f"inside_{count}"] for row in rows], places, label=f"{count} landmark pokes", **look)
+    least = min(row[f"predicted_{count}"] for row in rows for count in UNMODELLED_LOOKS)
+    most = max(row[f"true_rms_{count}"] for row in rows for count in UNMODELLED_LOOKS)
+    ticks = [at for at in (0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if least / 2.5 <= at <= 2.5 * most]
+    errors.set_xscale("log")
+    errors.set_xticks(ticks, [f"{at:g}" for at in ticks])
+    errors.set_xticks([], minor=True)
+    errors.set_yticks([-row for row in range(len(rows))], [row["case"] for row in rows])
+    errors.set(
+        xlabel="error of the taxels (mm rms), modules method", title="Second simulator: what is predicted and what is true"
+    )
+    shares.axvline(0.95, color=BLACK, linewidth=1.0)
+    shares.axvline(0.80, color=GREY, linewidth=1.0, linestyle="--")
+    shares.set(
+        xlim=(0.0, 1.02), xlabel="share of taxels inside their 95 % ellipsoid", title="Inside: 0.95 is meant, 0.80 is asked"
+    )
+    for axes in (errors, shares):
+        axes.grid(visible=True)
+        axes.legend(loc="best")
 
 
 def _lines(

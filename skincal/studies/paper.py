@@ -4,7 +4,8 @@ Table I's seven arm poses are poked for their minutes on the simulated forearm w
 seed another rig. Each pose alone (the paper's figure 4), the poses averaged one after another (figure 5), all pokes pooled, and
 pooled with 21 and 70 landmark pokes; and how the error falls with pokes and with the processor's time that the methods take as
 they come. Beside it a rig that is only noisy, and what a correction does where one of the landmark pokes is wrong. All but the
-times is seeded; trials run side by side, and their numbers do not depend on it.
+times is seeded; trials run side by side, and their numbers do not depend on it. All of this is the simulator that the program
+was made with; `unmodelled` is what it makes of rigs that another one pokes, which are wrong in ways that nobody models.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.figures import draw_paper
 from skincal.studies.measuring import bar_lines, bars_of, finite, poke_seconds, processes, side_by_side
+from skincal.studies.physics import CASES
+from skincal.studies.unmodelled import SEEDS, unmodelled, unmodelled_bars, unmodelled_lines
 from skincal.taxels.result import Method
 
 Measured: TypeAlias = dict[str, Any]
@@ -87,10 +90,15 @@ class PaperSizes:
     """Pokes after which these are looked at, and after all."""
     timed: tuple[int, int] = (3, 10_000)
     """How many of them are timed, and for how many pokes."""
+    physics: tuple[int, tuple[str, ...]] = (SEEDS, tuple(CASES))
+    """Rigs of each case of the second simulator, and the cases."""
 
 
 FULL = PaperSizes()
-QUICK = PaperSizes(seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168), timed=(1, 168))
+QUICK = PaperSizes(
+    seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168), timed=(1, 168),
+    physics=(2, ("nothing", "quadratic_2", "moderate", "gaussian")),
+)  # fmt: skip
 
 
 def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None = None) -> dict[str, Any]:
@@ -101,7 +109,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
     JSON: `mean_mm` (pooled, mean over taxels and seeds, of each method, and of modules with 21 and 70 landmark pokes),
     `good_rig_mm`, `per_pose_mm`, `averaged_mm`, `landmarks`, `safety`, `course_mm` (the good rig after so many pokes),
     `bad_course_mm` and `bad_course_ms` (the paper's rig after so many, and the processor's time until then), `runtime_ms`,
-    `published`, `bars`
+    `unmodelled` (see there), `published`, `bars`
     """
     sizes = sizes or (QUICK if quick else FULL)
     with processes() as pool:
@@ -118,6 +126,8 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         follow = partial(run_course, counts=sizes.steps, share=sizes.share)
         courses = list(pool.map(follow, range(1, sizes.courses + 1), timed))
         progress(f"{len(courses)} rigs followed from poke to poke")
+        wrong = unmodelled(*sizes.physics, each=pool.map)
+        progress(f"second simulator, {len(wrong)} kinds of rigs")
     rig, good = side_by_side(trials), side_by_side(goods)
     pooled = {**rig["pooled"], **{f"modules_{some['landmarks'][0]}": some["errors"]["modules"] for some in rig["landmarks"]}}
     before, after = _mean(good["before"]), _mean(good["after"])
@@ -140,6 +150,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "safety": {"seeds": len(safeties), **{name: _mean(numbers) for name, numbers in side_by_side(safeties).items()}},
         "no_error": {"before_mm": before, "after_mm": after, "ratio": after / before},
         "trials": trials,
+        "unmodelled": wrong,
         "published": PUBLISHED,
     }
     return {**result, "bars": _bars(result, rig["alone"])}
@@ -411,6 +422,7 @@ def _bars(result: Measured, alone: Measured) -> Measured:
         "no_worse_share": (safety["no_worse_share"], ">=", SHARE_SAFE),
         "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", SHARE_SAFE),
         "no_error_ratio": (result["no_error"]["ratio"], "<=", 1.1),
+        **unmodelled_bars(result["unmodelled"]),
     })  # fmt: skip
 
 
@@ -433,6 +445,7 @@ def summary(result: Measured) -> list[str]:
         _course_line(result),
         f"{safety['seeds']} more rigs, 21 landmark pokes: {safety['before_mm']:.1f} -> {safety['after_mm']:.2f} mm, "
         f"with one poke 10 mm off {safety['after_wrong_mm']:.2f} mm; that poke is named in {safety['wrong_told_share']:.0%}",
+        *unmodelled_lines(result["unmodelled"]),
         *bar_lines(result["bars"]),
     ]
 

@@ -110,7 +110,7 @@ class World:
     aim: float = 0.7 * MM
     """sd in each direction of the skin of a poke beside its landmark: by hand."""
     landmarks: float = 0.0
-    """m, sd in each direction of the place that is told for a landmark about where it is, the same for all its pokes."""
+    """m, sd in each direction of a landmark's place as reported about where it is, the same for all its pokes."""
     # ---- mesh: the taxels are on the true one, the program is given another
     mesh_shift: float = 0.0
     """m, the whole mesh in some direction."""
@@ -190,7 +190,7 @@ class KnownPoke:
     poke: int
     name: str
     place: FloatArray
-    """(3,) float, metres: of the landmark, as it is told."""
+    """(3,) float, metres: of the landmark, as reported."""
     force: FloatArray
     """(3,) float, N, sensor frame."""
     moment: FloatArray
@@ -260,9 +260,9 @@ def unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def dot(one: FloatArray, other: FloatArray) -> FloatArray:
+def dot(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return (n, 1) the products of vectors (n, 3)."""
-    return np.sum(one * other, axis=1, keepdims=True)
+    return np.sum(first * second, axis=1, keepdims=True)
 
 
 def sideways(normals: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -577,7 +577,7 @@ def poke(
     per_pose : pokes at the skin in each arm pose
     known : pokes at landmarks in each; none where the scene has no landmarks
     """
-    mesh, mount, skin, arm, sensor, hand, told, noise = np.random.default_rng([seed, 12]).spawn(8)
+    mesh, mount, skin, arm, sensor, hand, wrong, noise = np.random.default_rng([seed, 12]).spawn(8)
     part = Body(vertices, triangles)
     channels, places = taxels(scene, part, world, mount)
     gains = np.exp(world.gains * skin.standard_normal(len(channels)))
@@ -586,7 +586,7 @@ def poke(
     session = _operated(scene, part, who, places, gains, (len(reported), per_pose, known), hand)
     true = _beside(np.array(list(reported.values())), world, session.poses, arm)
     read = Sensor(world, sensor).read(felt(true, session.points, session.forces, world.flex), noise)
-    given = [landmark.place + world.landmarks * told.standard_normal(3) for landmark in scene.landmarks]
+    given = [landmark.place + world.landmarks * wrong.standard_normal(3) for landmark in scene.landmarks]
     contacts, pokes = _recorded(scene, session, reported, read, channels, given)
     return Poked(contacts, pokes, channels, places, part.wrong(world, mesh))
 
@@ -638,7 +638,7 @@ def _recorded(
     scene: Scene, session: _Session, reported: Mapping[str, FloatArray], read: FloatArray, channels: IntArray,
     given: list[FloatArray],
 ) -> tuple[list[Contact], list[KnownPoke]]:  # fmt: skip
-    """Return what a recording keeps of the pokes, read as `read` (n, 6); the landmarks are told to be at `given`."""
+    """Return what a recording keeps of the pokes, read as `read` (n, 6); the landmarks are reported at `given`."""
     contacts: list[Contact] = []
     known: list[KnownPoke] = []
     names, asked = list(reported), [0] * len(reported)

@@ -13,7 +13,10 @@ from skincal.studies.figures import write_figure
 from skincal.studies.paper import QUICK, run_course, run_good, run_trial, spread
 from tests.approved import approved
 
-TINY = replace(QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84))
+TINY = replace(
+    QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84), timed=(1, 84),
+    physics=(1, ("nothing", "mesh_bumpy")),
+)  # fmt: skip
 
 
 @cache
@@ -31,8 +34,20 @@ def test_it_gives_what_is_asked_of_it():
     assert all(list(poses) == list(TABLE_I) for poses in found["per_pose_mm"].values())
     assert all(len(course) == 7 for course in found["averaged_mm"].values())
     assert [row["landmark_pokes"] for row in found["landmarks"]] == [21, 70]
-    assert len(said) == 2 + 3
+    assert len(said) == 2 + 4
     assert sum("bar" in line for line in paper.summary(found)) == len(found["bars"])
+
+
+def test_it_says_what_becomes_of_rigs_that_are_wrong_as_nobody_models_it():
+    found, _ = result()
+    assert [row["case"] for row in found["unmodelled"]] == ["nothing", "mesh_bumpy"]
+    for row in found["unmodelled"]:
+        assert {"uncorrected", "21", "70", "inside_21", "inside_70", "predicted"} < set(row)
+        assert row["uncorrected"] > row["21"]
+        assert any(row["case"] in line and f"{row['21']:.2f}" in line for line in paper.summary(found))
+    asked = {name for name in found["bars"] if name.startswith("unmodelled")}
+    assert "unmodelled_inside_as_modelled" in asked
+    assert "unmodelled_inside_worst" not in asked, "none of its cases is among them"
 
 
 def test_what_is_averaged_first_is_the_first_pose_alone():
