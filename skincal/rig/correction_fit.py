@@ -287,7 +287,7 @@ class _Fit:
     def __init__(self, request: RigRequest, names: list[str], prior: RigPrior, begin: _Fit | None = None) -> None:
         self.noise, self.scales = request.scene.noise, prior.scales(len(names))
         self.columns = (len(self.scales) - 6 * len(names)) // 6
-        self.groups = _rigid_groups(request) if begin is None else begin.groups
+        self.groups: RigidGroups | None = _rigid_groups(request) if begin is None else begin.groups
         self.landmarks = sorted(request.landmarks, key=lambda poke: poke.poke)
         order = {name: index for index, name in enumerate(names)}
         self._known = readings_of(self.landmarks, order)
