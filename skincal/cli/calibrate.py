@@ -350,7 +350,7 @@ def export(
         _correct(pipeline.session)
     calibration = _calibration(pipeline.session)
     leads = leading_method(calibration.estimates)
-    chosen = method or leads or tuple(calibration.estimates)[-1]
+    chosen = method or leads or pipeline.session.methods[-1]
     if chosen not in calibration.estimates:
         lacks = "surface" if chosen is Method.SURFACE else "layout"
         known = " or ".join(method.value for method in calibration.estimates)

@@ -204,7 +204,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, words, capsys, tmp
 
 
 def test_every_command_shows_an_example(capsys):
-    for command in (["solve"], ["simulate"], ["record"], ["export"], ["import", "yarp"], ["import", "csv"]):
+    for command in (["solve"], ["simulate"], ["record"], ["export"], ["landmarks"], ["import", "yarp"], ["import", "csv"]):
         assert main([*command, "--help"]) == 0
         assert "Example" in capsys.readouterr().out
 
