@@ -52,7 +52,7 @@ OUTSIDE_MODEL = ("drift_0.1N", "lean", "wide_foam", "gains")
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundByMethod:
     """What a method makes of one session."""
 
     mean: float
@@ -83,7 +83,7 @@ class Found:
         return self.believed and self.inside < TRUE
 
 
-Session: TypeAlias = dict[int, dict[str, Found]]
+Session: TypeAlias = dict[int, dict[str, FoundByMethod]]
 """By the number of landmark pokes and the method."""
 
 
@@ -153,9 +153,9 @@ def _solved(
     return solved
 
 
-def _judged(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> dict[str, Found]:
+def _judged(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> dict[str, FoundByMethod]:
     return {
-        name: Found(
+        name: FoundByMethod(
             **errors,
             skin_agrees=tried.tells and tried.agrees,
             ratio=float("nan") if landmarks is None else landmarks.ratio,
@@ -167,7 +167,7 @@ def _judged(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> 
 
 
 def _errors(estimates: Sequence[Estimate], places: FloatArray) -> dict[str, Any]:
-    """Return the numbers of `Found` that follow from estimates and the true places (n, 3)."""
+    """Return the numbers of `FoundByMethod` that follow from estimates and the true places (n, 3)."""
     both: list[tuple[FloatArray, FloatArray]] = [
         (estimate.position - place, estimate.covariance)
         for estimate, place in zip(estimates, places, strict=True)
@@ -196,7 +196,7 @@ def unmodelled(seeds: int = SEEDS, cases: Sequence[str] = tuple(CASES), each: Ea
     JSON, a row for each case: `case`; by the modules method, means over seeds: errors, mm, `uncorrected`, with `21` and `70`
     landmark pokes, and with either `inside`, `predicted`, `true_rms` and `true_along` (mm, rms), `ratio`, the shares of the
     sessions that are `believed` and that are so wrongly, as `inside_21` and so on; `predicted` is that with 21. `methods`: the
-    same for each number of landmark pokes and each method. `sessions`: the modules method's `Found` of each seed
+    same for each number of landmark pokes and each method. `sessions`: the modules method's `FoundByMethod` of each seed
     """
     jobs = [(case, seed) for case in cases for seed in range(1, seeds + 1)]
     found = list(each(run_one, [case for case, _ in jobs], [seed for _, seed in jobs]))
@@ -221,11 +221,11 @@ def _row(case: str, found: Sequence[Session]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _as_json(found: Found) -> dict[str, Any]:
+def _as_json(found: FoundByMethod) -> dict[str, Any]:
     return {**asdict(found), "ratio": finite(found.ratio), "wrongly_believed": found.wrongly_believed}
 
 
-def _over(found: Sequence[Found]) -> dict[str, float | None]:
+def _over(found: Sequence[FoundByMethod]) -> dict[str, float | None]:
     """Return the means over seeds; of predicted and true errors and of ratios their root mean square."""
     rows = [{**asdict(session), "wrongly_believed": session.wrongly_believed} for session in found]
     columns = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
@@ -285,9 +285,9 @@ def unmodelled_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         return " / ".join(format(row[f"{name}{count}"], form) for count in LANDMARKS[1:])
 
     believed, wrongly = believed_shares(rows)
+    of = f"{len(rows[0]['sessions'])} rigs of each kind"
     return [
-        f"second simulator, {len(rows[0]['sessions'])} rigs of each kind, modules method without landmarks -> with 21 / 70 pokes "
-        "at them:",
+        f"second simulator, {of}, modules method without landmarks -> with 21 / 70 pokes at them:",
         *(
             f"  {row['case']}: {row['uncorrected']:.1f} -> {both(row, '')} mm, inside {both(row, 'inside_')}, predicted "
             f"{both(row, 'predicted_')} mm rms of {both(row, 'true_rms_')}, believed in {both(row, 'believed_', '.0%')}"

@@ -11,7 +11,7 @@ from skincal.guide.verdict import Check, LandmarkAgreement, is_believed
 from skincal.studies import unmodelled as study
 from skincal.studies.measuring import bars_of
 from skincal.studies.unmodelled import (
-    Found,
+    FoundByMethod,
     along,
     believed_shares,
     inside,
@@ -132,7 +132,7 @@ def test_rows_hold_each_case_by_number_of_landmark_pokes_and_method():
 
 
 def test_rows_are_means_over_seeds_and_of_predictions_and_ratios_root_mean_squares():
-    first = Found(1.0, 0.7, 3.0, 1.0, 1.0, 0, True, 1.0, True, True)
+    first = FoundByMethod(1.0, 0.7, 3.0, 1.0, 1.0, 0, True, 1.0, True, True)
     second = replace(first, mean=2.0, inside=0.9, predicted=4.0, ratio=2.0)
     found = [{count: dict.fromkeys(NAMES, each) for count in (0, 21, 70)} for each in (first, second)]
     (row,) = unmodelled(2, ["nothing"], each=lambda *_: found)
