@@ -279,7 +279,9 @@ def test_it_is_not_enough_where_there_is_nothing():
 
 
 def used_correction(ratio=1.1, root=1e-3):
-    return UsedCorrection(RIG, Correction(np.eye(6), root=root * np.eye(36) if root else np.empty((0, 0))), 0.009, 0.001, 21, ratio)
+    return UsedCorrection(
+        RIG, Correction(np.eye(6), root=root * np.eye(36) if root else np.empty((0, 0))), 0.009, 0.001, 21, ratio
+    )
 
 
 def test_landmarks_are_judged_as_the_rig_is_used():
@@ -314,7 +316,9 @@ def test_a_rig_that_landmarks_speak_against_may_be_as_wrong_as_any():
     assert not against.agrees
     plain = unchecked_of(None, None, found, contacts, (), noise)
     assert plain == unchecked_of(None, against, found, contacts, known, noise)
-    off = [estimate.position - place for estimate, place in zip(found, rig.places, strict=True) if estimate.position is not None]
+    off = [
+        estimate.position - place for estimate, place in zip(found, rig.places, strict=True) if estimate.position is not None
+    ]
     assert plain > 0.5 * np.sqrt(np.mean(np.sum(np.square(off), axis=1)))
     # One whose own uncertainty is in the prediction adds nothing; of one of old only what its landmarks leave is known.
     assert unchecked_of(used_correction(), None, found, contacts, known, noise) is None

@@ -107,9 +107,9 @@ def test_under_an_ordinary_correction_they_are_right_to_a_few_hundredths(rng):
     right = [now.corrected(contact) for contact in contacts]
     found, x = solved(rig, right, errors_of(now, right), [Method.FREE])[Method.FREE], rng.standard_normal(len(root))
     there, back = (
-        solved(rig, [correction_by(here + sign * 0.02 * root @ x, names, 6).corrected(c) for c in contacts], None, [Method.FREE])[
-            Method.FREE
-        ]
+        solved(
+            rig, [correction_by(here + sign * 0.02 * root @ x, names, 6).corrected(c) for c in contacts], None, [Method.FREE]
+        )[Method.FREE]
         for sign in (1.0, -1.0)
     )
     known = [channel for channel, estimate in found.items() if estimate.position is not None]
@@ -188,7 +188,9 @@ def test_the_mean_over_poses_keeps_what_all_of_them_share():
     asked = contacts, rig.channels.tolist(), Method.FREE, rig.scene.noise, rig.surface
     plain, shared = average_over_poses(*asked), average_over_poses(*asked, shared=errors_of(known, contacts))
     own = [
-        solved(rig, [c for c in contacts if c.pose == name], errors_of(known, contacts), [Method.FREE], doubting=True)[Method.FREE]
+        solved(rig, [c for c in contacts if c.pose == name], errors_of(known, contacts), [Method.FREE], doubting=True)[
+            Method.FREE
+        ]
         for name in names
     ]
     several = 0

@@ -215,7 +215,9 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
         {"quadratic": (1e-3,) * 126, "spread": (1e-3,) * 666},
         {"quadratic": (float("nan"),) * 126, "spread": ()},
     ],
-    ids=lambda change: " ".join(f"{name} {len(value) if isinstance(value, tuple) else value}" for name, value in change.items()),
+    ids=lambda change: " ".join(
+        f"{name} {len(value) if isinstance(value, tuple) else value}" for name, value in change.items()
+    ),
 )
 def test_what_is_no_correction_is_refused(change):
     session = Session(small_scene(), None)
@@ -308,7 +310,7 @@ def test_a_frame_and_the_rig_together_are_uncertain_as_the_rig_is_under_that_fra
 
 @pytest.mark.parametrize("at_once", [True, False])
 def test_a_pose_poked_only_after_the_correction_is_uncertain_and_played_again_to_the_bit(bad, at_once):
-    """Also where other new poses came between, were taken out, and where the session is solved after each poke or at its end."""
+    """Also where other new poses came between, were taken out, and where it is solved after each poke or at its end."""
     session, rig = bad
     session.act(found_in(session))
     first = session.snapshot().estimates[Method.FREE]

@@ -87,7 +87,9 @@ def test_two_wild_pokes_in_turn_are_not_taken_for_what_all_share():
     contacts = pokes(rng, 4 * SLOW, 1e-3)
     before, _ = both(contacts)
     for at in (40, 41):
-        wild = replace(contacts[at], poke=1000 + at, moment=contacts[at].moment + np.cross([0.05, 0.04, 0.0], contacts[at].force))
+        wild = replace(
+            contacts[at], poke=1000 + at, moment=contacts[at].moment + np.cross([0.05, 0.04, 0.0], contacts[at].force)
+        )
         contacts[at] = replace(wild, poke=at + 1)
     after, _ = both(contacts)
     assert set(after.doubted) >= {41, 42}

@@ -213,7 +213,9 @@ def test_uncertainty_grows_with_noise_and_shrinks_with_pokes():
     few, many = (solve(contacts[:n], [0], Method.FREE, FLAT, None)[0] for n in (10, 40))
     assert 0.35 < many.rms / few.rms < 0.7
     # Not to the last digit: what is doubted differs.
-    louder = NoiseSettings(*(2 * value for value in (NOISE.force, NOISE.moment, NOISE.contact, NOISE.reach)), radius=1e9, skin=0.0)
+    louder = NoiseSettings(
+        *(2 * value for value in (NOISE.force, NOISE.moment, NOISE.contact, NOISE.reach)), radius=1e9, skin=0.0
+    )
     assert solve(contacts, [0], Method.FREE, louder, None)[0].rms == pytest.approx(2 * many.rms, rel=0.02)
 
 
