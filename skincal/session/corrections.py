@@ -54,7 +54,7 @@ class Corrections:
             It is none.
         """
         used = used_of(action)
-        if action.of in self.used and _numbers(self.used[action.of].correction) == _numbers(used.correction):
+        if action.of in self.used and _same(self.used[action.of].correction, used.correction):
             raise InputError(f"That correction of {KINDS[action.of]} is in use already.")
         return self._set({**self._kept_beside(action.of), action.of: used}, f"correction of {KINDS[action.of]}")
 
@@ -121,6 +121,12 @@ class Corrections:
             force, moment = used.correction.wrench(force, moment)
         force, moment = move_wrench(self.pose(reported, name), force, moment)
         return force, axis_point(force, moment)
+
+
+def _same(first: Correction, second: Correction) -> bool:
+    """Return whether two corrections are the same, with what they do not know."""
+    rest = (np.array_equal(getattr(first, name), getattr(second, name)) for name in ("root", "quadratic"))
+    return _numbers(first) == _numbers(second) and all(rest)
 
 
 def used_of(action: Correct) -> UsedCorrection:

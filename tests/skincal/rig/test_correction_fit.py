@@ -10,12 +10,14 @@ import pytest
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, rotations
-from skincal.rig.correction import RigPrior, RigReadings, RigState, rig_rows
-from skincal.rig.correction_fit import FEWEST, RigRequest, correct_rig
+from skincal.rig import correction_fit
+from skincal.rig.correction import LOAD, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
+from skincal.rig.correction_fit import FEWEST, RigRequest, _first_rows, correct_rig
 from skincal.sentences import rig_sentences
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method
+from skincal.taxels.shared_errors import predicted_error
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = 3
@@ -232,3 +234,112 @@ def test_the_scene_that_ships_has_its_landmarks_on_the_part():
     places = np.array([landmark.place for landmark in scene.landmarks])
     assert len({landmark.name for landmark in scene.landmarks}) == 6
     assert np.linalg.norm(nearest_points(surface, places)[0] - places, axis=1).max() < 5e-4
+
+
+def quadratic_rig(seed, share):
+    """A request whose sensor reads each component wrong by a share of each product of two, at a hand's load; else right."""
+    rig, request, _ = trial(seed, "good", 1, 10)
+    rng = np.random.default_rng([seed, 9])
+    units = LOAD * np.repeat([1.0, PRIOR.arm], 3)
+    wrong = share * rng.standard_normal((6, 21)) * units[:, None] / products(units[None])
+
+    def read(poke):
+        wrench = np.concatenate([poke.force, poke.moment])
+        wrench = wrench - wrong @ products(wrench[None])[0]
+        return replace(poke, force=wrench[:3], moment=wrench[3:])
+
+    pokes = [[read(poke) for poke in some] for some in (request.contacts, request.landmarks)]
+    return rig, replace(request, contacts=pokes[0], landmarks=pokes[1]), wrong
+
+
+def test_a_sensor_that_is_not_linear_is_found_and_one_that_is_is_taken_for_linear():
+    for seed in (1, 2):
+        rig, request, _ = quadratic_rig(seed, 0.05)
+        answer = correct_rig(request)
+        assert answer.used
+        assert answer.correction.quadratic.shape == (6, 21)
+        assert len(answer.correction.root) == 162 + 6 * len(answer.correction.motions)
+        before, after = mean_error(rig, request.contacts), mean_error(rig, corrected(request, answer))
+        assert after < 0.5 * before
+        plain = replace(answer.correction, quadratic=np.empty((6, 0)))
+        assert after < 0.7 * mean_error(rig, [plain.corrected(contact) for contact in request.contacts])
+    for errors in ("good", "paper"):
+        for seed in (1, 2, 3):
+            correction = trial(seed, errors, 1, 10)[2].correction
+            assert correction.quadratic.shape == (6, 0)
+            assert len(correction.root) == 36 + 6 * len(correction.motions)
+
+
+def test_what_is_not_known_is_as_large_as_rigs_are_wrong_after_their_correction():
+    """Against the truth: what is left of the matrix and the poses, over its predicted spread; drawn rigs, 10 landmark pokes."""
+    squares = []
+    for seed in range(1, 7):
+        rig, _, answer = trial(seed, "paper", 1, 10)
+        root, correction = answer.correction.root, answer.correction
+        # What is left moves the axes of straight pushes at the taxels, in the first arm pose.
+        name = next(iter(rig.stances))
+        stance = rig.stances[name]
+        at = 36 + 6 * sorted(correction.motions).index(name)
+        rest = np.linalg.inv(stance.reported @ correction.motions[name]) @ stance.true
+        shift = rest[:3, 3]
+        spread = root[at + 3 : at + 6] @ root[at + 3 : at + 6].T
+        squares.append(shift @ np.linalg.solve(spread, shift) / 3.0)
+    assert 0.2 < np.mean(squares) < 3.0
+
+
+def predicted_whole(rig, request, answer):
+    """By how much the skin may be off as a whole under a correction, m."""
+    contacts = corrected(request, answer)
+    shared = CorrectionErrors(answer.correction, {contact.poke: contact for contact in contacts}.__getitem__)
+    channels, noise = rig.channels.tolist(), rig.scene.noise
+    found = estimate_taxels(contacts, channels, [Method.SURFACE], noise, rig.surface, shared=shared)[Method.SURFACE]
+    return predicted_error(list(found.values())).whole
+
+
+def test_landmarks_whose_places_are_off_leave_more_unknown():
+    """By 3 mm: 0.42 mm becomes 0.59, and 0.33 becomes 0.92."""
+    for seed in (1, 2):
+        rig, request, right = trial(seed, "paper", 1, 10)
+        rng = np.random.default_rng(seed)
+        off = {name: 0.003 / np.sqrt(3.0) * rng.standard_normal(3) for name in sorted({p.name for p in request.landmarks})}
+        moved = replace(request, landmarks=[replace(poke, place=poke.place + off[poke.name]) for poke in request.landmarks])
+        assert predicted_whole(rig, moved, correct_rig(moved)) > 1.2 * predicted_whole(rig, request, right)
+
+
+def test_the_root_is_that_of_the_unknowns_and_a_part_of_it_that_of_the_first(rng):
+    _, _, answer = trial(1, "paper", 1, 3)
+    root, scales = answer.correction.root, PRIOR.scales(len(answer.correction.motions))
+    assert np.array_equal(root, np.triu(root))
+    np.testing.assert_allclose(
+        np.minimum(np.sqrt(np.sum(root**2, axis=1)) / scales / max(1.0, answer.ratio), 1.0), answer.known, rtol=1e-9
+    )
+    some = np.triu(rng.standard_normal((9, 9)))
+    first = _first_rows(some, 4)
+    assert np.array_equal(first, np.triu(first))
+    np.testing.assert_allclose(first @ first.T, (some @ some.T)[:4, :4], rtol=0, atol=1e-12)
+
+
+def test_of_more_arm_poses_than_are_kept_the_sensor_alone_is_known(monkeypatch):
+    """Its own spread is the same as with all of them; motions stay."""
+    _, request, answer = trial(1, "paper", 1, 3)
+    monkeypatch.setattr(correction_fit, "POSES_KEPT", 6)
+    found = correct_rig(request).correction
+    assert found.root.shape == (36, 36)
+    assert found.motions.keys() == answer.correction.motions.keys()
+    there = answer.correction.root[:36]
+    np.testing.assert_allclose(found.root @ found.root.T, there @ there.T, rtol=1e-9, atol=1e-18)
+
+
+def test_a_second_call_gives_the_same_bits():
+    _, request, answer = trial(1, "paper", 1, 3)
+    again = correct_rig(request)
+    for name in ("matrix", "root", "quadratic"):
+        assert getattr(again.correction, name).tobytes() == getattr(answer.correction, name).tobytes()
+    assert (again.ratio, again.plain_ratio, again.after) == (answer.ratio, answer.plain_ratio, answer.after)
+
+
+def test_misses_are_as_predicted_after_a_correction_and_of_a_right_rig():
+    ratios = {errors: [trial(seed, errors, 1, 10)[2] for seed in (1, 2, 3)] for errors in ("paper", "good")}
+    assert all(0.6 < answer.ratio < 1.4 for answers in ratios.values() for answer in answers)
+    assert all(answer.plain_ratio < 1.4 for answer in ratios["good"])
+    assert all(answer.plain_ratio > 2.0 for answer in ratios["paper"])

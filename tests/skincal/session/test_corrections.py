@@ -17,11 +17,11 @@ from skincal.methods import estimate_taxels
 from skincal.model.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
-from skincal.rig.correction import FRAME, RIG, Correction
+from skincal.rig.correction import FRAME, POSES_KEPT, RIG, Correction, CorrectionErrors
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.sentences import correction_words
-from skincal.session.corrections import correct_action
+from skincal.session.corrections import correct_action, used_of
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
@@ -69,7 +69,7 @@ def bad(poked):
 def found_in(session):
     answer = correct_rig(session.rig_request())
     assert answer.used
-    return correct_action(RIG, answer.correction, answer.before, answer.after, len(session.landmark_pokes))
+    return correct_action(RIG, answer.correction, answer.before, answer.after, len(session.landmark_pokes), answer.ratio)
 
 
 def mean_error(session, rig, method=Method.MODULES):
@@ -185,14 +185,17 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
     pose = pipeline.snapshot().pokes[0].outcome.pose
     reported = pipeline.snapshot()
     pipeline.act(AddLandmark("head", *POINT.tolist()), last + 1)
-    pipeline.act(correct_action(RIG, Correction(matrix, motions={pose: motion}), 0.007, 0.001, 21), last + 2)
+    root, quadratic = np.triu(1e-3 * rng.standard_normal((168, 168))), 1e-5 * rng.standard_normal((6, 21))
+    correction = Correction(matrix, motions={pose: motion}, root=root, quadratic=quadratic)
+    pipeline.act(correct_action(RIG, correction, 0.007, 0.001, 21, 1.3), last + 2)
     assert not same_estimates(pipeline.snapshot(), reported)
     pipeline.close()
     other = again(tmp_path / "s")
     assert same_estimates(other.snapshot(), pipeline.snapshot())
     here, there = (moment.session.snapshot().corrections[RIG] for moment in (pipeline, other))
-    assert here.correction.matrix.tobytes() == there.correction.matrix.tobytes()
-    assert (there.before, there.after, there.pokes) == (0.007, 0.001, 21)
+    for name in ("matrix", "root", "quadratic"):
+        assert getattr(here.correction, name).tobytes() == getattr(there.correction, name).tobytes()
+    assert (there.before, there.after, there.pokes, there.ratio) == (0.007, 0.001, 21, 1.3)
 
 
 @pytest.mark.parametrize(
@@ -203,12 +206,24 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
         {"matrix": (0.0,) * 36},
         {"everywhere": (float("inf"),) * 16},
         {"poses": ("one",)},
+        {"ratio": float("nan")},
+        {"ratio": -1.0},
+        {"spread": (1e-3,) * 665},
+        {"spread": (float("inf"),) * 666},
+        {"quadratic": (1e-3,) * 125},
+        {"quadratic": (1e-3,) * 126},
+        {"quadratic": (1e-3,) * 126, "spread": (1e-3,) * 666},
+        {"quadratic": (float("nan"),) * 126, "spread": ()},
     ],
-    ids=str,
+    ids=lambda change: " ".join(
+        f"{name} {len(value) if isinstance(value, tuple) else value}" for name, value in change.items()
+    ),
 )
 def test_what_is_no_correction_is_refused(change):
     session = Session(small_scene(), None)
-    good = correct_action(RIG, Correction(np.eye(6)), 0.007, 0.001, 21)
+    good = correct_action(RIG, Correction(np.eye(6), root=1e-3 * np.eye(36)), 0.007, 0.001, 21, 1.2)
+    session.act(good)
+    session.act(Undo())
     assert from_json(json.loads(json.dumps(to_json(good)))) == good
     with pytest.raises(InputError, match="expected"):
         session.act(replace(good, **change))
@@ -216,6 +231,108 @@ def test_what_is_no_correction_is_refused(change):
     with pytest.raises(InputError, match="expected"):
         from_json({**to_json(good), "matrix": ["1.0"] * 36})
     assert isinstance(from_json(to_json(good)), Correct)
+
+
+def some_correction(poses, rng, quadratic=True):
+    """A correction with all that one can have."""
+    names, size = [f"pose {i}" for i in range(poses)], 36 + (126 if quadratic else 0)
+    size += 6 * poses if poses <= POSES_KEPT else 0
+    return Correction(
+        np.eye(6) + 0.01 * rng.standard_normal((6, 6)),
+        motions={name: np.eye(4) for name in names},
+        root=np.triu(1e-3 * rng.standard_normal((size, size))),
+        quadratic=1e-4 * rng.standard_normal((6, 21)) if quadratic else np.empty((6, 0)),
+    )
+
+
+@pytest.mark.parametrize("poses", [0, 2, POSES_KEPT, POSES_KEPT + 1, 300])
+@pytest.mark.parametrize("quadratic", [True, False])
+def test_an_action_is_the_correction_again(rng, poses, quadratic):
+    """To six digits of what is not known, and to the bit of the rest; as JSON it takes no more with hundreds of poses."""
+    there = some_correction(poses, rng, quadratic)
+    action = correct_action(RIG, there, 0.007, 0.001, 21, 1.25)
+    line = json.dumps(to_json(action))
+    assert len(line) < 2e6
+    used = used_of(from_json(json.loads(line)))
+    assert used.ratio == 1.25
+    for name in ("matrix", "quadratic"):
+        assert np.array_equal(getattr(used.correction, name), getattr(there, name))
+    np.testing.assert_allclose(used.correction.root, there.root, rtol=1e-5, atol=0)
+    assert correct_action(RIG, used.correction, 0.007, 0.001, 21, 1.25) == action, "again it is the same to the bit"
+
+
+def test_an_action_of_old_is_a_correction_that_is_taken_for_exact(bad):
+    session, _ = bad
+    document = to_json(found_in(session))
+    old = {key: value for key, value in document.items() if key not in ("spread", "quadratic", "ratio")}
+    session.act(from_json(document))
+    known = session.snapshot().estimates
+    session.act(from_json(old))
+    used = session.snapshot().corrections[RIG]
+    assert used.correction.exact
+    assert np.isnan(used.ratio)
+    for method, estimates in session.snapshot().estimates.items():
+        for estimate, other in zip(estimates, known[method], strict=True):
+            assert estimate.moved is None
+            if estimate.position is not None and not used.correction.quadratic.size:
+                assert estimate.rms < other.rms
+    session.act(Undo())
+    assert same_estimates(session.snapshot(), replace(session.snapshot(), estimates=known)), "its uncertainty is back"
+
+
+def test_what_a_correction_does_not_know_is_in_the_covariances_until_it_is_used_no_more(bad):
+    session, _ = bad
+    before = session.snapshot()
+    session.act(found_in(session))
+    for estimates in session.snapshot().estimates.values():
+        for estimate in estimates:
+            assert (estimate.moved is None) is (estimate.position is None)
+            if estimate.moved is not None:
+                excess = np.linalg.eigvalsh(estimate.covariance - estimate.moved @ estimate.moved.T)
+                assert excess.min() > -1e-12
+    session.act(Uncorrect(RIG))
+    assert same_estimates(session.snapshot(), before)
+
+
+def test_a_frame_and_the_rig_together_are_uncertain_as_the_rig_is_under_that_frame(bad):
+    session, _ = bad
+    frame = correct_action(FRAME, Correction(np.eye(6)), 0.05, 0.004, 3)
+    rig = found_in(session)
+    session.act(rig)
+    alone = session.snapshot()
+    session.act(Undo())
+    session.act(frame)
+    session.act(rig)
+    assert same_estimates(session.snapshot(), alone)
+    session.act(Uncorrect(FRAME))
+    assert all(estimate.moved is None for estimate in session.snapshot().estimates[Method.FREE])
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_pose_poked_only_after_the_correction_is_uncertain_and_played_again_to_the_bit(bad, at_once):
+    """Also where other new poses came between, were taken out, and where it is solved after each poke or at its end."""
+    session, rig = bad
+    session.act(found_in(session))
+    first = session.snapshot().estimates[Method.FREE]
+    late = [replace(session.outcome(poke), poke=7000 + poke) for poke in (7, 11, 9)]
+    for poke, pose in zip(late, ("twenty deg", "ten deg", "thirty deg"), strict=True):
+        session.add(replace(poke, pose=pose))
+        if not at_once:
+            session.snapshot()
+    session.act(Exclude(7007))
+    now = session.snapshot()
+    assert max(estimate.moved.shape[1] for estimate in now.estimates[Method.FREE] if estimate.moved is not None) == max(
+        estimate.moved.shape[1] for estimate in first if estimate.moved is not None
+    )
+    again = Session(rig.scene, rig.surface)
+    for record in now.pokes:
+        again.add(session.outcome(record.outcome.poke))
+    again.act(Exclude(7007))
+    for poke, name in now.at_landmarks.items():
+        again.act(AtLandmark(poke, name))
+    used = now.corrections[RIG]
+    again.act(correct_action(RIG, used.correction, used.before, used.after, used.pokes, used.ratio))
+    assert same_estimates(again.snapshot(), now)
 
 
 def test_what_is_felt_now_is_corrected_as_its_poke_will_be(bad):
@@ -246,13 +363,17 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     file = read_json(tmp_path / "c.json")
     assert np.array_equal(file.contacts[0].force, session.outcome(file.contacts[0].poke).force), "as the rig reported it"
     solved = estimate_taxels(
-        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.module_model
-    )
+        file.used_contacts, file.channels, session.methods, file.noise, session.surface, file.dead, model=session.module_model,
+        shared=CorrectionErrors(file.corrections[0].correction, {poke.poke: poke for poke in file.used_contacts}.__getitem__),
+    )  # fmt: skip
     for method, found in solved.items():
         for first, second in zip(file.estimates[method], found.values(), strict=True):
             assert np.array_equal(first.position, second.position), method
-    used = session.snapshot().corrections[RIG]
-    assert (file.corrections[0].before, file.corrections[0].after) == (used.before, used.after)
+            assert np.array_equal(first.covariance, second.covariance), method
+    (used,), (written,) = session.snapshot().corrections.values(), file.corrections
+    assert (written.before, written.after, written.ratio) == (used.before, used.after, used.ratio)
+    for name in ("matrix", "root", "quadratic"):
+        assert np.array_equal(getattr(written.correction, name), getattr(used.correction, name))
     for kind in ("icub", "ply"):
         write_calibration(session.calibration(), kind, tmp_path / kind, Method.MODULES)
         assert correction_words(used) in (tmp_path / kind).read_text(encoding="utf-8")
@@ -305,6 +426,10 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert main(["solve", str(recorded), "--json"]) == 0
     plain = json.loads(capsys.readouterr().out)
     assert plain["rig"]["corrections"] == []
+    assert plain["unchecked_rig_mm"] > 2.0
+    assert plain["methods"]["modules"]["predicted_whole_skin_mm"] == 0.0
+    apart = plain["methods"]["modules-corrected"]
+    assert plain["rig"]["held_out_over_predicted"] < 1.5
     assert main(["solve", str(recorded), "--correct", "--json", "--out", str(tmp_path)]) == 0
     reported = json.loads(capsys.readouterr().out)
     (used,) = reported["rig"]["corrections"]
@@ -312,6 +437,10 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert used["after_mm"] < used["before_mm"]
     assert "modules-corrected" in plain["methods"]
     assert "modules-corrected" not in reported["methods"]
+    assert reported["unchecked_rig_mm"] is None
+    for key in ("predicted_whole_skin_mm", "predicted_among_taxels_mm"):
+        assert reported["methods"]["modules"][key] == pytest.approx(apart[key], rel=1e-4)
+        assert apart[key] > 0.2
     file = read_json(tmp_path / "calibration.json")
     assert len(file.corrections) == 1
     assert file.landmark_check.worth_using
@@ -319,7 +448,15 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert main(["export", str(recorded), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
     assert approved("rig.corrected_clause", pokes=21) in (tmp_path / "p.txt").read_text(encoding="utf-8")
     assert main(["solve", str(recorded)]) == 0
-    assert approved("rig.correctable_begin") in capsys.readouterr().out, "the recording is as it was"
+    said = capsys.readouterr().out
+    assert approved("rig.correctable_begin") in said, "the recording is as it was"
+    assert approved("rig.unchecked", off_mm=f"{plain['unchecked_rig_mm']:.1f}") in said.splitlines()
+    whole, among = (apart[key] for key in ("predicted_whole_skin_mm", "predicted_among_taxels_mm"))
+    (line,) = [line for line in said.splitlines() if line.startswith("modules-corrected")]
+    assert f"(the whole skin {whole:.2f}, taxels among each other {among:.2f})" in line
+    assert main(["solve", str(recorded), "--correct", "--per-pose", "--json"]) == 0
+    methods = json.loads(capsys.readouterr().out)["methods"]
+    assert methods["modules-per-pose"]["predicted_whole_skin_mm"] > 0.2
 
 
 def test_where_nothing_is_offered_a_command_says_so(tmp_path, capsys):
