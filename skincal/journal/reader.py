@@ -412,6 +412,7 @@ def _write_anew(path: Path, lines: Lines | None) -> tuple[str, bool]:
     fresh.unlink(missing_ok=True)
     with fresh.open("xb") as target:
         count, why = _copy(source, target)
+        # Whole on the medium before it takes the name of the file that it replaces.
         os.fsync(target.fileno())
     lost = source.lost
     kept = _put_aside(path, "damaged")

@@ -256,6 +256,7 @@ class JournalWriter:
 
     def unix_ns(self, host_ns: int) -> int:
         """Return the time of day of a moment of the monotonic clock, ns since 1970."""
+        # MCAP's times have no sign.
         return max(0, host_ns - self._monotonic_ns + self._unix_ns)
 
     def _open_segment(self, host_ns: int, *, continues: bool) -> None:
@@ -344,6 +345,7 @@ class JournalWriter:
         self._mcap.finish()
         self._file.flush()
         os.fsync(self._file.fileno())
+        # Last: "closed" vouches for the end of the other file.
         self._lines.close(self._items)
         self._file.close()
 
@@ -378,10 +380,12 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
             if named is not None:
                 text = _copy_named(text, str(named), scene.path.parent, folder)
         target = folder / SCENE_FILE
+        # Without `newline` Windows would write other line ends than the text has.
         target.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
         why = error.strerror
         raise InputError(f"{folder}: the scene cannot be copied ({why}); check {scene.path} and the space.") from None
+    # Refused now, and not when the recorded session is opened.
     load_scene(target)
     return target
 
