@@ -178,6 +178,7 @@ def _draw_dot(painter: QPainter, circle: QRectF, mark: Mark, hue: QColor) -> Non
     painter.setBrush(QBrush(colour))
     painter.drawEllipse(circle)
     if mark in _HOLLOW:
+        # Cut out, not painted over: the stamp is put upon whatever lies below.
         painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_Clear)
         painter.drawEllipse(circle.adjusted(1.0, 1.0, -1.0, -1.0))
         painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceOver)

@@ -99,6 +99,7 @@ class HintsLayer(Layer):
 def round_below(value: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above `value`."""
     power = 10.0 ** np.floor(np.log10(value))
+    # The slack keeps a round length that a rounding made a little too long.
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9)))
 
 
@@ -248,6 +249,7 @@ def nearest_at(screen: FloatArray, x: float, y: float, ball: float) -> int | Non
     `screen` is (n, 3) float, from `project`; x and y are pixels from the lower left, as `ball`, the radius of a drawn ball.
     """
     away = np.hypot(screen[:, 0] - x, screen[:, 1] - y)
+    # So, and not `> 1`: the depth of what lies behind the camera is NaN.
     away[~(np.abs(screen[:, 2]) <= 1.0)] = np.inf
     hit = np.flatnonzero(away <= ball)
     if len(hit):

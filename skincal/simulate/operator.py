@@ -467,6 +467,7 @@ class Guided(Auto):
             raise InputError("poke and pose are for --operator told; expected target, any or wait.")
         if isinstance(order, TargetOrder) and order.channel is not None:
             self._rig.row_of(order.channel)
+        # Without a lock: in Python one assignment is seen whole by every thread.
         self._newest = order
 
     def next(self, now: float) -> OperatorAction | None:
