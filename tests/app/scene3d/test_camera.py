@@ -196,14 +196,14 @@ class Turning:
         view = live()
         view = replace(view, progress=replace(view.progress, phase=self.phase))
         before = self.camera.GetPosition(), self.camera.GetViewUp(), self.camera.GetFocalPoint()
-        told = self.turner.step(
+        reported = self.turner.step(
             self.camera, ASPECT, View3DState(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
         )
         self.now_s += TICK
         moved = not np.allclose(np.concatenate(before), np.concatenate([
             self.camera.GetPosition(), self.camera.GetViewUp(), self.camera.GetFocalPoint(),
         ]), atol=1e-12, rtol=0)  # fmt: skip
-        assert told or not moved, "what moves is drawn"
+        assert reported or not moved, "what moves is drawn"
         return moved
 
     def run(self, seconds: float) -> int:

@@ -207,8 +207,8 @@ def test_port_taken_by_another_program_while_away_is_told_after_a_while(tmp_path
                 port.symlink_to(second.path)
                 first.unplug()
                 next_event(items, LinkState.LOST)
-                told = next_event(items, LinkState.LOST, NEW_REASON_S + PATIENCE_S)
-                assert approved("links.in_use") in told.text
+                taken = next_event(items, LinkState.LOST, NEW_REASON_S + PATIENCE_S)
+                assert approved("links.in_use") in taken.text
             next_event(items, LinkState.OPEN)
 
 
