@@ -176,7 +176,7 @@ def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
     assert not is_elided(head)
 
 
-def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):
+def test_what_a_kill_left_is_said_as_a_finding(bench, recorded):
     segment = recorded / "segment-0001.mcap"
     segment.write_bytes(segment.read_bytes()[:-3000])
     bench.open(OpenRequest(session=recorded))

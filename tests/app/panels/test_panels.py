@@ -294,7 +294,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
 
 
 @pytest.mark.parametrize(("count", "excluded"), [(3, [3]), (4, [])], ids=["a poke is excluded", "a poke more"])
-def test_what_follows_the_estimates_is_told_anew_for_every_poke(qtbot, count, excluded):
+def test_what_follows_the_estimates_is_read_anew_for_every_poke(qtbot, count, excluded):
     panel = shown(qtbot, PokesPanel(NAMES))
     pokes = [touch(poke) for poke in (1, 2, 3, 4)]
     panel.show_state(frame(session(1, pokes=pokes[:3])))

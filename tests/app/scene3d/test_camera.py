@@ -277,7 +277,7 @@ def test_a_hand_ends_a_turn_and_the_camera_stays_where_it_was_put(turning):
     assert turning.sees()
 
 
-def test_the_same_target_told_anew_turns_nothing(turning):
+def test_the_same_target_given_anew_turns_nothing(turning):
     turning.ask(120)
     turning.run(0.5)
     turning.turner.touch(turning.now_s)

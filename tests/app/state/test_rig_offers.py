@@ -157,7 +157,7 @@ def test_the_key_does_what_is_offered_first():
     assert may(()) is None
 
 
-def test_an_offer_is_told_once_and_made_once():
+def test_an_offer_is_announced_once_and_made_once():
     rig_review, none = RigReview(), at()
     used = at(in_use())
     now, then = (replace(review(), used=moment.corrections) for moment in (none, used))
@@ -200,7 +200,7 @@ def known(shift: Mapping[int, float]):
     return {channel: estimate(channel, PLACES[channel] + [aside, 0.0, 0.0]) for channel, aside in shift.items()}
 
 
-def test_how_far_the_taxels_move_is_told_for_the_method_that_is_shown():
+def test_how_far_the_taxels_move_is_said_for_the_method_that_is_shown():
     moment = at(known=known({3: 0.002, 5: 0.004}))
     shown = moment.estimates[Method.FREE]
     assert moved_words(review(after={Method.FREE: PLACES}), Method.FREE, shown) == approved(

@@ -246,7 +246,7 @@ def on_skin(session, number: int) -> Contact:
     )  # fmt: skip
 
 
-def test_pokes_on_the_skin_are_told_by_tens_and_one_that_is_taken_out_at_once(session, client, asked):
+def test_pokes_on_the_skin_are_sent_by_tens_and_one_that_is_taken_out_at_once(session, client, asked):
     tell(session, client, 1)
     for number in range(11, 11 + SKIN):
         assert len(asked) == 1, number
