@@ -127,8 +127,10 @@ def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
 
 
 def _pip_environment() -> dict[str, str]:
-    # The person's own index, certificates and proxies stay; their own `--user` would miss .venv.
-    return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PYTHONPATH": ""}
+    # The person's own index, certificates and proxies stay; their own `--user` would miss .venv. -P holds for one process: what
+    # ensurepip starts in its turn needs the variable, or a `pickle.py` of the working folder is run.
+    safe = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1"}
+    return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", **safe}
 
 
 def _pip_install(lock: Path) -> None:
