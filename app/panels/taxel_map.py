@@ -280,6 +280,7 @@ class TaxelMap(Painted):
             self._generation = generation
             self._marks = marks(state.estimates, self._width, done_channels(state.guidance))
             self._rivals = frozenset(e.channel for e in state.estimates if e.rival is not None)
+            # Empty: drawn again when it is painted next, and only then.
             self._states = QPixmap()
             self.update()
         target = None if state.target is None else state.target.channel

@@ -131,6 +131,7 @@ class Stage:
         _light(renderer)
         # Blending without sorting: the stage orders its translucent faces by culling (see `surface`), at half the time.
         renderer.SetUseOIT(False)
+        # At the start of every picture, whoever asked for it.
         self._observer = renderer.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(look)
 

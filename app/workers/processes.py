@@ -233,6 +233,7 @@ class ReviewClient(QObject):
 
     def _take(self, answer: Review | Unreviewed) -> None:
         self._waits = False
+        # A process that took the place of another knows nothing of the session: it is sent all of it.
         if answer is Unreviewed.UNKNOWN:
             self._asked.forget()
             self._again = True

@@ -84,6 +84,7 @@ def new_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Genera
     from skincal.session.part import load_scene_surface
     from skincal.session.pipeline import Pipeline
 
+    # What is not there yet: nothing else is taken away again.
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     journal = None
     try:

@@ -86,6 +86,7 @@ def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Jou
     InputError
         The folder holds a session already, or cannot be made, or the scene's files cannot be copied.
     """
+    # Asked first: a folder that is being recorded to is not empty either, and this says more.
     if who := writer_of(folder):
         raise InputError(f"{folder}: is being recorded by {who}; name another folder.")
     _demand_empty(folder)
@@ -300,6 +301,7 @@ class JournalWriter:
         self._channels = {topic: self._mcap.register_channel(topic, "json", json_schema) for topic in (EVENT_TOPIC, NOTE_TOPIC)}
         self._channels |= {topic: self._mcap.register_channel(topic, "cdr", schemas[name]) for topic, name in carried.items()}
         self._add_event({"host_ns": host_ns, "type": "segment", **about})
+        # On the medium at once: a session whose first segment has no beginning is none.
         self._flush(sync=True)
 
     def _follow(self, host_ns: int) -> None:
@@ -319,6 +321,7 @@ class JournalWriter:
         self._add_document(EVENT_TOPIC, event["host_ns"], event, self._items - 1)
 
     def _add_document(self, topic: str, host_ns: int, document: dict[str, Any], sequence: int, key: str = "") -> None:
+        # A NaN that slipped through would make a line that only Python can read.
         data = json.dumps({"n": self._documents, **document}, allow_nan=False).encode()
         self._add(topic, self.unix_ns(host_ns), data, sequence)
         self._documents += 1

@@ -170,6 +170,7 @@ def from_json(document: Mapping[str, Any]) -> Action:
     if kind is None:
         raise InputError(f"action {document.get('do')!r}: expected one of {', '.join(_KINDS)}; a newer skincal may know it.")
     values = {key: _frozen(value) for key, value in document.items() if key != "do"}
+    # Types as they are written: in this module annotations stay text.
     wanted = {item.name: str(item.type) for item in fields(kind)}
     if values.keys() != wanted.keys() or not all(_is(values[key], type_) for key, type_ in wanted.items()):
         raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v})' for k, v in wanted.items())}.")
@@ -185,4 +186,5 @@ def _is(value: object, type_: str) -> bool:
     """Return whether a value is of a field's type, as its annotation has it."""
     if isinstance(value, tuple):
         return type_ in _LISTS and all(type(each) is _LISTS[type_] for each in cast("tuple[object, ...]", value))
+    # The very type, since true and false are whole numbers to Python.
     return type(value) is _TYPES.get(type_)

@@ -179,6 +179,7 @@ class Pipeline:
         links : where the items come from now; as before if None
         journal : the new segment, which is refused as by `demand_record`; None records nothing
         """
+        # The new segment holds the folder's lock by now, and gives it back as it is closed.
         if journal is not None and self.journal_failure:
             journal.close()
             self.demand_record()

@@ -332,6 +332,7 @@ class Session:
                     self._answers[channel] += by
 
     def _changed(self) -> None:
+        # What changes between two snapshots is one generation: nobody saw it apart.
         if self._snapshot is not None:
             self._generation += 1
             self._snapshot = None

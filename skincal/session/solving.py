@@ -132,6 +132,7 @@ class Solving:
             self._estimates[method].update(estimates)
         if self.module_model is not None:
             modules = self.module_model.modules_of(channels)
+            # The surface method's first, where there are any: the search for a module begins with the best.
             others = [self._estimates[method] for method in reversed(self._alone)]
             found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead)
             self._estimates[Method.MODULES].update(found)

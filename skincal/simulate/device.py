@@ -130,6 +130,7 @@ class DeviceTimeline:
     """Runs rig, operator and devices along one time line; where the scene has an arm, its joints are a link, too."""
 
     def __init__(self, rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None) -> None:
+        # Streams of their own: a sensor that draws more changes nothing of the others.
         noise, boards, self._skin_rng = rng.spawn(3)
         self.rig, self.operator, self.settings = rig, operator, settings or DeviceSettings()
         self.now = 0.0
@@ -180,6 +181,7 @@ class DeviceTimeline:
     def _schedule(self, end: float) -> None:
         """Ask the operator for what begins in this block, and forget what is over."""
         if not self.operator.done:
+            # An operator who had nothing to do is asked about now, not about the time that passed.
             self._free = max(self._free, self.now)
         while self._free < end:
             action = self.operator.next(self._free)
@@ -200,6 +202,7 @@ class DeviceTimeline:
         times = board.due(end)
         if board.stream is Stream.WRENCH:
             stamps = board.clock.us(times)
+            # Also in a block without a reading: the sensor's noise goes on from block to block.
             return data + board.encoder.wrenches(stamps, self._wrenches(times, begin, end))
         if not len(times):
             return data
