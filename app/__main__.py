@@ -35,6 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         options = _parser().parse_args(arguments)
     except SystemExit as end:
+        # argparse ends the program itself, after --help as after a mistake.
         return int(end.code or 0)
     try:
         return _run(options)

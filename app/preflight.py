@@ -54,6 +54,7 @@ def x_answers() -> bool:
         xcb = ctypes.CDLL("libxcb.so.1")
     except OSError:
         return True  # Cannot be asked; the missing library is named instead.
+    # Without these ctypes takes a pointer for a C int and cuts it off on 64 bits.
     xcb.xcb_connect.restype = ctypes.c_void_p
     xcb.xcb_connection_has_error.argtypes = [ctypes.c_void_p]
     xcb.xcb_disconnect.argtypes = [ctypes.c_void_p]
@@ -66,6 +67,7 @@ def x_answers() -> bool:
 def wayland_answers(environment: Mapping[str, str]) -> bool:
     """Return whether the socket that `WAYLAND_DISPLAY` names is there."""
     folder = environment.get("XDG_RUNTIME_DIR", "")
+    # The variable may hold a whole path: pathlib drops what stands before that.
     return bool(folder) and (Path(folder) / environment["WAYLAND_DISPLAY"]).exists()
 
 

@@ -42,6 +42,7 @@ SWITCH_S = 0.0005
 def documents_folder() -> Path:
     """Return the folder under which sessions are kept."""
     place = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
+    # Qt returns an empty text where the system names no such place.
     return Path(place or Path.home()) / "skincal"
 
 
@@ -129,9 +130,11 @@ def collect_in_window(application: QApplication) -> QTimer:
 
 
 def _collect_what_is_due() -> None:
+    # Python goes on counting while its own looks are off.
     counts = gc.get_count()
     due = [generation for generation, most in enumerate(GARBAGE) if counts[generation] > most]
     if due:
+        # The oldest that is due: the younger ones go with it.
         gc.collect(due[-1])
 
 
@@ -146,6 +149,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     collect_in_window(application)
+    # Qt names the folder of the log by it.
     application.setApplicationName("skincal")
     faults = Faults()
     remove = faults.install()

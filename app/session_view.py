@@ -292,6 +292,7 @@ class SessionView(QObject):
 
     def begin(self) -> None:
         """Start to build the 3D view, once the panels are on the screen."""
+        # With the workspace as its context Qt calls nothing once that is gone.
         QTimer.singleShot(0, self.workspace, self.workspace.begin)
 
     def _show_addresses(self) -> None:
@@ -629,6 +630,7 @@ class SessionView(QObject):
             state = settings.value(name)
             if isinstance(state, QByteArray):
                 splitter.restoreState(state)
+        # A settings file holds words, and "false" would be true without its type.
         self.guide.wanted = bool(settings.value("window/guide", True, type=bool))
         self._commands.actions["guide"].setChecked(self.guide.wanted)
         self._commands.actions["turn"].setChecked(bool(settings.value("window/turn", True, type=bool)))

@@ -87,4 +87,5 @@ HEADLINE_PT = 28
 
 def method_hue(colours: Colours, method: Method) -> str:
     """Return the hue of a method's curves."""
+    # By its own type: importing the enum would bring numpy into a window that is not on the screen yet.
     return colours.methods[list(type(method)).index(method)]

@@ -115,6 +115,7 @@ def direction(unit_vector: FloatArray | None) -> str:
 
 def rate(per_second: float) -> str:
     """Return a rate, such as `"1000 Hz"`, or a dash while it is unknown."""
+    # So, and not `<= 0`: NaN is no rate either.
     if not per_second > 0:
         return DASH
     return f"{number(per_second, 0 if per_second >= 20 else 1)} Hz"

@@ -64,6 +64,7 @@ def qpalette(colours: Colours) -> QPalette:
     ):
         for name in names:
             palette.setColor(name, QColor(value))
+    # After the others, which Qt sets for every group alike.
     for name in (role.WindowText, role.Text, role.ButtonText):
         palette.setColor(QPalette.ColorGroup.Disabled, name, mix(colours.muted, colours.window, 0.45))
     return palette
@@ -115,6 +116,7 @@ class Theme(QObject):
         if choice is Choice.SYSTEM:
             is_dark = QApplication.styleHints().colorScheme() is Qt.ColorScheme.Dark
         colours = DARK if is_dark else LIGHT
+        # The style that follows a palette on every system; the desktops' own keep their colours.
         QApplication.setStyle("Fusion")
         QApplication.setPalette(qpalette(colours))
         app = QApplication.instance()
@@ -198,6 +200,7 @@ class Window(QMainWindow):
         self.commands.add_themes(self._theme.choice, self._choose_theme)
         for name, wanted in (("sounds", True), ("speech", False)):
             self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
+        # Until the player has looked, beside the window.
         self._follow_sound(True)
         self._switch_sounds()
         self.opening.setAlignment(Qt.AlignmentFlag.AlignCenter)
@@ -329,6 +332,7 @@ class Window(QMainWindow):
             player.get_ready()
 
     def _toggle_full(self) -> None:
+        # That bit alone: a window that was as large as the screen is so again afterwards.
         self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
 
     def _show_keys(self) -> None:

@@ -225,6 +225,7 @@ def _unit_words(found: FrameCorrection) -> str:
 
 def _axes_words(axes: np.ndarray) -> str:
     """Return what an order of the axes with signs is, in words; empty for the one reported."""
+    # A row holds a single entry, 1 or -1: its sum is the sign.
     order, signs = np.abs(axes).argmax(axis=1).tolist(), axes.sum(axis=1).tolist()
     if order == [0, 1, 2]:
         turned = ["xyz"[axis] for axis, sign in enumerate(signs) if sign < 0]

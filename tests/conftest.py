@@ -1,4 +1,4 @@
-"""What all tests share: repeatable random data.
+"""What all tests share: repeatable random data, how work is timed, and a folder of modules that must not be run.
 
 Every run tries the same examples, so a red test is red again for anyone who repeats it. To search for new ones:
 `.venv/bin/python -m pytest --hypothesis-profile=search`.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ settings.register_profile(
 )
 settings.register_profile("search", settings.get_profile("repeatable"), derandomize=False, max_examples=2000, print_blob=True)
 settings.load_profile("repeatable")
+
+POISON = "open({mark!r}, 'a').write(__file__ + '\\n')\nraise SystemExit(99)\n"
+NAMES = ("typer.py", "numpy.py", "pickle.py", "pip.py", "app/__init__.py", "skincal/__init__.py")
 
 
 @pytest.fixture
@@ -48,3 +52,15 @@ def least_time() -> Callable[..., float]:
         return best
 
     return measure
+
+
+@pytest.fixture
+def poisoned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder of modules that must not be run; what was run all the same stands in the file `ran` beside it."""
+    folder = tmp_path / "poisoned"
+    for name in NAMES:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(POISON.format(mark=str(tmp_path / "ran")), encoding="utf-8")
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    return folder

@@ -229,7 +229,7 @@ def test_files_are_opened_with_a_named_encoding() -> None:
     ],
 )
 def test_a_command_imports_neither_qt_nor_vtk_nor_scipy(module: str, command: list[str]) -> None:
-    told = (
+    script = (
         "import runpy, sys\n"
         f"sys.argv = ['skincal', *{command!r}]\n"
         "try:\n"
@@ -239,7 +239,7 @@ def test_a_command_imports_neither_qt_nor_vtk_nor_scipy(module: str, command: li
         "heavy = {'PySide6', 'vtkmodules', 'vtk', 'pyvista', 'pyvistaqt', 'pyqtgraph', 'matplotlib', 'scipy'}\n"
         "print('HEAVY', sorted(heavy & set(sys.modules)))\n"
     )
-    done = run("-c", told)
+    done = run("-c", script)
     assert done.returncode == 0, done.stderr
     assert done.stdout.rstrip().endswith("HEAVY []")
     assert "skincal" in done.stdout
@@ -273,7 +273,7 @@ def test_linear_algebra_takes_one_thread_unless_the_environment_says_otherwise(m
 
 def test_qt_survives_more_void_calls_than_none_has_references() -> None:
     """A broken PySide6 loses one reference to None a call; it starts with some 5,000 (docs/decisions/dependencies.md)."""
-    told = (
+    script = (
         "import os; os.environ['QT_QPA_PLATFORM'] = 'offscreen'\n"
         "from PySide6.QtWidgets import QApplication, QWidget\n"
         "application = QApplication([]); widget = QWidget()\n"
@@ -281,4 +281,4 @@ def test_qt_survives_more_void_calls_than_none_has_references() -> None:
         "    widget.update()\n"
         "print('alive')\n"
     )
-    assert run("-c", told).stdout == "alive\n"
+    assert run("-c", script).stdout == "alive\n"

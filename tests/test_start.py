@@ -6,7 +6,10 @@ import ast
 import importlib.util
 import os
 import sys
+import time
+import venv
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -34,8 +37,19 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return lock
 
 
+def pretend(pip: str) -> None:
+    """Make an environment whose Python only does, in the words of a shell, what stands for the installation of packages."""
+    site = places.VENV / "lib" / f"python{install.VERSION}" / "site-packages"
+    for folder in (site, places.interpreter().parent):
+        folder.mkdir(parents=True, exist_ok=True)
+    (places.VENV / "pyvenv.cfg").write_text(f"home = /usr/bin\nversion = {install.VERSION}.9\n", encoding="utf-8")
+    script = f'#!/bin/sh\ncase "$*" in *--require-hashes*) ;; *) exit 0 ;; esac\n{pip}\n'
+    places.interpreter().write_text(script, encoding="utf-8")
+    places.interpreter().chmod(0o755)
+
+
 @pytest.mark.skipif(importlib.util.find_spec("ensurepip") is None, reason="this Python comes without pip")
-def test_an_environment_is_made_once_and_again_when_it_is_stale(checkout: Path) -> None:
+def test_an_environment_is_made_once_and_again_when_it_is_stale(checkout: Path, poisoned: Path) -> None:
     assert install.ensure(checkout)
     assert places.interpreter().exists()
     assert not install.ensure(checkout)
@@ -44,19 +58,39 @@ def test_an_environment_is_made_once_and_again_when_it_is_stale(checkout: Path) 
     assert install.ensure(checkout)
     assert not install.ensure(checkout)
 
+    # Pip and the compiler of modules are run in the folder where the person stands: nothing of it is.
+    assert not (poisoned.parent / "ran").exists()
+
+
+@posix_only
+def test_what_was_interrupted_while_it_was_unpacked_begins_from_an_empty_folder(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emptied: list[bool] = []
+
+    def create(builder: venv.EnvBuilder, _: Path) -> None:
+        emptied.append(builder.clear)
+        pretend("exit 0")
+
+    monkeypatch.setattr(venv.EnvBuilder, "create", create)
+    pretend("exit 0")
+    assert install.ensure(checkout)
+    assert not emptied, "it was right"
     install.UNFINISHED.touch()  # as pip leaves it when it is killed while it unpacks
     assert not install.is_ready(checkout)
-    assert not install._venv_is_right()
+    assert install.ensure(checkout)
+    assert emptied == [True]
+    assert install.is_ready(checkout)
 
 
+@posix_only
 def test_an_environment_of_another_python_is_not_taken(checkout: Path) -> None:
-    places.interpreter().parent.mkdir(parents=True)
-    places.interpreter().touch()
+    pretend("exit 0")
+    assert install.ensure(checkout)
     configuration = places.VENV / "pyvenv.cfg"
     this = f"{sys.version_info.major}.{sys.version_info.minor}.9"
     for key, version, right in (("version", this, True), ("version_info", this, True), ("version", "3.9.2", False)):
         configuration.write_text(f"home = /usr/bin\n{key} = {version}\n", encoding="utf-8")
-        install.STAMP.write_text(install._stamp_line(checkout), encoding="utf-8")
         assert install.is_ready(checkout) is right
 
 
@@ -87,28 +121,35 @@ def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
     checkout: Path, line: str, code: int, unfinished: bool
 ) -> None:
     """As where the network is gone, and what is installed still runs; or where pip was killed while it unpacked."""
-    pip = places.interpreter()
-    pip.parent.mkdir(parents=True)
     there = f"test -e {install.UNFINISHED}"  # should it be killed now
-    pip.write_text(f"#!/bin/sh\n{there} || exit 9\necho '{line}' > {install.LOG}\nexit {code}\n", encoding="utf-8")
-    pip.chmod(0o755)
+    pretend(f"{there} || exit 9\necho '{line}' > {install.LOG}\nexit {code}")
     if code:
         with pytest.raises(places.StopError) as stop:
-            install._pip_install(checkout)
+            install.ensure(checkout)
         for words in (str(install.LOG), "connect this machine to the network", "the disk is full", "glibc 2.34 or later"):
             assert words in str(stop.value)
     else:
-        install._pip_install(checkout)
+        assert install.ensure(checkout)
     assert install.UNFINISHED.exists() is unfinished
+    assert install.is_ready(checkout) is (code == 0)
 
 
 @posix_only
-def test_of_two_starts_one_waits(tmp_path: Path) -> None:
-    with (tmp_path / "lock").open("w", encoding="utf-8") as first, (tmp_path / "lock").open("w", encoding="utf-8") as second:
-        assert install._held(first.fileno())
-        assert not install._held(second.fileno())
-        first.close()
-        assert install._held(second.fileno())
+def test_of_two_starts_one_waits(checkout: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    runs, done = checkout.with_name("runs"), checkout.with_name("done")
+    pretend(f"echo run >> {runs}\nwhile ! test -e {done}; do sleep 0.05; done")
+    said, end = "", time.monotonic() + 10.0
+    with ThreadPoolExecutor(2) as pool:
+        starts = [pool.submit(install.ensure, checkout) for _ in range(2)]
+        while "waiting for it" not in said and time.monotonic() < end:
+            time.sleep(0.05)
+            said += capfd.readouterr().err
+        waited = sum(start.running() for start in starts)
+        done.touch()
+    assert "waiting for it" in said
+    assert waited == 2
+    assert [start.result() for start in starts] == [True, True]
+    assert runs.read_text(encoding="utf-8") == "run\n", "the other found it installed"
 
 
 @pytest.mark.parametrize("version", [(3, 10, 14), (3, 15, 0)])
@@ -175,16 +216,24 @@ def test_an_unpacked_library_is_found_by_the_started_program(monkeypatch: pytest
 
 @linux_only
 @pytest.mark.usefixtures("checkout")
-def test_unpacked_fonts_are_listed() -> None:
-    fonts = install.SYSTEM / "usr" / "share" / "fonts"
-    fonts.mkdir(parents=True)
-    install._list_fonts()
+def test_unpacked_fonts_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    fonts, libraries = install.SYSTEM / "usr" / "share" / "fonts", install.SYSTEM / "usr" / "lib"
+
+    def unpack(_: Sequence[str]) -> None:
+        for folder in (fonts, libraries):
+            folder.mkdir(parents=True)
+        (libraries / "libEGL.so.1").touch()
+
+    monkeypatch.setattr(install, "loads", lambda _: False)
+    monkeypatch.setattr(install, "has_apt", lambda: True)
+    monkeypatch.setattr(install, "apt_provide", unpack)
+    assert install.provide({"libEGL.so.1": "libegl1"})
     assert f"<dir>{fonts}</dir>" in (install.SYSTEM / "fonts.conf").read_text(encoding="utf-8")
 
 
 def test_the_display_for_tests_is_asked_for_before_anything_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(install, "has_display", lambda: False)
-    monkeypatch.setattr(install, "_can_provide_xvfb", lambda: False)
+    monkeypatch.setattr(install, "has_apt", lambda: False)
     monkeypatch.setattr(install.shutil, "which", lambda *_, **__: None)
     with pytest.raises(places.StopError, match="Xvfb"):
         install.require_test_display()

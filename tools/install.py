@@ -75,6 +75,7 @@ def _venv_is_right() -> bool:
     configuration = checkout.VENV / "pyvenv.cfg"
     if UNFINISHED.exists() or not checkout.interpreter().exists() or not configuration.exists():
         return False
+    # Python's own venv writes `version`, other makers of environments `version_info`.
     version = re.search(r"^version(?:_info)? *= *(\d+\.\d+)", configuration.read_text(encoding="utf-8"), re.MULTILINE)
     return version is not None and version[1] == VERSION
 
@@ -89,6 +90,7 @@ def _install_packages(lock: Path) -> None:
 
         say(f"Making a Python {VERSION} environment in {checkout.VENV} ...")
         venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(checkout.VENV)
+        # Only now: making the environment empties the folder.
         UNFINISHED.touch()
     STAMP.unlink(missing_ok=True)
     _provide_pip()
@@ -125,8 +127,10 @@ def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
 
 
 def _pip_environment() -> dict[str, str]:
-    # The person's own index, certificates and proxies stay; their own `--user` would miss .venv.
-    return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PYTHONPATH": ""}
+    # The person's own index, certificates and proxies stay; their own `--user` would miss .venv. -P holds for one process: what
+    # ensurepip starts in its turn needs the variable, or a `pickle.py` of the working folder is run.
+    safe = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1"}
+    return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", **safe}
 
 
 def _pip_install(lock: Path) -> None:
@@ -357,6 +361,7 @@ def _unpack(packages: Sequence[str]) -> None:
 
 def _run(*command: str, folder: Path | None = None, check: bool = True) -> str:
     """Return what a command says on its standard output."""
+    # In English: what apt says is read.
     english = os.environ | {"LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
     return subprocess.run(
         command, env=english, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=check

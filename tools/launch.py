@@ -73,6 +73,7 @@ def start(arguments: Sequence[str]) -> int:
     if not asked or (asked.startswith("-") and asked not in ("-h", "--help", "--version")):
         _provide_drawing(fresh, shown=install.has_display() and "--headless" not in arguments)
     program = [str(checkout.interpreter()), "-P", "-m", "app", *arguments]
+    # What is still buffered goes with the program that is replaced.
     sys.stderr.flush()
     if os.name != "nt":
         os.execve(program[0], program, install.environment())
@@ -124,6 +125,7 @@ def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
                 say(f"\n$ {running[done]}\n{done.result().stdout.decode(errors='replace').rstrip()}")
                 failed += [running[done]] if done.result().returncode else []
         except KeyboardInterrupt:
+            # Or every check that still waits would be run first.
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return failed

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parent.parent
+# Run as a file, it finds only what lies beside it.
 sys.path.insert(0, str(CHECKOUT))
 
 FOLDER = CHECKOUT / "resources" / "sessions" / "sample"

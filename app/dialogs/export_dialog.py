@@ -95,6 +95,7 @@ class ExportDialog(QDialog):
         self.method.currentIndexChanged.connect(self._name)
         self.path.textChanged.connect(self._forget)
         self.method.currentIndexChanged.connect(self._forget)
+        # `textEdited` comes of the operator's hand alone, `textChanged` also of what the dialog proposes.
         self.path.textEdited.connect(self._edited)
         self.browse.clicked.connect(self._browse)
         self.write.clicked.connect(self._write)
@@ -131,6 +132,7 @@ class ExportDialog(QDialog):
     def _format_chosen(self) -> None:
         name, _, ending, about = self._row()
         self.about.setText(about)
+        # The other formats hold every method.
         self.method.setEnabled(name in ("icub", "ply"))
         if self._named_by_hand:
             self.path.setText(str(Path(self.path.text()).with_suffix(ending)))
@@ -153,6 +155,7 @@ class ExportDialog(QDialog):
             self.path.setText(path)
 
     def _write(self) -> None:
+        # The next Space or Enter closes. A button that is disabled while it has the focus would hand that on to any other.
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
         self.write.setEnabled(False)
         self.outcome.setText("Writing \N{HORIZONTAL ELLIPSIS}")

@@ -105,6 +105,7 @@ class LandmarkDialog(QDialog):
 
 def free_name(taken: Collection[str]) -> str:
     """Return the first of "landmark 1", "landmark 2" and so on that no landmark has."""
+    # One number more than there are names: one of them is free.
     return next(name for number in range(1, len(taken) + 2) if (name := f"landmark {number}") not in taken)
 
 

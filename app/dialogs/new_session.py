@@ -93,6 +93,7 @@ class NewSessionDialog(QDialog):
         InputError
             The scene cannot be used, or one of the two devices that a poke needs is missing.
         """
+        # Not the box's index, which stays as it was when another text is typed.
         index = self.scene.findText(self.scene.currentText())
         scene = Path(self.scene.itemData(index) if index >= 0 else self.scene.currentText())
         load_scene(scene)

@@ -192,6 +192,7 @@ def _text(key: Qt.Key) -> str:
 def _takes(target: QWidget, event: QKeyEvent) -> bool:
     """Return whether a widget keeps a key from being a shortcut, as fields for text do with what they type."""
     asked = QKeyEvent(QEvent.Type.ShortcutOverride, event.key(), event.modifiers(), event.text())
+    # An event begins as accepted: whoever wants this key has to accept it.
     asked.ignore()
     QCoreApplication.sendEvent(target, asked)
     return asked.isAccepted()

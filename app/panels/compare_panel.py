@@ -146,6 +146,7 @@ class ComparePanel(QScrollArea):
 
     def _connect(self) -> None:
         for box in self.boxes:
+            # Of the operator's hand alone: Qt does not send it for what the program sets.
             box.activated.connect(self._choose)
         self.all.toggled.connect(self.show_again)
         self.scale.activated.connect(self.show_again)

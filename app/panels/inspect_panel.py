@@ -83,6 +83,7 @@ class AxisDiversityPlot(Painted):
             painter.drawEllipse(self._at(place), size, size)
         if view.middle is not None and len(view.dots):
             at = self._at(view.middle)
+            # The broad stroke below sets the cross off from the dots.
             for width, colour in ((5.0, colours.window), (2.2, colours.accent)):
                 painter.setPen(QPen(QColor(colour), width, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
                 for x in (5.0, -5.0):

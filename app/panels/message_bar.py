@@ -26,6 +26,7 @@ class MessageBar(QFrame):
         self._waiting: deque[Message] = deque(maxlen=KEPT)
         self.text = QLabel()
         self.text.setWordWrap(True)
+        # Messages quote files and devices, and Qt would take for HTML what looks like it.
         self.text.setTextFormat(Qt.TextFormat.PlainText)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.close_button = QPushButton("Dismiss  (Esc)")

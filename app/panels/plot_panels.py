@@ -86,6 +86,7 @@ def _import_pyqtgraph() -> None:
     try:
         importlib.import_module("pyqtgraph")
     except ImportError as error:
+        # A library that is missing is no fault of the program: the panel says it, and the rest goes on.
         raise InputError(f"There are no curves: {error}") from error
 
 

@@ -326,6 +326,7 @@ class ErrorPlot(StillPlot):
             self.item.getAxis("bottom").setTicks([[(at, name) for at, name in enumerate(self._modules) if at % step == 0]])
             self._across = (-0.6, max(1, len(self._modules)) - 0.4)
         else:
+            # None gives the axis its own ticks back, after those of the modules.
             self.item.getAxis("bottom").setTicks(None)
             along, least = (series.counts, 10.0) if axis is Axis.POKES else (in_minutes(series.times), 1.0)
             longest = max(float(along[-1]) if len(along) else 0.0, least)

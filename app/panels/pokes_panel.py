@@ -85,6 +85,7 @@ class PokeTable(QAbstractTableModel):
 
     def rowCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
         """Return the number of pokes."""
+        # Qt asks for the children of cells, too: a table has none.
         return 0 if parent.isValid() else len(self._records)
 
     def columnCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
@@ -202,6 +203,7 @@ class PokesPanel(QWidget):
     def _prepare(self) -> None:
         table = self.table
         table.setAccessibleName("pokes")
+        # Tab leads on to the next part of the window, as everywhere.
         table.setTabKeyNavigation(False)
         table.setShowGrid(False)
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)

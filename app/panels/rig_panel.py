@@ -64,6 +64,7 @@ class ArmPanel(QWidget):
         self.poses.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.rows = {name: QTreeWidgetItem(self.poses) for name in arm.poses}
         for name, row in self.rows.items():
+            # Kept apart: the text gets a mark before the name.
             row.setData(0, Qt.ItemDataRole.UserRole, name)
             row.setText(1, "   ".join(degrees(float(angle), 1) for angle in np.atleast_1d(arm.poses[name])))
         column = QVBoxLayout(self)

@@ -178,6 +178,7 @@ def _draw_dot(painter: QPainter, circle: QRectF, mark: Mark, hue: QColor) -> Non
     painter.setBrush(QBrush(colour))
     painter.drawEllipse(circle)
     if mark in _HOLLOW:
+        # Cut out, not painted over: the stamp is put upon whatever lies below.
         painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_Clear)
         painter.drawEllipse(circle.adjusted(1.0, 1.0, -1.0, -1.0))
         painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceOver)
@@ -279,6 +280,7 @@ class TaxelMap(Painted):
             self._generation = generation
             self._marks = marks(state.estimates, self._width, done_channels(state.guidance))
             self._rivals = frozenset(e.channel for e in state.estimates if e.rival is not None)
+            # Empty: drawn again when it is painted next, and only then.
             self._states = QPixmap()
             self.update()
         target = None if state.target is None else state.target.channel

@@ -88,6 +88,7 @@ def top_view(guidance: Guidance, target: Target, coaching: Coaching | None, leew
 
 def cone(push: FloatArray, angle: float) -> FloatArray:
     """Return (36, 3) float, unit: the directions that are `angle`, rad, off a push, around it."""
+    # The axis that lies least along the push, so that their cross product is far from zero.
     helper = np.eye(3)[np.abs(push).argmin()]
     first = np.cross(helper, push)
     first /= np.sqrt(first @ first)

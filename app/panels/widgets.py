@@ -149,6 +149,7 @@ def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTre
     tree.setAccessibleName(name)
     tree.setHeaderLabels(list(headings))
     tree.setRootIsDecorated(False)
+    # Qt then measures one row for all of them.
     tree.setUniformRowHeights(True)
     tree.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
     tree.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)

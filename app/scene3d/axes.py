@@ -39,6 +39,7 @@ class AxesLayer(Layer):
         """Take the colours of a theme."""
         self.look = look
         self._past_key = None
+        # The key of no axis, nor of none: the next moment is drawn anew.
         self._axis = b"\0"
 
     def show(self, state: View3DState) -> bool:

@@ -130,6 +130,7 @@ def project(renderer: vtkRenderer, points: FloatArray) -> FloatArray:
     matrix = camera.GetCompositeProjectionTransformMatrix(renderer.GetTiledAspectRatio(), -1, 1)
     transform = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
     clip = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ transform.T
+    # Behind the camera the division would bring a point into the picture, upside down.
     normal = clip[:, :3] / np.where(clip[:, 3:] > 0, clip[:, 3:], np.nan)
     width, height = renderer.GetSize()
     return np.stack([(normal[:, 0] + 1) * width / 2, (normal[:, 1] + 1) * height / 2, normal[:, 2]], axis=1)
@@ -198,6 +199,7 @@ def orbit(camera: vtkCamera, right: float, up: float) -> None:
     """Turn the camera around what it looks at; degrees."""
     camera.Azimuth(-right)
     camera.Elevation(-up)
+    # VTK's Azimuth turns about the view's up, which Elevation leaves where it was.
     camera.OrthogonalizeViewUp()
 
 
@@ -332,6 +334,7 @@ def _turn(rotation: FloatArray) -> tuple[FloatArray, float]:
     size = float(np.linalg.norm(axis))
     axis = axis / size if size > 1e-12 else np.array([0.0, 0.0, 1.0])
     aside = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    # `sign` would give 0 at half a turn, where either direction is right.
     return axis * np.copysign(1.0, axis @ aside), angle
 
 

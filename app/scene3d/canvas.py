@@ -149,6 +149,7 @@ def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int],
     from app.scene3d.stage import Stage
 
     choose_offscreen()
+    # EGL and OSMesa alone know no threads of their own: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):
         return Loaded(None, None)
     window = HiddenWindow(size if min(size) > 1 else FIRST_SIZE)
@@ -158,6 +159,7 @@ def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int],
         stage.show(state)
     stage.fit()
     window.draw()
+    # Or the window's thread could not draw: a context belongs to the thread that drew last.
     window.release()
     return Loaded(window, stage)
 
@@ -171,6 +173,7 @@ def mount(canvas: Canvas, loaded: Loaded, static: StaticScene, look: Look, paren
 
         # Drawn when Qt asks for it and never by itself; its `render` would draw each picture twice.
         interactor = QtInteractor(parent, auto_update=False, multi_samples=CARD_SAMPLES)
+        # pyvistaqt would load a mesh that is dropped on it.
         interactor.setAcceptDrops(False)
         return interactor, Stage(interactor.renderer, static, look)
     from app.scene3d.offscreen import HiddenWindow

@@ -83,6 +83,7 @@ class EstimatesLayer(Layer):
     def fit_to(self, sight: Sight) -> None:
         """Keep the balls' size on the part when the camera comes nearer, and leave out those on its far side."""
         self.balls.actor.GetProperty().SetPointSize(float(np.clip(BALL * sight.scale, *BALL_PIXELS)))
+        # So, and not `>=`: where nothing has a far side the normals are NaN, and all is drawn.
         near = ~(self._normals @ sight.towards < FAR_SIDE)
         if not np.array_equal(near, self.near):
             self.near = near

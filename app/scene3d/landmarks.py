@@ -117,6 +117,7 @@ def poked_here(snapshot: Snapshot) -> frozenset[str]:
     pokes = snapshot.pokes
     found: set[str] = set()
     for number, name in snapshot.at_landmarks.items():
+        # Pokes stand in the order of their numbers, and there may be thousands.
         at = bisect_left(pokes, number, key=lambda record: record.outcome.poke)
         if at == len(pokes) or pokes[at].outcome.poke != number or pokes[at].excluded:
             continue

@@ -106,6 +106,7 @@ class HiddenWindow:
     def png(self) -> bytes:
         """Return a new picture as the content of a PNG file."""
         self._window.Render()
+        # By default it would draw the picture a second time, and read a front buffer that a hidden window lacks.
         grabber = vtkWindowToImageFilter(input=self._window, should_rerender=False, read_front_buffer=False)
         writer = vtkPNGWriter(input_connection=grabber.GetOutputPort(), write_to_memory=True)
         writer.Write()

@@ -39,10 +39,12 @@ class SurfaceLayer(Layer):
     def __init__(self, shaded: Shaded) -> None:
         super().__init__()
         points, self._normals, triangles = shaded
+        # Copied (`deep`): VTK does not keep numpy's memory alive, and these arrays go with this function.
         places = vtkPoints(data=numpy_to_vtk(points.astype(np.float32), deep=True))
         mesh = vtkPolyData(points=places, polys=cells(triangles))
         mesh.GetPointData().SetNormals(numpy_to_vtk(self._normals.astype(np.float32), deep=True))
         self._tinted = vtkPolyData()
+        # The same points and triangles in memory: only the inner side has a tint at each.
         self._tinted.ShallowCopy(mesh)
         self.inside = _side(self._tinted, frontface_culling=True, lighting=False)
         self.outside = _side(mesh, backface_culling=True, opacity=FRONT_OPACITY)
@@ -60,6 +62,7 @@ class SurfaceLayer(Layer):
 
 
 def _side(mesh: vtkPolyData, **look: float) -> vtkActor:
+    # Static: VTK need not ask before each picture whether the mesh changed.
     mapper = vtkPolyDataMapper(static=True)
     mapper.SetInputData(mesh)
     mapper.SetColorModeToDirectScalars()

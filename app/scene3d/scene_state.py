@@ -127,6 +127,7 @@ def shade(vertices: FloatArray, triangles: IntArray, normals: FloatArray) -> Sha
     weighted = np.repeat(normals * areas[:, None], 3, axis=0)
     owner = triangles.ravel()
     mean = np.stack([np.bincount(owner, weighted[:, axis], len(vertices)) for axis in range(3)], axis=1)
+    # A vertex of no triangle has no mean, and stays 0.
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
     own = np.repeat(normals, 3, axis=0)
     on_edge = np.zeros(len(vertices), dtype=bool)

@@ -94,6 +94,7 @@ class DrawnShape:
             return
         self._points[:] = points
         self._colours[:] = colours
+        # VTK sees no writing through numpy, and asks each of these by itself when it was changed last.
         self.data.GetPoints().GetData().Modified()
         self.data.GetPoints().Modified()
         self.data.GetPointData().GetScalars().Modified()
@@ -111,6 +112,7 @@ class DrawnShape:
         self._points = np.zeros((count, 3), dtype=np.float32)
         self._colours = np.zeros((count, 3), dtype=np.uint8)
         points = vtkPoints()
+        # Not copied: what `set` writes into these arrays is what VTK draws, so the shape holds them as long as VTK does.
         points.SetData(numpy_to_vtk(self._points))
         self.data.SetPoints(points)
         self.data.GetPointData().SetScalars(numpy_to_vtk(self._colours))

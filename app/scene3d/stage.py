@@ -99,6 +99,7 @@ class HintsLayer(Layer):
 def round_below(value: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above `value`."""
     power = 10.0 ** np.floor(np.log10(value))
+    # The slack keeps a round length that a rounding made a little too long.
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9)))
 
 
@@ -130,6 +131,7 @@ class Stage:
         _light(renderer)
         # Blending without sorting: the stage orders its translucent faces by culling (see `surface`), at half the time.
         renderer.SetUseOIT(False)
+        # At the start of every picture, whoever asked for it.
         self._observer = renderer.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(look)
 
@@ -248,6 +250,7 @@ def nearest_at(screen: FloatArray, x: float, y: float, ball: float) -> int | Non
     `screen` is (n, 3) float, from `project`; x and y are pixels from the lower left, as `ball`, the radius of a drawn ball.
     """
     away = np.hypot(screen[:, 0] - x, screen[:, 1] - y)
+    # So, and not `> 1`: the depth of what lies behind the camera is NaN.
     away[~(np.abs(screen[:, 2]) <= 1.0)] = np.inf
     hit = np.flatnonzero(away <= ball)
     if len(hit):

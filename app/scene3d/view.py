@@ -308,6 +308,7 @@ class View3D(QWidget):
         Pointer(self._canvas, self._stage, self._request, self._pick)
         self._stack.addWidget(self._canvas)
         self._stack.setCurrentWidget(self._canvas)
+        # Theme, size and what is shown may have changed since the loading began.
         self._stage.set_colours(self._look)
         self._stage.fit()
         self.set_turning(self._turning)

@@ -172,6 +172,7 @@ class Controller(QObject):
             self.compute(
                 lambda: self._load_session(folder, links),
                 lambda found: self._take_session(storage, found),
+                # Its journal is open and its folder locked: what comes too late is put down, not forgotten.
                 dropped=lambda found: found[1].close(),
             )
             return
@@ -335,6 +336,7 @@ class Controller(QObject):
         snapshot = recording.pipeline.snapshot(SOLVE_S)
         behind = recording.behind or recording.pipeline.session.unsolved > 0
         wanted = BEHIND_MS if behind else TICK_MS
+        # Qt starts a running timer anew with every interval that is set, also with the one that it has.
         if self._timer.interval() != wanted:
             self._timer.setInterval(wanted)
         now_ns = time.monotonic_ns()
@@ -437,6 +439,7 @@ class Controller(QObject):
     def keep(self) -> None:
         """Copy a temporary recording to where it stays."""
         if self._recording is not None and self.can_keep:
+            # What is still buffered is in no file that could be copied.
             self._recording.pipeline.sync()
             self._endings.submit(self._recording.storage.keep, self._kept, self._say_failure)
 
@@ -471,6 +474,7 @@ class Controller(QObject):
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
             return
+        # Made here, not in the thread: the session goes on while the file is written.
         calibration = replace(self._recording.pipeline.session.calibration(), landmark_check=check)
 
         def write() -> tuple[str, ...]:

@@ -67,6 +67,7 @@ def server_command(scene: Path | None) -> tuple[str, ...]:
     Its operator pokes what the window asks for (`DeviceProcess.tell`).
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
+    # -P: nothing that lies in the working folder is imported.
     simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
     return (*simulate, "--scene", name, "--json")
 

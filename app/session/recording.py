@@ -147,9 +147,11 @@ class Recording:
             The disk takes no new segment. Nothing is read then; the session stays as it is, with its journal open, so that
             what the operator does to it is still recorded.
         """
+        # What was read before the pause belongs to the segment that ends.
         self.drain()
         self.pipeline.demand_record()
         assert self.pipeline.journal is not None
+        # Opened while the old segment is open: where the disk refuses, nothing has happened yet.
         following = self.pipeline.journal.open_next(self.pipeline.scene, self.links)
         self.pipeline.close()
         self.pipeline.begin_segment(self.links, following)

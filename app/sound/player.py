@@ -88,6 +88,7 @@ class Speaker:
             stdin=subprocess.PIPE if by_input else subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            # Windows would open a console for it.
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
         if voice.stdin is not None:
@@ -99,6 +100,7 @@ class Speaker:
         voice, self._voice = self._voice, None
         if voice is not None:
             voice.kill()
+            # Waited for, or the ended process would stay in the system's table.
             voice.wait()
 
 
@@ -210,6 +212,7 @@ class _Outlet:
         self.ready()
         if self._output is not None and not self.running:
             stream = self._stream()
+            # A generator can be sent something only once it waits at its first `yield`.
             next(stream)
             self._output.start(stream)
             self.running = True

@@ -104,6 +104,7 @@ def axis_words(series: ErrorSeries, axis: Axis) -> str:
 def log_range(low: float, high: float) -> tuple[float, float]:
     """Return the next steps of 1, 2, 5 x 10^n at or below `low` and at or above `high`, both positive, any unit."""
     below, above = 10.0 ** math.floor(math.log10(low)), 10.0 ** math.floor(math.log10(high))
+    # The slack takes a value that is a step but for its rounding for that step.
     bottom = max(step * below for step in STEPS if step * below <= low * (1 + 1e-9))
     top = min(step * above for step in (*STEPS, 10.0) if step * above >= high * (1 - 1e-9))
     return (bottom, top) if top > bottom else (bottom, 2.0 * bottom)

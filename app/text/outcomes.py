@@ -152,6 +152,7 @@ def tilt_of(contact: Contact, estimates: Mapping[int, Estimate]) -> float | None
         return None
     force, _ = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
     cosine = -float(force @ estimate.normal) / float(np.linalg.norm(force))
+    # Rounding may bring a cosine past 1, where there is no angle.
     return math.acos(min(1.0, max(-1.0, cosine)))
 
 

@@ -109,6 +109,7 @@ class DeviceProcess(QObject):
             self.failed.emit(end_words(None if killed else self._process.exitCode(), said))
 
     def _error(self, error: QProcess.ProcessError) -> None:
+        # A process that does not start is never said to have finished.
         if error is QProcess.ProcessError.FailedToStart and not self._stopping:
             self.failed.emit(f"The device process cannot be started: {self._process.errorString()}.")
 

@@ -119,14 +119,17 @@ class ProcessService:
         context = get_context("spawn")
         # Nothing that lies in the working folder is run.
         os.environ["PYTHONSAFEPATH"] = "1"
+        # Without a lock: the window alone writes it, and who reads it late only goes on for a little longer.
         self._newest = newest = context.RawValue("q", 0)
         newest.value = self._ticket
         connection, its_end = context.Pipe()
         with self._starting:
+            # Under the same lock as in `close`, so that no process starts behind it.
             if self._closed:
                 raise ProcessLostError("it is closed")
             self._process = process = context.Process(target=serve, args=(its_end, newest), name="skincal-heavy", daemon=True)
             process.start()
+        # A copy of the other end that stays open here would hide that the process went.
         its_end.close()
         self._connection = connection
         return connection
@@ -230,6 +233,7 @@ class ReviewClient(QObject):
 
     def _take(self, answer: Review | Unreviewed) -> None:
         self._waits = False
+        # A process that took the place of another knows nothing of the session: it is sent all of it.
         if answer is Unreviewed.UNKNOWN:
             self._asked.forget()
             self._again = True

@@ -88,6 +88,7 @@ class ThreadService:
 
     def wait(self) -> None:
         """Wait until all that was asked for is done, however long that takes; from any thread."""
+        # Taken once: the thread forgets itself as it ends.
         thread = self._thread
         if thread is not None:
             thread.join()

@@ -65,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that a study starts run nothing that lies in the working folder
     _register()
     try:
+        # Not standalone: it would end the process and print errors in its own words.
         result = typer.main.get_command(app).main(
             args=None if arguments is None else list(arguments), prog_name="skincal", standalone_mode=False
         )
@@ -108,6 +109,7 @@ def _other_failure(error: Exception) -> int:
         else:
             typer.echo(_usage_sentence(message, getattr(context, "command_path", "skincal")), err=True)
         return 2
+    # Who reads the output has seen enough, such as `head`.
     if isinstance(error, BrokenPipeError):
         return 0
     traceback.print_exception(error, file=sys.stderr)

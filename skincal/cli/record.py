@@ -84,6 +84,7 @@ def new_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Genera
     from skincal.session.part import load_scene_surface
     from skincal.session.pipeline import Pipeline
 
+    # What is not there yet: nothing else is taken away again.
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     journal = None
     try:
@@ -133,6 +134,7 @@ def record(
     items: Items = queue.SimpleQueue()
     with stopping() as stop, new_session(out, loaded, links) as pipeline:
         if orders:
+            # A daemon, since nothing can interrupt its read.
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
         readers = {link.name: Reader(link, items) for link in links}
         try:
@@ -141,6 +143,7 @@ def record(
                 reader.start()
             _loop(pipeline, items, readers, (seconds, pokes), stop)
         finally:
+            # Stopped before the queue is emptied: then nothing comes any more, and nothing that came is lost.
             for reader in readers.values():
                 reader.stop()
             while not items.empty():

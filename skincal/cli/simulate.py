@@ -145,6 +145,7 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
         for link in server.links
     ]
     typer.echo(json.dumps({"links": links, **known}))
+    # A pipe holds lines back, and who started this waits for this one.
     sys.stdout.flush()
 
 

@@ -157,6 +157,7 @@ class ChannelHealth:
         self._known = {channel: why for channel, why in self._known.items() if self._holds(channel, why)}
         dead = self._known | dead
         dead = {channel: dead[channel] for channel in sorted(dead)}
+        # Another number in a sentence is no news.
         if dead.keys() == self.dead.keys():
             return False
         self.dead = dead
@@ -373,6 +374,7 @@ class ContactDetector:
             self._spacings.append(step)  # a hole too: a device that became slower is one hole after the other
             if len(self._spacings) >= 3 and self._press is None:
                 self._period_s = float(np.median(self._spacings))
+        # Time that stands or goes back parts samples, too.
         return abs(step) if known > 0 and not 0 < step <= GAP_PERIODS * known else 0.0
 
     def _idle(self, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
@@ -403,6 +405,7 @@ class ContactDetector:
         before = self._tares.before(sample.host_s)
         assert before is not None
         self._tares.interrupt()
+        # With the pose of the tare: an arm that turned since then turned under the poke.
         self._press = Press(self._scene.contacts, before, sample, self._tare_pose or pose, self._period_s)
         self._press.add(sample, pose)
 
@@ -416,6 +419,7 @@ class ContactDetector:
             return outcomes
         if not sample.saturated and _force(sample, press.tare) < self._scene.contacts.release_force:
             outcomes = self._end(press)
+            # The sample that shows the release is the first of the quiet time after it.
             self._tares.feed(sample, self._period_s)
             return outcomes
         press.add(sample, pose)

@@ -72,6 +72,7 @@ def still_share(force: FloatArray, limit: float) -> int:
     size = np.sqrt(np.einsum("ni,ni->n", force, force))[::-1]
     counts = np.arange(1, len(size) + 1)
     mean = np.cumsum(size) / counts
+    # The difference of two large numbers may come out below zero.
     variance = np.maximum(np.cumsum(size * size) / counts - mean * mean, 0.0)
     moving = np.sqrt(variance) > limit * mean
     return int(np.argmax(moving)) if moving.any() else len(size)

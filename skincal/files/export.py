@@ -232,6 +232,7 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "end_header",
     ]
     rows = [
+        # Nine digits give every 32-bit float back as it was.
         f"{' '.join(f'{length:.9g}' for length in place)} {channel} {METHOD_CODE[method]} "
         f"{sd * 1e3 if math.isfinite(sd) else -1.0:.6g}"
         for place, channel, sd in zip(

@@ -81,6 +81,7 @@ def _put(table: MutableMapping[str, Any], key: str, value: float | bool | int) -
 def _check(found: Layout, meant: Layout, path: Path) -> None:
     """Refuse a file that says something else than was meant."""
     for module, wanted in zip(found.modules, meant.modules, strict=False):
+        # Over the circle: angles that are whole turns apart are the same.
         turn = abs(float(np.angle(np.exp(1j * (module.angle - wanted.angle)))))
         same = (module.id, module.first_channel, module.mirror) == (wanted.id, wanted.first_channel, wanted.mirror)
         if not same or turn > SAME or not np.array_equal(module.place, wanted.place):

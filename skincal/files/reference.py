@@ -98,6 +98,7 @@ def _read(path: Path) -> tuple[str, dict[int, FloatArray]]:
     if path.suffix.lower() != ".json":
         from skincal.files.icub import read_icub
 
+        # Zeros stand for no position in such a file.
         return "", {channel: place for channel, place in enumerate(read_icub(path)[:, :3]) if np.any(place != 0.0)}
     try:
         document: Any = json.loads(path.read_text(encoding="utf-8"))

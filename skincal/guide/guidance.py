@@ -137,6 +137,7 @@ class Stances:
 
 
 def _alike(first: FloatArray, second: FloatArray) -> bool:
+    # The sum is the trace of the rotation between them, 1 + 2 cos of its angle.
     cosine = (float(np.sum(first[:3, :3] * second[:3, :3])) - 1.0) / 2.0
     return cosine >= ALIKE_TURN and float(np.linalg.norm(first[:3, 3] - second[:3, 3])) <= ALIKE_SHIFT
 

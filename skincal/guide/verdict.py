@@ -76,6 +76,7 @@ class Check:
         outside, share = self.checked - self.inside, OUTSIDE_SHARE
         # The binomial probability that fewer fall outside.
         below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
+        # Rounding may bring the sum past 1.
         return max(0.0, 1.0 - below)
 
     @property

@@ -364,6 +364,7 @@ def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: Floa
     for name in names:
         body += bytes(-len(body) % 4) + _text(name)
     body += bytes(-len(body) % 4) + struct.pack("<I", len(angles))
+    # CDR aligns where a number is written: an empty sequence has no padding behind its length.
     if len(angles):
         body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
     return _PREFIX + body + struct.pack("<II", 0, 0)
@@ -376,6 +377,7 @@ def _stamped(unix_ns: int, frame: str) -> bytes:
 
 
 def _text(text: str) -> bytes:
+    # CDR counts the closing zero of a string.
     raw = text.encode() + b"\x00"
     return struct.pack("<I", len(raw)) + raw
 
@@ -439,6 +441,7 @@ class LineWriter:
 
     def _add(self, body: bytes) -> None:
         body += _END
+        # Over all lines before it too: one that is lost or moved breaks the chain there.
         self._sum = zlib.crc32(body, self._sum)
         self._file.write(b'["%08x",%s' % (self._sum, body))
 
@@ -479,6 +482,7 @@ def read_lines(segment: Path) -> Lines | None:
         if key == _TOTALS:
             totals = [document]
             continue
+        # The second outcome of a poke takes the place of the first, which is then never parsed.
         if key == last_key != _NO_KEY:
             kept.pop()
         kept.append(document)

@@ -77,6 +77,7 @@ class SessionLock:
         if self._file.closed:
             return
         with contextlib.suppress(OSError):
+            # Before the lock goes: else it could be the next writer's file that is taken away.
             if sys.platform == "win32":  # where an open file stays
                 self._file.close()
             self._path.unlink()
@@ -100,6 +101,7 @@ def writer_of(folder: Path) -> str:
 
 def _locked(path: Path) -> FileIO | None:
     """Return the file with the lock on it; None where another holds it."""
+    # Not "w": until the lock is had, the file must go on naming its holder.
     file = FileIO(path, "a+", opener=_open_no_link)
     try:
         _take(file, shared=False)

@@ -127,6 +127,7 @@ class SessionLog:
                     self.scene_changed |= self._differs(item)
                     if item.continues:
                         continue
+                # The last counts stand behind the end.
                 ended = isinstance(item, Ending) or (ended and isinstance(item, Totals))
                 yield item
         if not ended and not self.written_by:
@@ -181,6 +182,7 @@ class Segment:
         self._mcap = McapFile(path)
         self._lines = read_lines(path)
         lines = self._lines
+        # The last segment may be growing: only a line that does not fit is damage there.
         if lines is None or lines.closed or (last and not lines.lost):
             return
         self.finding = f"{lines_path(path).name} is damaged"
@@ -273,6 +275,7 @@ class McapFile:
                     elif isinstance(record, Statistics) and record.message_count != count:
                         self.complete = False
                         raise DamagedError(f"{record.message_count - count} messages are missing")
+                    # Only the index comes behind it.
                     self.complete |= isinstance(record, DataEnd)
                     if not self.complete:
                         self._good_bytes = file.tell()
@@ -412,6 +415,7 @@ def _write_anew(path: Path, lines: Lines | None) -> tuple[str, bool]:
     fresh.unlink(missing_ok=True)
     with fresh.open("xb") as target:
         count, why = _copy(source, target)
+        # Whole on the medium before it takes the name of the file that it replaces.
         os.fsync(target.fileno())
     lost = source.lost
     kept = _put_aside(path, "damaged")

@@ -86,6 +86,7 @@ def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Jou
     InputError
         The folder holds a session already, or cannot be made, or the scene's files cannot be copied.
     """
+    # Asked first: a folder that is being recorded to is not empty either, and this says more.
     if who := writer_of(folder):
         raise InputError(f"{folder}: is being recorded by {who}; name another folder.")
     _demand_empty(folder)
@@ -256,6 +257,7 @@ class JournalWriter:
 
     def unix_ns(self, host_ns: int) -> int:
         """Return the time of day of a moment of the monotonic clock, ns since 1970."""
+        # MCAP's times have no sign.
         return max(0, host_ns - self._monotonic_ns + self._unix_ns)
 
     def _open_segment(self, host_ns: int, *, continues: bool) -> None:
@@ -299,6 +301,7 @@ class JournalWriter:
         self._channels = {topic: self._mcap.register_channel(topic, "json", json_schema) for topic in (EVENT_TOPIC, NOTE_TOPIC)}
         self._channels |= {topic: self._mcap.register_channel(topic, "cdr", schemas[name]) for topic, name in carried.items()}
         self._add_event({"host_ns": host_ns, "type": "segment", **about})
+        # On the medium at once: a session whose first segment has no beginning is none.
         self._flush(sync=True)
 
     def _follow(self, host_ns: int) -> None:
@@ -318,6 +321,7 @@ class JournalWriter:
         self._add_document(EVENT_TOPIC, event["host_ns"], event, self._items - 1)
 
     def _add_document(self, topic: str, host_ns: int, document: dict[str, Any], sequence: int, key: str = "") -> None:
+        # A NaN that slipped through would make a line that only Python can read.
         data = json.dumps({"n": self._documents, **document}, allow_nan=False).encode()
         self._add(topic, self.unix_ns(host_ns), data, sequence)
         self._documents += 1
@@ -344,6 +348,7 @@ class JournalWriter:
         self._mcap.finish()
         self._file.flush()
         os.fsync(self._file.fileno())
+        # Last: "closed" vouches for the end of the other file.
         self._lines.close(self._items)
         self._file.close()
 
@@ -378,10 +383,12 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
             if named is not None:
                 text = _copy_named(text, str(named), scene.path.parent, folder)
         target = folder / SCENE_FILE
+        # Without `newline` Windows would write other line ends than the text has.
         target.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
         why = error.strerror
         raise InputError(f"{folder}: the scene cannot be copied ({why}); check {scene.path} and the space.") from None
+    # Refused now, and not when the recorded session is opened.
     load_scene(target)
     return target
 

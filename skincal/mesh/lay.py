@@ -65,6 +65,7 @@ def subdivided(outline: FloatArray) -> FloatArray:
     pieces: list[FloatArray] = []
     for start, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / OUTLINE_STEP)))
+        # Without its end, with which the next side begins.
         pieces.append(start + np.arange(count)[:, None] / count * (end - start))
     return np.concatenate(pieces)
 
@@ -94,6 +95,7 @@ def stand(surface: Surface, anchor: Anchor, name: str) -> Footing:
 
     Raises InputError: as for `lay`.
     """
+    # Only triangles that face the way the anchor does: the inner wall of a cover may lie as near.
     found = nearest_to_rows(surface, np.eye(3)[None], anchor.point[None], -anchor.normal[None])
     if found.triangles[0] < 0:
         raise InputError(f"{name}: no triangle of the surface faces its normal {anchor.normal.tolist()}; correct the normal.")

@@ -95,6 +95,7 @@ def fan(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
 def _read_stl(data: bytes) -> Mesh:
     count = int.from_bytes(data[80:_STL_HEADER], "little") if len(data) >= _STL_HEADER else -1
     size = _STL_HEADER + count * _STL_RECORD.itemsize
+    # By the size and not by the first word: there are binary files that begin with "solid".
     if count >= 0 and len(data) == size:
         corners = np.frombuffer(data, _STL_RECORD, count, _STL_HEADER)["corners"].astype(float).reshape(-1, 3)
     elif data.lstrip()[:5].lower() == b"solid":
@@ -147,6 +148,7 @@ def _read_off(data: bytes) -> Mesh:
         return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
     if lines[0].split()[0] != b"OFF":
         raise ValueError("the first word is not OFF")
+    # The counts may stand on the line of the first word.
     lines = [*([lines[0].strip()[3:]] if lines[0].strip() != b"OFF" else []), *lines[1:]]
     vertex_count, face_count = (int(word) for word in lines[0].split()[:2])
     if len(lines) < 1 + vertex_count + face_count:
@@ -203,6 +205,7 @@ def _read_ply(data: bytes) -> Mesh:
 
 def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
     head, mark, body = data.partition(b"end_header")
+    # Latin-1 takes every byte: comments in the header come in any encoding.
     lines = [line.split() for line in head.decode("latin-1").splitlines()]
     if not mark or not lines or lines[0] != ["ply"]:
         raise ValueError("no PLY header")
@@ -221,6 +224,7 @@ def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
             case _:
                 continue
     if order:
+        # One line end and no more: a binary body may begin with the same bytes.
         return elements, _Body(body[2:] if body[:2] == b"\r\n" else body[1:], order)
     # Words become doubles, whatever their type, so that both kinds of body are read alike.
     return elements, _Body(np.array(body.split(), dtype="S").astype("<f8").tobytes(), "<")

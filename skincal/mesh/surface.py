@@ -79,6 +79,7 @@ def once_for_each(make: Callable[[Surface], Made]) -> Callable[[Surface], Made]:
     @wraps(make)
     def find(surface: Surface) -> Made:
         with lock:
+            # Made under the lock: another thread that asks for the same waits, rather than make it, too.
             if surface not in kept:
                 kept[surface] = make(surface)
             return kept[surface]

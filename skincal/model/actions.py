@@ -176,6 +176,7 @@ def from_json(document: Mapping[str, Any]) -> Action:
     if kind is None:
         raise InputError(f"action {document.get('do')!r}: expected one of {', '.join(_KINDS)}; a newer skincal may know it.")
     values = {key: _frozen(value) for key, value in document.items() if key != "do"}
+    # Types as they are written: in this module annotations stay text.
     wanted = {item.name: str(item.type) for item in fields(kind)}
     # What was added to an action since has a default: sessions of old lack it.
     values = {item.name: item.default for item in fields(kind) if item.default is not MISSING} | values
@@ -193,4 +194,5 @@ def _is(value: object, type_: str) -> bool:
     """Return whether a value is of a field's type, as its annotation has it."""
     if isinstance(value, tuple):
         return type_ in _LISTS and all(type(each) is _LISTS[type_] for each in cast("tuple[object, ...]", value))
+    # The very type, since true and false are whole numbers to Python.
     return type(value) is _TYPES.get(type_)

@@ -219,6 +219,7 @@ def _read_kind(name: str, table: Table) -> ModuleKind:
     taxels = np.flatnonzero(~np.isnan(pads).any(axis=1))
     if centre not in taxels:
         raise InputError(f"{table.where}: centre_pad is {centre}; expected one of its taxels, {taxels.tolist()}.")
+    # One coordinate alone is no place.
     pads[np.isnan(pads).any(axis=1)] = np.nan
     return ModuleKind(name, pads, outline, centre)
 

@@ -71,6 +71,7 @@ class Corrections:
         return self._set(self._kept_beside(action.of), f"end of the correction of {KINDS[action.of]}")
 
     def _kept_beside(self, of: str) -> dict[str, UsedCorrection]:
+        # The rig's correction was found under the frame that was in use, and holds under no other.
         return {FRAME: self.used[FRAME]} if of == RIG and FRAME in self.used else {}
 
     def _set(self, used: Mapping[str, UsedCorrection], words: str) -> Step:
@@ -116,6 +117,7 @@ class Corrections:
         force, point = progress.force, progress.axis_point
         if not self.used or reported is None or not np.isfinite(point).all() or not force.any():
             return force, point
+        # Back into the sensor's frame as reported, corrected there, and out by the pose as it truly is.
         force, moment = move_wrench(np.asarray(np.linalg.inv(reported), dtype=np.float64), force, np.cross(point, force))
         for used in self.used.values():
             force, moment = used.correction.wrench(force, moment)

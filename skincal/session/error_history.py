@@ -77,6 +77,7 @@ def spreads_of(errors: FloatArray, groups: IntArray, count: int) -> FloatArray:
     """
     result = np.full((count, 4), np.nan)
     result[:, TAXELS] = 0.0
+    # Group by group, and by size within each, so that percentile and maximum are places in it.
     order = np.lexsort((errors, groups))
     errors, bounds = errors[order], np.searchsorted(groups[order], np.arange(count + 1))
     for group, (start, end) in enumerate(pairwise(bounds.tolist())):
@@ -148,6 +149,7 @@ class Recount:
         self._session = Session(scene, surface)
         self._session.find_dead(dead)
         self._rule, self._contacts = rule, contacts
+        # Backwards, since `pop` takes from the end.
         self._wanted, self._taken = list(reversed(wanted)), 0
         self.reach = wanted[-1]
         """How many of the contacts the points are made from."""

@@ -186,6 +186,7 @@ class LandmarkGuide:
         """Return the guidance of the skin with a landmark before it, where one is asked for; `now_s` as for `SessionGuide`."""
         here = self._key(snapshot.pose, snapshot.link_from_sensor)
         if here != self._stance:
+            # The first pose, and one that the scene names, are not on the way to another: they hold at once.
             self._stance, self._stance_s = here, now_s if self._stance and not self._is_named(here) else -np.inf
         still = now_s - self._stance_s >= STILL_S
         known = ([landmark.name for landmark in snapshot.landmarks], snapshot.at_landmarks, here, still, guidance)

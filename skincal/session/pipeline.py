@@ -179,9 +179,11 @@ class Pipeline:
         links : where the items come from now; as before if None
         journal : the new segment, which is refused as by `demand_record`; None records nothing
         """
+        # The new segment holds the folder's lock by now, and gives it back as it is closed.
         if journal is not None and self.journal_failure:
             journal.close()
             self.demand_record()
+        # Before the new intake, which counts from zero.
         self._earlier = self.totals()
         self.session.settle()
         self._connect(self.links if links is None else links)
@@ -204,6 +206,7 @@ class Pipeline:
 
     def close(self) -> None:
         """Finish the journal; the session stays."""
+        # As if half a second had passed, so that what is left is due.
         self._decoded_wrenches(self._decoded_ns + DECODED_NS)
         self.put_down(self._now_ns)
         self._record(lambda journal: journal.close())
@@ -224,6 +227,7 @@ class Pipeline:
 
     def _settle_item(self, item: Item, outcomes: Sequence[Outcome]) -> None:
         """Give the session what an item led to, and the journal both; then find which new pokes were at a landmark."""
+        # Asked before the outcomes are taken: the second outcome of a poke is no new poke.
         last = self.session.last_poke
         self._note(item, outcomes)
         new = {outcome.poke: outcome for outcome in outcomes if outcome.poke > last}
@@ -331,6 +335,7 @@ class _Poses:
         if angles is not None:
             angles = angles[list(arm.arm.joints)]
             if self._angles is None or not np.array_equal(angles, self._angles):
+                # Kept while the arm stands: kinematics cost, and the same object says to others that nothing changed.
                 self._angles = angles
                 self._streamed = _pose_name(arm, angles), arm.arm.link_from_sensor(angles)
         if not chosen and self._streamed is not None:
@@ -346,4 +351,5 @@ def _pose_name(arm: ArmSpec, angles: FloatArray) -> str:
     for name, named in arm.poses.items():
         if np.abs(named - angles).max(initial=0.0) <= arm.tolerance:
             return name
+    # Adding zero makes 0 of -0, which would be the name of another pose.
     return ", ".join(f"{angle:.0f} deg" for angle in np.degrees(angles).round() + 0.0)

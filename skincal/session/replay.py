@@ -56,6 +56,7 @@ def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
     pipeline = _new_pipeline(log, layout)
     misfits: list[str] = []
     for item in log.state():
+        # A later segment may be of another scene or an older version: that is known when it is reached.
         if log.scene_changed or not log.has_notes:
             return _played(SessionLog(log.folder, own=log.own), layout)
         try:
@@ -75,6 +76,7 @@ def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
 
 def _load_step(pipeline: Pipeline, item: LogState) -> None:
     if isinstance(item, Stamped):
+        # Not the pipeline's `act`: what the detector made of an action stands in the notes that follow.
         pipeline.session.act(item.action)
     elif isinstance(item, Taken | Totals):
         pipeline.take(item)

@@ -101,6 +101,7 @@ class Asked:
         return Change(
             generation=self.generation,
             since=since,
+            # By identity: `Session.framed` returns the same object for what did not change.
             pokes={number: poke for number, poke in now.items() if before.get(number) is not poke},
             gone=tuple(before.keys() - now.keys()),
             landmarks=snapshot.landmarks,

@@ -320,6 +320,7 @@ class Session:
         """Correct every poke anew, from what the rig reported."""
         for poke, record in self._records.items():
             outcome = self._corrections.corrected(poke)
+            # A value under a key that is there may be changed while the items are walked.
             self._records[poke] = replace(record, outcome=outcome)
             if isinstance(outcome, Contact):
                 self._solving.poke_changed(poke, ())
@@ -356,6 +357,7 @@ class Session:
                     self._answers[channel] += by
 
     def _changed(self) -> None:
+        # What changes between two snapshots is one generation: nobody saw it apart.
         if self._snapshot is not None:
             self._generation += 1
             self._snapshot = None
@@ -395,6 +397,7 @@ class Session:
             self._marked, self._revived = marked, revived
             self._solving.taxels_changed([channel])
 
+        # New sets, none changed in place: the step keeps those before to put them back.
         marked, revived, this = self._marked, self._revived, {channel}
         put(marked | this if mark else marked - this, revived - this if mark else revived | this)
         words = f"mark of channel {channel}" if mark else f"return of channel {channel}"

@@ -139,6 +139,7 @@ class Solving:
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules = self.module_model.modules_of(channels)
+            # The surface method's first, where there are any: the search for a module begins with the best.
             others = [self._alike[method] for method in reversed(self._alone)]
             found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead, shared=self.shared)
             self._estimates[Method.MODULES].update(found)

@@ -100,6 +100,7 @@ class _Rig(Rig):
     """A rig that finds the taxels near a tip by a search tree, in their order of distance."""
 
     def _near(self, points: FloatArray) -> IntArray:
+        # Asked for a list of ranks, scipy answers with a column each, also where there is one taxel.
         near: IntArray = self._tree.query(points, np.arange(1, min(NEIGHBOURS, len(self.places)) + 1))[1]
         return near
 

@@ -127,6 +127,7 @@ def _tared_noise(rig: Rig, count: int, rng: np.random.Generator) -> tuple[FloatA
     """Return (n, 6) noise and drift that a tare around every poke leaves, and (n,) by how many newtons the tares differ."""
     settings = rig.scene.contacts
     still = _window_noise(rig, count, settings.still_s, rng)
+    # Drift is counted from the press: the tares before and after it are off by a walk of their own each.
     walk = drift_step(rig.errors) * np.sqrt(TARE_TO_STILL_S)
     before = _window_noise(rig, count, settings.quiet_s, rng) - walk * rng.standard_normal((count, 6))
     after = _window_noise(rig, count, settings.quiet_s, rng) + walk * rng.standard_normal((count, 6))

@@ -204,6 +204,7 @@ def looks(limit: int) -> IntArray:
 def run_course(part: Bench, way: str, method: Method, conditions: Conditions, seed: int, limit: int) -> ErrorCourse:
     """Poke `limit` times, and look at the errors now and then."""
     rig = rig_beside(part, conditions, seed)
+    # Another stream than the rig's: every way to poke meets the same rig of a seed.
     rng = np.random.default_rng([seed, 11])
     steps = _followed if way in FOLLOWED else _unguided
     at = set(looks(limit).tolist())

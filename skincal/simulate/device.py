@@ -119,6 +119,7 @@ class SimulatedDevice:
     def due(self, end: float) -> FloatArray:
         """Return (n,) the times of the readings that fall before `end`, and count them as made."""
         # Counted from the start, not from the last block: so the times of readings do not depend on how blocks are cut.
+        # The 1e-9 keeps a product that rounding made too large from being one reading more.
         until = int(np.ceil(end * self.hz - 1e-9))
         times = np.arange(self.made, until) / self.hz
         self.made = max(self.made, until)
@@ -129,6 +130,7 @@ class DeviceTimeline:
     """Runs rig, operator and devices along one time line; where the scene has an arm, its joints are a link, too."""
 
     def __init__(self, rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None) -> None:
+        # Streams of their own: a sensor that draws more changes nothing of the others.
         noise, boards, self._skin_rng = rng.spawn(3)
         self.rig, self.operator, self.settings = rig, operator, settings or DeviceSettings()
         self.now = 0.0
@@ -165,6 +167,7 @@ class DeviceTimeline:
             data = self._bytes(board, begin, end)
             if data:
                 at, data = board.line.send(data, end, end - begin)
+                # The count stands before the bytes: of two that arrive at once the one that was sent first comes first.
                 heapq.heappush(self._arrivals, (round(at * NANOSECONDS), self._sent, board.link, data))
                 self._sent += 1
         self._blocks += 1
@@ -178,6 +181,7 @@ class DeviceTimeline:
     def _schedule(self, end: float) -> None:
         """Ask the operator for what begins in this block, and forget what is over."""
         if not self.operator.done:
+            # An operator who had nothing to do is asked about now, not about the time that passed.
             self._free = max(self._free, self.now)
         while self._free < end:
             action = self.operator.next(self._free)
@@ -198,6 +202,7 @@ class DeviceTimeline:
         times = board.due(end)
         if board.stream is Stream.WRENCH:
             stamps = board.clock.us(times)
+            # Also in a block without a reading: the sensor's noise goes on from block to block.
             return data + board.encoder.wrenches(stamps, self._wrenches(times, begin, end))
         if not len(times):
             return data
@@ -276,6 +281,7 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
     if arm is not None:
         wanted.append((Stream.JOINTS, settings.joints_hz, errors.skin_latency, max(arm.arm.joints) + 1, about_arm))
     boards: list[SimulatedDevice] = []
+    # Three streams also without an arm, so that no board draws otherwise because of it.
     for (stream, hz, latency, width, about), own in zip(wanted, rng.spawn(3), strict=False):
         clock = Clock(errors, own)
         encoder = make_encoder(settings.format, top, width if stream is Stream.SKIN else 0)
@@ -303,6 +309,7 @@ def cobs(data: bytes) -> bytes:
             out.append(0xFF)
             out += rest[:COBS_RUN]
             rest = rest[COBS_RUN:]
+            # A full run at the very end: no block stands for the zero that does not follow.
             if not rest and index == len(pieces) - 1:
                 return bytes(out)
         out.append(len(rest) + 1)
@@ -324,6 +331,7 @@ class SkbEncoder:
 
     def wrenches(self, t_us: IntArray, wrenches: FloatArray) -> bytes:
         """Return (n, 6) wrenches, N and N m, stamped (n,) microseconds; status 0."""
+        # The seventh is the status, an integer: 0 has the same bytes as a float.
         payloads = np.zeros((len(wrenches), 7), dtype="<f4")
         payloads[:, :6] = wrenches
         raw = payloads.tobytes()
@@ -339,6 +347,7 @@ class SkbEncoder:
 
     def _frame(self, kind: int, t_us: int, payload: bytes) -> bytes:
         seq = self._count[kind]
+        # Python adds before it masks.
         self._count[kind] = seq + 1 & 0xFFFF
         body = SKB_HEAD.pack(kind, 0, seq, t_us & 0xFFFFFFFF) + payload
         return cobs(body + binascii.crc_hqx(body, CRC_START).to_bytes(2, "little")) + b"\x00"

@@ -94,6 +94,7 @@ class RigErrors:
     @classmethod
     def none(cls) -> RigErrors:
         """Return a perfect rig: exact readings that arrive at once. The skin still lies beside its plan."""
+        # What errors are measured in stays, since they are divided by it; and the mounting, which is no error of the rig.
         kept = {"matrix_arm", "slow_s", "drift_session_s", "burst_s", "mount_shift", "mount_turn"}
         perfect: dict[str, Any] = {item.name: 0.0 for item in fields(cls) if item.name not in kept}
         return cls(**perfect)

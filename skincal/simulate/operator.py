@@ -387,6 +387,7 @@ class Auto:
         if not self._round:
             order = self._rng.permutation(self._channels)
             pokes = aim(self._rig, order, self._habits, self._rng)
+            # Backwards, since `pop` takes from the end.
             self._round = [pokes.take(slice(i, i + 1)) for i in range(len(order) - 1, -1, -1)]
         self.begun += 1
         return press(self._rig, self._round.pop(), now, self._habits, self._rng)
@@ -467,6 +468,7 @@ class Guided(Auto):
             raise InputError("poke and pose are for --operator told; expected target, any or wait.")
         if isinstance(order, TargetOrder) and order.channel is not None:
             self._rig.row_of(order.channel)
+        # Without a lock: in Python one assignment is seen whole by every thread.
         self._newest = order
 
     def next(self, now: float) -> OperatorAction | None:
@@ -485,6 +487,7 @@ class Guided(Auto):
             self._touch = now + self._rng.uniform(*self._habits.approach_s)
         if now < self._touch - self._habits.reaction_s:
             return None
+        # A hand that had to wait touches now, not in the past.
         touch, self._touch = max(self._touch, now), None
         self.begun += 1
         # Its approach is over: the hand has been on its way since it saw a target.
@@ -512,6 +515,7 @@ class Guided(Auto):
     def _at_point(self, target: TargetOrder) -> PressedPlaces:
         """Return how the hand pokes a known point: there, whether or not the surface and the skin pass through it."""
         firm, rng = LandmarkHabits(), self._rng
+        # Without a surface the push itself says which way is outward.
         normal = _on_skin(self._rig, target.place[None], -target.push[None])[1]
         e1, e2 = tangents(normal)
         beside = firm.aim * rng.standard_normal(2)

@@ -89,6 +89,7 @@ class TcpOutlet:
     """A port on this machine; every client gets the same bytes."""
 
     def __init__(self) -> None:
+        # A port that is free, and for this machine alone.
         self._server = socket.create_server(("127.0.0.1", 0))
         self._server.setblocking(False)
         self._clients: dict[socket.socket, bytearray] = {}
@@ -101,9 +102,11 @@ class TcpOutlet:
             while True:
                 client, _ = self._server.accept()
                 client.setblocking(False)
+                # At once: small blocks would wait until the other side has acknowledged the one before.
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._clients[client] = bytearray()
                 came = True
+        # Over a copy, since a client that is gone is dropped meanwhile.
         return came, b"".join(self._read(client) for client in list(self._clients))
 
     def _read(self, client: socket.socket) -> bytes:

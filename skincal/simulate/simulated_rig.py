@@ -256,6 +256,7 @@ class Rig:
         """Return (n, k) the taxels that may feel a tip at each point."""
         near = min(NEIGHBOURS, len(self.places))
         if near == len(self.places):
+            # numpy parts a few from more, not all from all.
             return np.tile(np.arange(near), (len(points), 1))
         rows = np.empty((len(points), near), dtype=np.int64)
         for start in range(0, len(points), NEAR_BLOCK):

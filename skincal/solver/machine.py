@@ -100,6 +100,7 @@ class Machine:
     def _look(self) -> None:
         """See where the memory is, and how large."""
         have = self._memory.data_len(self._store)
+        # Only growing moves the memory, and then its length is another.
         if have != len(self._bytes):
             address = ctypes.addressof(self._memory.data_ptr(self._store).contents)
             self._bytes = np.frombuffer(memoryview((ctypes.c_uint8 * have).from_address(address)), dtype=np.uint8)

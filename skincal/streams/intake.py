@@ -112,6 +112,7 @@ class HullClock:
         if self._jumped(device_s, y, late):
             self._begin(device_s, arrival_s)
             x, y, late = 0.0, 0.0, 0.0
+        # Nothing is dated after its arrival: a point below the line pushes it down at once, not at the bucket's end.
         if late < 0.0:
             self._offset += late
             late = 0.0
@@ -151,7 +152,10 @@ class HullClock:
                 # The device was silent for the whole window: the reading that ends the pause is all that counts.
                 self._points.append((x, y))
         self._bucket_start, self._lowest = x, (x, y)
+        # Sorted: a skin frame may be stamped a little before the wrench that was sent ahead of it: one line serves all
+        # streams of a device.
         self._offset, self._slope = supporting_line(sorted(self._points), self._slope_change_max)
+        # The reading that ends the bucket is not among the points yet, and the line may not lie above it either.
         self._offset += min(y - self._offset - self._slope * x, 0.0)
 
 
@@ -168,6 +172,7 @@ def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: flo
             slope = (y1 - y0) / (x1 - x0)
             break
     slope = min(max(slope, 1.0 - slope_change_max), 1.0 + slope_change_max)
+    # Found anew: a line through the edge whose slope was then held back would cut through other points.
     return min(y - slope * x for x, y in hull), slope
 
 
@@ -203,6 +208,7 @@ class IndexClock:
             self._learn(arrival_s)
             return arrival_s
         made_s = self._hull.map(self._count * self._period, arrival_s)
+        # By the least of a bucket: queueing makes single readings late, a lost reading makes all of them late.
         self._least_late = min(self._least_late, arrival_s - made_s)
         if arrival_s - self._bucket_s >= BUCKET_S:
             if self._least_late > max(LOST_PERIODS * self._period, LOST_S):
@@ -330,6 +336,7 @@ class Intake:
         arrived = link.take_chunk(item) if isinstance(item, Chunk) else link.take_event(item)
         for arrival_ns, batch in arrived:
             self._take(link, batch, arrival_ns * 1e-9)
+        # Two readers stamp their bytes before they queue them, so items may be out of order by a little.
         self._now_s = max(self._now_s, item.host_ns * 1e-9)
         return self._pairing.advance(self._now_s)
 
@@ -384,6 +391,7 @@ class _LinkIntake:
         if self._last_ns == 0 and self._state is LinkState.LOST:
             self._state, self._text = LinkState.OPEN, ""
         self._last_ns = chunk.host_ns
+        # Found before the batches are dated: after a loss a count of readings no longer tells the time.
         before = self._broken()
         batches = self._decoder.feed(chunk.data, chunk.host_ns)
         if self._broken() > before:
@@ -398,6 +406,7 @@ class _LinkIntake:
             batches = self._decoder.finish()
             self._count(batches)
         elif event.state is LinkState.OPEN and self._last_ns:
+            # A new decoder: half a record from before the break must not run into the first one after it.
             self._before += self._decoder.counts
             self._decoder = self._new_decoder()
             self.stamper.reopened()
@@ -430,6 +439,7 @@ class _LinkIntake:
     def _rate_until(self, now_ns: int) -> float:
         """Return readings per second over the last two seconds, or since the first reading where that is less."""
         now_step_ns = now_ns - now_ns % RATE_STEP_NS
+        # The step in progress is not full yet: with it the rate would flicker.
         counted = [(step_ns, count) for step_ns, count in self._rate if now_step_ns - RATE_NS <= step_ns < now_step_ns]
         if not counted:
             return 0.0

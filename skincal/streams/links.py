@@ -113,6 +113,7 @@ def parse_address(address: str) -> Address:
     if address.startswith(SOCKET_PREFIX):
         return Address(LinkKind.TCP, *_host_and_port(address))
     path, baud = split_baud(address)
+    # Before the schemes: the name of a file that is there may begin like one.
     if path.startswith(FILE_PREFIX) or Path(path).is_file():
         return Address(LinkKind.FILE, path.removeprefix(FILE_PREFIX), baud)
     scheme = SCHEME.match(address)
@@ -189,8 +190,10 @@ class SerialLink:
         self._name = port
         self._errors = _serial_errors()
         try:
+            # Exclusive: on POSIX two programs could open one port otherwise, and each would get some of its bytes.
             # Not `serial_for_url`: it takes more for a URL than a port's name.
             self._port: Any = serial.Serial(port, baudrate=baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
+        # What pyserial raises for a rate that it cannot set.
         except ValueError as error:
             raise LinkFailure(
                 FailureKind.ADDRESS, f"{port} does not open at {baud} baud ({error}); check the address and its @BAUD."
@@ -215,6 +218,8 @@ class SerialLink:
             if self._port.timeout != timeout_s:
                 # Each assignment sets up the whole port again.
                 self._port.timeout = timeout_s
+            # pyserial's `read(n)` waits until all n bytes are there or the time is over: so one is awaited, and what is
+            # there with it is taken.
             first: bytes = self._port.read(1)
             waiting: int = self._port.in_waiting if first else 0
             return first + self._port.read(min(waiting, READ_BYTES)) if waiting else first
@@ -245,6 +250,7 @@ class TcpLink:
             self._socket = socket.create_connection((host, port), CONNECT_S)
         except OSError as error:
             raise _connect_failure(address, error) from error
+        # A server that lost its power says no goodbye: without probes of the system's, `recv` would wait for it for ever.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
 
     def read(self, timeout_s: float) -> bytes:
@@ -397,6 +403,7 @@ class PlaybackLink:
         for _, batch in self._decoder.feed(block, round(self._due_s * 1e9)):
             self._device_s = float(batch.device_s[-1])
         passed_s = self._device_s - before
+        # No clock, or none yet, is NaN, which is not >= 0 either.
         self._due_s += passed_s if passed_s >= 0 else len(block) * self._byte_s
         return block
 
@@ -452,6 +459,7 @@ class Reader:
     def stop(self) -> None:
         """Stop reading and close the link; waits for the thread, at most two seconds."""
         self.halt()
+        # A thread that was never started cannot be joined: Python raises.
         if self._thread.ident is not None:
             self._thread.join(JOIN_S)
 
@@ -487,12 +495,14 @@ class Reader:
             return ended
         finally:
             link.close()
+        # Only a stop ends the reading without a failure.
         return True
 
     def _read(self, link: Link) -> None:
         while not self._stop.is_set():
             data = link.read(READ_S)
             if data:
+                # Stamped at once, by a clock that nobody can set back while a session runs.
                 self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data))
 
     def _could_not_open(self, failure: LinkFailure) -> None:

@@ -298,7 +298,7 @@ def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
     assert paints.count == 1
 
 
-def test_a_done_taxel_is_told_by_shape_and_what_is_missing_by_words(taxels):
+def test_a_done_taxel_is_shown_by_shape_and_what_is_missing_by_words(taxels):
     taxels.show_state(framed(guidance()))
     good = pixels(taxels)
     taxels.show_state(framed(guidance(done=(3,)), 2))

@@ -111,9 +111,9 @@ def reopened(bench, kept: Path, estimates: dict, path: Path) -> None:
     assert bench.controller.running is Running.OFFLINE
     assert known(bench.snapshot) == estimates
     assert bench.window.session_view.workspace.now.headline.text() == "no device connected"
-    told: list[tuple[str, ...]] = []
-    bench.controller.export("csv", path, Method.SURFACE, None, told.append, pytest.fail)
-    bench.until(lambda: bool(told), OPEN_MS)
+    findings: list[tuple[str, ...]] = []
+    bench.controller.export("csv", path, Method.SURFACE, None, findings.append, pytest.fail)
+    bench.until(lambda: bool(findings), OPEN_MS)
     with path.open() as file:
         rows = {(r["method"], int(r["channel"])): r for r in csv.DictReader(file)}
     for estimate in bench.snapshot.estimates[Method.SURFACE]:
@@ -176,7 +176,7 @@ def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
     assert not is_elided(head)
 
 
-def test_what_a_kill_left_is_told_as_a_finding(bench, recorded):
+def test_what_a_kill_left_is_said_as_a_finding(bench, recorded):
     segment = recorded / "segment-0001.mcap"
     segment.write_bytes(segment.read_bytes()[:-3000])
     bench.open(OpenRequest(session=recorded))

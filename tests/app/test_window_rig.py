@@ -88,9 +88,9 @@ class Poked:
         number, before = self.pipeline.session.last_poke + 1, self.frame
         landmark = next(each for each in self.pipeline.session.landmarks if each.name == self.asked)
         pokes = poke_landmarks(self.rig, (landmark,), 1, self.rng, number)
-        told = replace(next(poke for poke in pokes if poke.pose == POSE), poke=number)
+        made = replace(next(poke for poke in pokes if poke.pose == POSE), poke=number)
         start_s = time.monotonic() + 1.0
-        rest = {"force": told.force, "moment": told.moment, "link_from_sensor": told.link_from_sensor, "pose": POSE}
+        rest = {"force": made.force, "moment": made.moment, "link_from_sensor": made.link_from_sensor, "pose": POSE}
         channels = np.array([self.near()[0]] if answered else [], dtype=np.int64)
         if answered:
             outcome = Contact(
@@ -104,7 +104,7 @@ class Poked:
         return number
 
     def end_as(self, outcome) -> None:
-        """Have the pipeline settle a poke, as at the end of one that the devices told of."""
+        """Have the pipeline settle a poke, as at the end of one that the devices reported."""
         self.pipeline._settle_item(LinkEvent("wrench", time.monotonic_ns(), LinkState.OPEN), [outcome])
 
     def until_offered(self) -> None:
@@ -227,10 +227,10 @@ def test_the_session_goes_on_before_its_value_is_made_and_no_value_shows_half_of
     show = workspace.show_state
     monkeypatch.setattr(workspace, "show_state", lambda state: (states.append(state), show(state)))
     name, number = poked.asked, poked.poke()
-    told = [state for state in states if state.snapshot.pokes[-1].outcome.poke == number]
-    assert told
-    assert {state.snapshot.at_landmarks.get(number) for state in told} == {name}
-    assert {state.target.landmark for state in told} == {poked.asked}, "what is asked for next is in the same value"
+    showing = [state for state in states if state.snapshot.pokes[-1].outcome.poke == number]
+    assert showing
+    assert {state.snapshot.at_landmarks.get(number) for state in showing} == {name}
+    assert {state.target.landmark for state in showing} == {poked.asked}, "what is asked for next is in the same value"
     assert poked.pipeline.asked_landmark == poked.asked
 
 
@@ -341,7 +341,7 @@ def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked,
 
 
 def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(poked, monkeypatch, tmp_path):
-    bench, told = poked.bench, []
+    bench, refusals = poked.bench, []
     monkeypatch.setattr(controller, "AT_ONCE", 10)
     monkeypatch.setattr(controller, "SOLVE_S", 0.0)
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
@@ -356,8 +356,8 @@ def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(p
     assert not bench.snapshot.corrections
     assert not bench.controller.act(SetPose(""))
     assert bench.messages[-1].text == STILL_SOLVING
-    bench.controller.export("csv", tmp_path / "c.csv", Method.SURFACE, None, pytest.fail, told.append)
-    assert told == [STILL_SOLVING]
+    bench.controller.export("csv", tmp_path / "c.csv", Method.SURFACE, None, pytest.fail, refusals.append)
+    assert refusals == [STILL_SOLVING]
     ticks.start()
     bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
     assert bench.controller.act(Undo())

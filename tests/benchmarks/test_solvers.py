@@ -73,22 +73,22 @@ def test_the_forearm_from_its_contacts(benchmark, forearm, forearm_contacts, met
 
 @pytest.mark.parametrize("method", BOTH)
 def test_the_whole_body_from_its_contacts(benchmark, torso, torso_contacts, method):
-    told = (torso_contacts, torso.channels, [method], torso.scene.noise, torso.surface)
-    found = benchmark.pedantic(estimate_taxels, told, rounds=3, warmup_rounds=1)
+    arguments = (torso_contacts, torso.channels, [method], torso.scene.noise, torso.surface)
+    found = benchmark.pedantic(estimate_taxels, arguments, rounds=3, warmup_rounds=1)
     assert len(found[method]) == 4200
 
 
 @pytest.mark.parametrize("method", BOTH)
 def test_the_whole_body_from_a_sessions_ledger(benchmark, torso, torso_contacts, method):
-    told = (ContactTable(torso_contacts), torso.channels, [method], torso.scene.noise, torso.surface)
-    found = benchmark.pedantic(estimate_from, told, rounds=3, warmup_rounds=1)
+    arguments = (ContactTable(torso_contacts), torso.channels, [method], torso.scene.noise, torso.surface)
+    found = benchmark.pedantic(estimate_from, arguments, rounds=3, warmup_rounds=1)
     assert len(found[method]) == 4200
 
 
 def test_the_whole_bodys_search(benchmark, torso, torso_contacts):
     systems = alternatives.systems(torso_contacts, torso.channels, torso.scene.noise)
-    told = (torso.surface, systems.roots, systems.offsets, systems.pushes)
-    found = benchmark.pedantic(nearest_to_rows, told, rounds=3, warmup_rounds=1)
+    arguments = (torso.surface, systems.roots, systems.offsets, systems.pushes)
+    found = benchmark.pedantic(nearest_to_rows, arguments, rounds=3, warmup_rounds=1)
     assert (found.triangles >= 0).all()
 
 

@@ -53,6 +53,7 @@ class DeviceTime:
         if last is None:
             self._total_us = raw_us
             return raw_us / MICROSECONDS if raw_us else math.nan
+        # A running clock passes 0 once in 71 minutes and does not stand there: two in a row are no clock.
         if raw_us == 0 and last == 0:
             return math.nan
         half = TIME_MODULUS_US // 2
@@ -79,6 +80,8 @@ class SequenceCounter:
         step = (raw - last) % SEQ_MODULUS
         if step == 1:
             self._note_period(elapsed)
+        # A counter that began anew looks like a great loss. Where the time that passed does not fit the numbers, nothing is
+        # known to be missing, and the device may have another pace now.
         elif step > 1 and not self._fits(step, elapsed):
             self._period = math.nan
             step = 1
@@ -91,6 +94,7 @@ class SequenceCounter:
             self._period = known + (elapsed - known) * PERIOD_WEIGHT
 
     def _fits(self, step: int, elapsed: float) -> bool:
+        # Half the circle ahead is as near behind: the counter went back.
         if step >= SEQ_MODULUS // 2:
             return False
         if math.isnan(self._period) or math.isnan(elapsed):
@@ -133,6 +137,7 @@ class Collector:
             return None
         width = self._widths[stream]
         if width is None:
+            # No scene says how many joints there are: the first reading does.
             width = self._widths[stream] = len(values)
         if len(values) != width:
             self.note = f"{stream.value} readings of {len(values)} values arrive where {width} are expected; {_MEND[stream]}"
@@ -176,12 +181,14 @@ class Splitter:
         """Return the pieces that `data` completes, without the mark; None stands for one that was too long."""
         cut = (self._rest + data).split(self._mark)
         self._rest = cut.pop()
+        # The rest of a piece that was counted as too long when it was dropped.
         if cut and self._skipping:
             del cut[0]
             self._skipping = False
         pieces: list[bytes | None] = [piece if len(piece) <= self._limit else None for piece in cut]
         if len(self._rest) > self._limit:
             self._rest = b""
+            # Counted once, however many chunks the piece goes on for.
             if not self._skipping:
                 pieces.append(None)
             self._skipping = True

@@ -51,6 +51,7 @@ class TextDecoder(PieceDecoder):
         numbers = None if b"_" in line else to_numbers(fields)
         if numbers is None:
             return self._words(fields)
+        # Without a checksum nothing shows whether the first line after opening lost its front digits.
         return None if self._first else self._numbers(numbers)
 
     def _words(self, fields: list[str]) -> Loss | None:

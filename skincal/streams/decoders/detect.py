@@ -99,6 +99,7 @@ class LinkDecoder:
             return []
         self._chosen = self._text
         held, self._held = self._held, []
+        # Without a reading the search goes on: the device may send words first and its records later.
         if held:
             self._settle(self._text)
         return held
@@ -106,4 +107,5 @@ class LinkDecoder:
     def _settle(self, chosen: PieceDecoder) -> None:
         self._chosen = chosen
         self._probes = None
+        # What the text decoder made of the same bytes must not come twice.
         self._held = []

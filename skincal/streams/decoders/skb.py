@@ -104,6 +104,7 @@ class SkbDecoder(PieceDecoder):
         except UnicodeDecodeError:
             return Loss.UNREADABLE
         self.good += 1
+        # A header that fits takes no other complaint away.
         self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
         return None
 

@@ -1,4 +1,4 @@
-"""A landmark is told: by the command, a click on the part or its coordinates, and a name."""
+"""A landmark is added: by the command, a click on the part or its coordinates, and a name."""
 
 from __future__ import annotations
 

@@ -98,8 +98,8 @@ def test_every_set_that_there_is_can_be_chosen():
     assert sources_of(both, None, laid=True) == (LAYOUT, SURFACE, FREE)
     assert sources_of(both, None, laid=False) == (SURFACE, FREE)
     places = np.zeros((24, 3))
-    for told in (review({Method.FREE: places}, {}), review({}, {Method.FREE: places})):
-        found = sources_of(both, told, laid=False)
+    for answer in (review({Method.FREE: places}, {}), review({}, {Method.FREE: places})):
+        found = sources_of(both, answer, laid=False)
         assert [source_words(source) for source in found[2:]] == ["Free before correction", "Free after correction"]
     assert [source_words(source) for source in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
 
@@ -139,12 +139,12 @@ def test_a_review_holds_one_side_of_a_correction_and_the_session_the_other():
 
 
 def test_the_summary_is_one_line():
-    told = Summary(84, 0.0021, 0.003, 0.0063, 4)
-    assert difference_words(told, (LAYOUT, FREE), NAMES, CHANNELS.tolist()) == approved(
+    summary = Summary(84, 0.0021, 0.003, 0.0063, 4)
+    assert difference_words(summary, (LAYOUT, FREE), NAMES, CHANNELS.tolist()) == approved(
         "compare.summary", count=84, mean_mm=2.1, largest_mm=6.3, taxel="10-04"
     )
     assert difference_words(None, (LAYOUT, FREE), NAMES, []) == approved("compare.none_known")
-    assert difference_words(told, (FREE, FREE), NAMES, []).startswith(approved("compare.same_twice"))
+    assert difference_words(summary, (FREE, FREE), NAMES, []).startswith(approved("compare.same_twice"))
 
 
 def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
@@ -282,8 +282,8 @@ def test_the_operators_choice_stays_and_before_and_after_come_with_a_review(qtbo
     panel.show_state(at(known((0.0, 0.003, 0.0))))
     panel.show_state(at(known((0.0, 0.003, 0.0)), generation=2, method=Method.SURFACE))
     assert panel.boxes[1].currentText() == "Surface method", "it follows the method while nothing was chosen"
-    told = review({Method.FREE: beside(0.008, 0.0, 0.0)}, {Method.FREE: beside(0.001, 0.0, 0.0)})
-    reviewed = replace(at(known(), generation=3), review=told)
+    answer = review({Method.FREE: beside(0.008, 0.0, 0.0)}, {Method.FREE: beside(0.001, 0.0, 0.0)})
+    reviewed = replace(at(known(), generation=3), review=answer)
     panel.show_state(reviewed)
     choose(panel, 0, "Free before correction")
     choose(panel, 1, "Free after correction")

@@ -33,7 +33,7 @@ def test_the_corrected_layout_can_be_saved_only_while_there_is_one(qtbot):
         QTest.keyClick(panel.save, Qt.Key.Key_Return)
     (mend,) = wanted.args
     assert [module.mirror for module in mend.layout.modules] == [False, False]
-    # Taxels that lie otherwise: with too few of module 10 nothing is told of it.
+    # Taxels that lie otherwise: with too few of module 10 nothing is said of it.
     for _ in range(2):
         show(at(known(rows=range(9, 24)), generation=2))
         queue.finish()

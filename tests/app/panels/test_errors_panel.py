@@ -102,8 +102,8 @@ def series(values, missing: int = 0, stride: int = 1) -> ErrorSeries:
 
 
 def test_the_newest_figures_in_words():
-    told = newest_words(series([0.010, 0.0021]), Method.FREE, 0)
-    assert [part in told for part in ("mean 2.1", "p95 4.2", "max 8.4 mm", "5 taxels")] == [True] * 4
+    words = newest_words(series([0.010, 0.0021]), Method.FREE, 0)
+    assert [part in words for part in ("mean 2.1", "p95 4.2", "max 8.4 mm", "5 taxels")] == [True] * 4
     assert "mean \N{EN DASH}" in newest_words(series([]), Method.SURFACE, 0)
     assert axis_words(series([0.01]), Axis.TIME) == "minutes of poking"
     assert axis_words(series([0.01], missing=7), Axis.POKES) == approved("errors.past_missing", count=7)
@@ -444,11 +444,11 @@ def test_a_simulated_sessions_truth_is_found_and_its_error_is_that_of_the_report
     )
     truth = read_reference(recorded / "truth.json")
     for method in BOTH:
-        told = error_summary(bench.snapshot.estimates[method], truth)
+        summary = error_summary(bench.snapshot.estimates[method], truth)
         last = bench.window.session_view.course.series().spreads[method][-1, 0]
-        assert last[TAXELS] == (0 if told is None else told.taxels)
-        if told is not None:
-            assert last[[MEAN, P95, MAX]] == pytest.approx([told.mean, told.p95, told.max])
+        assert last[TAXELS] == (0 if summary is None else summary.taxels)
+        if summary is not None:
+            assert last[[MEAN, P95, MAX]] == pytest.approx([summary.mean, summary.p95, summary.max])
     qtbot.wait(600)
     paints = Paints(bench.window)
     qtbot.wait(1500)
@@ -515,7 +515,7 @@ def test_a_simulated_rig_tells_where_its_taxels_are_and_the_session_keeps_it(qtb
     scene = resource("scenes/flat-patch/scene.toml")
     made = load_part(scene)
     channel = int(made.channels[0])
-    told = {
+    announced = {
         "links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}],
         "link": made.scene.link,
         "taxels": [{"channel": channel, "position_m": [0.0, 0.1, 0.2]}],
@@ -523,7 +523,7 @@ def test_a_simulated_rig_tells_where_its_taxels_are_and_the_session_keeps_it(qtb
     server, order = DeviceProcess(), []
     server.said_truth.connect(lambda truth: order.append(truth))
     with qtbot.waitSignal(server.served, timeout=OPEN_MS) as served:
-        server.start((sys.executable, "-c", f"print({json.dumps(told)!r}, flush=True); input()"))
+        server.start((sys.executable, "-c", f"print({json.dumps(announced)!r}, flush=True); input()"))
     server.stop()
     folder = tmp_path / "new"
     pipeline = opening.begin_session(made, served.args[0], folder, order[0])

@@ -87,8 +87,8 @@ def panel(qtbot):
 
 def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN):
     """Show a frame in which a tool presses, or none."""
-    told = None if view is None else coaching_of(view.progress, asked)
-    at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=told, eye=eye)
+    coached = None if view is None else coaching_of(view.progress, asked)
+    at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=coached, eye=eye)
     panel.show_state(at)
     return at
 

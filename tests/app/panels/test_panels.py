@@ -294,18 +294,18 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
 
 
 @pytest.mark.parametrize(("count", "excluded"), [(3, [3]), (4, [])], ids=["a poke is excluded", "a poke more"])
-def test_what_follows_the_estimates_is_told_anew_for_every_poke(qtbot, count, excluded):
+def test_what_follows_the_estimates_is_read_anew_for_every_poke(qtbot, count, excluded):
     panel = shown(qtbot, PokesPanel(NAMES))
     pokes = [touch(poke) for poke in (1, 2, 3, 4)]
     panel.show_state(frame(session(1, pokes=pokes[:3])))
-    told = set()
+    changed = set()
     panel.model.dataChanged.connect(
-        lambda first, last: told.update(
+        lambda first, last: changed.update(
             (row, column) for row in range(first.row(), last.row() + 1) for column in range(first.column(), last.column() + 1)
         )
     )
     panel.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))}, pokes[:count], excluded)))
-    assert told == {(row, column) for row in range(count) for column in range(len(HEADINGS))}
+    assert changed == {(row, column) for row in range(count) for column in range(len(HEADINGS))}
 
 
 @pytest.mark.parametrize("reason", list(Reason))

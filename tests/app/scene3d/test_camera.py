@@ -196,14 +196,14 @@ class Turning:
         view = live()
         view = replace(view, progress=replace(view.progress, phase=self.phase))
         before = self.camera.GetPosition(), self.camera.GetViewUp(), self.camera.GetFocalPoint()
-        told = self.turner.step(
+        reported = self.turner.step(
             self.camera, ASPECT, View3DState(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
         )
         self.now_s += TICK
         moved = not np.allclose(np.concatenate(before), np.concatenate([
             self.camera.GetPosition(), self.camera.GetViewUp(), self.camera.GetFocalPoint(),
         ]), atol=1e-12, rtol=0)  # fmt: skip
-        assert told or not moved, "what moves is drawn"
+        assert reported or not moved, "what moves is drawn"
         return moved
 
     def run(self, seconds: float) -> int:
@@ -277,7 +277,7 @@ def test_a_hand_ends_a_turn_and_the_camera_stays_where_it_was_put(turning):
     assert turning.sees()
 
 
-def test_the_same_target_told_anew_turns_nothing(turning):
+def test_the_same_target_given_anew_turns_nothing(turning):
     turning.ask(120)
     turning.run(0.5)
     turning.turner.touch(turning.now_s)

@@ -90,12 +90,12 @@ class Told:
 def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
     controller = Controller(tmp_path)
     controller.ask(NoTarget.WAIT)  # real devices: nobody to tell
-    told = Told()
-    controller._server = told
+    process = Told()
+    controller._server = process
     shown = operator_target(guidance(target(3)), Running.STREAMING)
     for wanted in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
         controller.ask(wanted)
-    assert told.lines == [write_target(shown), "wait", write_target(shown)]
+    assert process.lines == [write_target(shown), "wait", write_target(shown)]
     controller.close()
 
 

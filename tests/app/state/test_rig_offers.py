@@ -87,9 +87,9 @@ def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmar
     return replace(made, corrections=corrections, landmarks=(CORNER, OTHER), at_landmarks=there, pose="low")
 
 
-def offers(told: Review | None, moment: Snapshot):
+def offers(answer: Review | None, moment: Snapshot):
     """What a review offers that was made of this very session."""
-    return offers_of(None if told is None else replace(told, used=moment.corrections), moment)
+    return offers_of(None if answer is None else replace(answer, used=moment.corrections), moment)
 
 
 def in_use(of: str = RIG, pokes: int = 6) -> UsedCorrection:
@@ -157,7 +157,7 @@ def test_the_key_does_what_is_offered_first():
     assert may(()) is None
 
 
-def test_an_offer_is_told_once_and_made_once():
+def test_an_offer_is_announced_once_and_made_once():
     rig_review, none = RigReview(), at()
     used = at(in_use())
     now, then = (replace(review(), used=moment.corrections) for moment in (none, used))
@@ -200,7 +200,7 @@ def known(shift: Mapping[int, float]):
     return {channel: estimate(channel, PLACES[channel] + [aside, 0.0, 0.0]) for channel, aside in shift.items()}
 
 
-def test_how_far_the_taxels_move_is_told_for_the_method_that_is_shown():
+def test_how_far_the_taxels_move_is_said_for_the_method_that_is_shown():
     moment = at(known=known({3: 0.002, 5: 0.004}))
     shown = moment.estimates[Method.FREE]
     assert moved_words(review(after={Method.FREE: PLACES}), Method.FREE, shown) == approved(
@@ -220,15 +220,15 @@ def test_how_far_the_taxels_move_is_told_for_the_method_that_is_shown():
 
 
 def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_could_be():
-    told = review(rig(doubted=0.0, distances={6: 0.014}), after={Method.FREE: PLACES})
+    answer = review(rig(doubted=0.0, distances={6: 0.014}), after={Method.FREE: PLACES})
     moment = at(known=known({3: 0.002}))
-    frame_, could, moved, doubt = review_words(told, moment, Method.FREE, moment.estimates[Method.FREE])
+    frame_, could, moved, doubt = review_words(answer, moment, Method.FREE, moment.estimates[Method.FREE])
     assert frame_ == frame_sentence(RIGHT)
-    assert could == rig_sentences(told.rig)[0]
+    assert could == rig_sentences(answer.rig)[0]
     assert "would move" in moved
     assert doubt == approved("rig.poke_not_counted", poke=6, miss_mm=14)
     used = at(in_use(FRAME), in_use(RIG))
-    assert review_words(told, used, Method.FREE, ()) == (
+    assert review_words(answer, used, Method.FREE, ()) == (
         frame_sentence(RIGHT),
         *map(correction_sentence, (in_use(FRAME), in_use(RIG))),
         doubt,
@@ -249,14 +249,14 @@ def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
     pokes = (here(1), here(2, "high"), slip(3, Reason.NO_TAXEL), here(4), here(5))
     named = {1: "corner", 2: "corner", 3: "other", 4: "corner", 9: "other"}
     moment = at(pokes=pokes, at_landmarks=named, excluded=(4,))
-    told = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), reported={1: 0.003, 2: 0.004, 4: 0.5})
-    first, second = landmark_rows(moment, told)
+    answer = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), reported={1: 0.003, 2: 0.004, 4: 0.5})
+    first, second = landmark_rows(moment, answer)
     assert first == LandmarkRow("corner", 1, 2, f"3.5 {ARROW} 1.0 mm")
     assert second == LandmarkRow("other", 0, 1, DASH)
     assert [row.off for row in landmark_rows(moment, None)] == [DASH, DASH]
     only = landmark_rows(moment, review(TOO_FEW, reported={1: 0.003, 2: 0.004}))
     assert only[0].off == "3.5 mm"
-    assert landmark_rows(replace(moment, landmarks=()), told) == []
+    assert landmark_rows(replace(moment, landmarks=()), answer) == []
 
 
 # The tab
@@ -272,8 +272,8 @@ def panel(qtbot):
     return made
 
 
-def shown(moment, told=None, **changes):
-    return replace(frame(moment, where=arm_scene(), **changes), review=told, offers=offers(told, moment))
+def shown(moment, answer=None, **changes):
+    return replace(frame(moment, where=arm_scene(), **changes), review=answer, offers=offers(answer, moment))
 
 
 def cells(panel) -> list[list[str]]:
@@ -296,20 +296,20 @@ def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
 
 
 def test_the_buttons_use_what_is_offered_and_drop_what_was_used_last(qtbot, panel):
-    told = review()
-    panel.show_state(shown(at(), told))
+    answer = review()
+    panel.show_state(shown(at(), answer))
     assert panel.offer.text().startswith("Correct the rig")
     assert panel.offer.isVisible()
     with qtbot.waitSignal(panel.correct_requested) as wanted:
         panel.offer.click()
-    assert wanted.args == [offers(told, at())[0].action]
-    panel.show_state(shown(replace(at(in_use(FRAME), in_use(RIG)), generation=2), told))
+    assert wanted.args == [offers(answer, at())[0].action]
+    panel.show_state(shown(replace(at(in_use(FRAME), in_use(RIG)), generation=2), answer))
     assert not panel.offer.isVisible()
     assert panel.drop.isVisible()
     with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
         panel.drop.click()
     assert Uncorrect(*dropped.args) == Uncorrect(RIG)
-    panel.show_state(shown(replace(at(in_use(FRAME)), generation=3), told))
+    panel.show_state(shown(replace(at(in_use(FRAME)), generation=3), answer))
     with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
         panel.drop.click()
     assert dropped.args == [FRAME]

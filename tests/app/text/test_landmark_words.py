@@ -121,7 +121,7 @@ LATER = 100.0 + REACTION_S + 0.01
 # Which poke was there
 
 
-def test_a_poke_that_begins_after_the_landmark_was_seen_is_at_it_and_is_told_once():
+def test_a_poke_that_begins_after_the_landmark_was_seen_is_at_it_and_is_said_once():
     landmarks = asking()
     there = of_pokes(press(1, LATER))
     assert landmarks.poked(there) == [FoundAtLandmark(1, "corner")]
@@ -295,7 +295,7 @@ def test_what_is_skipped_is_the_landmark_or_else_the_taxel():
 # What they are worth
 
 
-def test_what_they_are_worth_is_told_and_falls_as_they_are_poked():
+def test_what_they_are_worth_is_said_and_falls_as_they_are_poked():
     landmarks = Landmarks(part(), plan_of(part()))
     four = (*POINTS, Landmark("end", np.array([0.036, -0.036, 0.0]), UP))
     pokes = [press(i + 1, 1.0 + i, four[i % 4].place) for i in range(6)]

@@ -25,11 +25,11 @@ ENOUGH = (
 
 def at(pokes=ENOUGH, sd=1e-3, generation=1, excluded=(), blind=(), dead=(), done=(), method=Method.FREE, **changes):
     """A moment in which the modules method knows every taxel to `sd`, m, but those that are blind or dead."""
-    told = {each.channel: each for each in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
-    told |= {channel: Estimate(channel, Method.MODULES, State.BLIND, 2) for channel in blind}
-    told |= {channel: Estimate(channel, Method.MODULES, State.DEAD, 0) for channel in dead}
+    by_channel = {each.channel: each for each in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
+    by_channel |= {channel: Estimate(channel, Method.MODULES, State.BLIND, 2) for channel in blind}
+    by_channel |= {channel: Estimate(channel, Method.MODULES, State.DEAD, 0) for channel in dead}
     snapshot = session(generation, pokes=pokes, excluded=excluded)
-    snapshot = replace(snapshot, estimates={**snapshot.estimates, Method.MODULES: tuple(told[c] for c in range(24))})
+    snapshot = replace(snapshot, estimates={**snapshot.estimates, Method.MODULES: tuple(by_channel[c] for c in range(24))})
     return replace(frame(snapshot, method=method), guidance=guidance(done=done), **changes)
 
 
@@ -67,8 +67,8 @@ def test_it_is_said_once():
 )
 def test_it_is_not_said_where(changes):
     short = ShortWay(plan_of(part()))
-    told = at(**changes) if "guidance" not in changes else replace(at(), guidance=None)
-    assert short.news(told) == ""
+    moment = at(**changes) if "guidance" not in changes else replace(at(), guidance=None)
+    assert short.news(moment) == ""
     assert short.news(at(generation=2))
 
 

@@ -37,7 +37,7 @@ def part() -> tuple[Scene, Surface]:
 
 @pytest.fixture
 def session(part):
-    """A session with pokes near three landmarks, of which none was told yet."""
+    """A session with pokes near three landmarks, of which none was named yet."""
     scene, surface = part
     rig, rng = Rig(scene, surface, RigErrors.paper(), np.random.default_rng(1)), np.random.default_rng(2)
     made = Session(scene, surface)
@@ -230,7 +230,7 @@ def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     session.add(replace(session.outcome(1), end_s=9.0))
     client.follow(session.snapshot())
     assert [change.generation for change in asked] == [1, 2, 3, 4, 5]
-    assert list(asked[-1].pokes) == [1], "a landmark poke that is told again"
+    assert list(asked[-1].pokes) == [1], "a landmark poke that is reported again"
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
     client.follow(session.snapshot())
     assert len(asked) == 6
@@ -239,14 +239,14 @@ def test_only_what_is_reviewed_is_asked_about(session, client, asked):
 
 def on_skin(session, number: int) -> Contact:
     """A poke that a taxel answered."""
-    told, channel = session.outcome(1), session.channels[0]
+    first, channel = session.outcome(1), session.channels[0]
     return Contact(
-        number, 0.0, 0.3, told.force, told.moment, np.array([channel]), np.array([50.0]), told.link_from_sensor, told.pose,
+        number, 0.0, 0.3, first.force, first.moment, np.array([channel]), np.array([50.0]), first.link_from_sensor, first.pose,
         float("nan"), False,
     )  # fmt: skip
 
 
-def test_pokes_on_the_skin_are_told_by_tens_and_one_that_is_taken_out_at_once(session, client, asked):
+def test_pokes_on_the_skin_are_sent_by_tens_and_one_that_is_taken_out_at_once(session, client, asked):
     tell(session, client, 1)
     for number in range(11, 11 + SKIN):
         assert len(asked) == 1, number

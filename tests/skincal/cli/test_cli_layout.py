@@ -64,7 +64,7 @@ def run(capsys, *words, code=0):
     return said.err if code else said.out
 
 
-def told(capsys, *words) -> dict:
+def result_of(capsys, *words) -> dict:
     return json.loads(run(capsys, *words, "--json"))
 
 
@@ -77,7 +77,7 @@ def test_the_corrected_layout_is_written_and_a_session_solved_with_it(damaged, c
     np.testing.assert_allclose(given.places, undamaged.places, atol=1e-9)
     assert "angle_deg = 180   # by hand" in damaged.out.read_text(encoding="utf-8")
 
-    before = told(capsys, "solve", damaged.folder, "--reference", TRUTH)
+    before = result_of(capsys, "solve", damaged.folder, "--reference", TRUTH)
     assert len(before["misfits"]) == 3
     assert before["layout"] == {
         "used": None,
@@ -89,9 +89,9 @@ def test_the_corrected_layout_is_written_and_a_session_solved_with_it(damaged, c
         "left": [],
         "written": None,
     }
-    after = told(capsys, "solve", damaged.folder, "--reference", TRUTH, "--layout", damaged.out)
+    after = result_of(capsys, "solve", damaged.folder, "--reference", TRUTH, "--layout", damaged.out)
     assert (after["misfits"], after["layout"]["used"], after["layout"]["changes"]) == ([], str(damaged.out), [])
-    right = told(capsys, "solve", SAMPLE, "--reference", TRUTH)
+    right = result_of(capsys, "solve", SAMPLE, "--reference", TRUTH)
     assert error(before) > 2.0 * error(right)
     assert error(after) == pytest.approx(error(right), abs=0.01)
 
@@ -119,27 +119,27 @@ def test_where_nothing_is_wrong_no_file_is_written(tmp_path, capsys):
     out = tmp_path / "new.toml"
     said = run(capsys, "solve", SAMPLE, "--layout-out", out)
     assert approved("layout_file.not_written", path=out, count=7) in said
-    assert told(capsys, "solve", SAMPLE, "--layout-out", out)["layout"]["written"] is None
+    assert result_of(capsys, "solve", SAMPLE, "--layout-out", out)["layout"]["written"] is None
     assert not out.exists()
 
 
 def test_an_export_with_a_layout_is_of_that_layout(damaged, tmp_path, capsys):
     files = [tmp_path / name for name in ("a.json", "b.json")]
     plan = damaged.folder / "scene" / "modules.toml"
-    said = told(capsys, "export", SAMPLE, "--format", "json", "--out", files[0], "--layout", plan)
+    said = result_of(capsys, "export", SAMPLE, "--format", "json", "--out", files[0], "--layout", plan)
     assert said["layout"] == str(plan)
     assert read_json(files[0]).modules_text == plan.read_text(encoding="utf-8")
-    assert "layout" not in told(capsys, "export", SAMPLE, "--format", "json", "--out", files[1])
+    assert "layout" not in result_of(capsys, "export", SAMPLE, "--format", "json", "--out", files[1])
     assert read_json(files[1]).modules_text != read_json(files[0]).modules_text
     wrong, right = (np.array([estimate.position for estimate in read_json(file).estimates[Method.MODULES]]) for file in files)
     assert np.abs(wrong - right).max() > 0.003
 
 
 def test_bytes_are_judged_by_the_layout_that_is_given(damaged, capsys):
-    plain, replayed = (told(capsys, "solve", SAMPLE, "--layout", damaged.out, *more) for more in ((), ("--replay",)))
+    plain, replayed = (result_of(capsys, "solve", SAMPLE, "--layout", damaged.out, *more) for more in ((), ("--replay",)))
     assert plain["methods"] == replayed["methods"]
     plan = damaged.folder / "scene" / "modules.toml"
-    wrong, judged = (told(capsys, "solve", SAMPLE, "--layout", plan, *more) for more in ((), ("--replay",)))
+    wrong, judged = (result_of(capsys, "solve", SAMPLE, "--layout", plan, *more) for more in ((), ("--replay",)))
     assert wrong["rejected"] == plain["rejected"]
     assert judged["rejected"] != plain["rejected"], "neighbours of the wrong layout are no neighbours"
 
@@ -147,7 +147,7 @@ def test_bytes_are_judged_by_the_layout_that_is_given(damaged, capsys):
 def test_a_session_without_a_layout_is_solved_with_one(tmp_path, capsys):
     folder = sample(tmp_path, "scene.toml", 'modules = "modules.toml"\n', "")
     plan = SAMPLE / "scene" / "modules.toml"
-    said = told(capsys, "solve", folder, "--layout", plan, "--reference", TRUTH)
+    said = result_of(capsys, "solve", folder, "--layout", plan, "--reference", TRUTH)
     assert error(said) < 1.0
     err = run(capsys, "solve", folder, "--layout-out", tmp_path / "new.toml", code=2)
     assert approved("layout_file.scene_has_none") in err

@@ -150,12 +150,12 @@ def test_each_study_is_found_by_its_name(run, tmp_path, monkeypatch, name):
 
 
 def test_the_studies_are_listed_without_being_loaded():
-    told = (
+    script = (
         "import sys\n"
         "from skincal.cli import main\n"
         "main(['study', '--help'])\n"
         "print('HEAVY', sorted({'matplotlib', 'scipy', 'skincal.studies.runtime', 'skincal.simulate'} & set(sys.modules)))\n"
     )
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.rstrip().endswith("HEAVY []")
     assert all(name in done.stdout for name in STUDIES)

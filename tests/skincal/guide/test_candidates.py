@@ -11,8 +11,8 @@ from skincal.guide.candidates import ASTRAY, SPACING, Cover, spread
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING as TAXELS_APART
-from skincal.guide.knowledge import unplaced
-from skincal.guide.poke_history import PokeAxis, axis_of
+from skincal.guide.knowledge import PlannedPlaces, unplaced
+from skincal.guide.poke_history import PokeAxis, PokeHistory, axis_of
 from skincal.guide.progress import GuideSettings, Why
 from skincal.mesh.search import nearest_points
 from skincal.model.actions import Exclude, Restore
@@ -186,8 +186,17 @@ def test_without_enough_tilt_the_free_method_says_so():
     for _ in range(SETTINGS.own_pokes):
         bench.poke(place, -normal)
     assert channel not in bench.guidance.given_up
-    bench.guide._usable = bench.guide._pokes.tilt._demand = np.radians(10.0)
-    assert bench.look().given_up[channel] is Why.TILT
+    # Friction that holds hardly any tilt: pokes at another taxel slide.
+    elsewhere = int(PART.plan.channels[10])
+    place, normal = bench.true(elsewhere)
+    lean = np.cross(normal, [1.0, 0.0, 0.0])
+    push = np.sin(np.radians(8.0)) * lean / np.linalg.norm(lean) - np.cos(np.radians(8.0)) * normal
+    for _ in range(30):
+        if bench.guidance.usable_tilt < SETTINGS.diversity:
+            break
+        bench.reject(Reason.SLID, place, push, [elsewhere])
+    assert bench.guidance.usable_tilt < SETTINGS.diversity
+    assert bench.guidance.given_up[channel] is Why.TILT
 
 
 # ---- where no layout names taxels ----
@@ -229,30 +238,36 @@ def test_a_cover_goes_around_what_answered_and_then_far_from_all_pokes():
 
 def test_pokes_that_are_taken_back_are_no_tries():
     """A taxel is not given up for pokes that do not count, and it is again once they do."""
-    bench, channel = PokedBench(), None
-    channel = bench.guidance.target.channel
-    place, normal = bench.guidance.target.place, bench.guidance.target.normal
-    beside = place + 0.008 * np.cross(normal, [0.0, 0.0, 1.0])
+    bench = PokedBench()
+    # A plan of one taxel, so that it stays the target whatever else answers.
+    target = bench.guidance.target
+    row = int(np.searchsorted(PART.plan.channels, target.channel))
+    of_one = (getattr(PART.plan, name)[row : row + 1] for name in ("channels", "places", "normals", "modules"))
+    alone = Guide(PlannedPlaces(*of_one), PART.scene.noise, Method.SURFACE, PART.spacing)
+    beside = target.place + 0.004 * np.cross(target.normal, [0.0, 0.0, 1.0])
+
+    def given_up():
+        estimates = {method: [every[row]] for method, every in bench.session.snapshot().estimates.items()}
+        return alone.update(bench.contacts, estimates, bench.session.evidence).given_up
+
+    assert not given_up()
     for _ in range(SETTINGS.unanswered):
-        bench.guide._last = replace(bench.guidance.target, channel=channel, place=beside, normal=normal)
-        contact = replace(bench.poke_at(beside, -normal)[0])
-        keep = contact.channels != channel
+        contact = bench.poke_at(beside, -target.normal)[0]
+        keep = contact.channels != target.channel
         contact = replace(contact, channels=contact.channels[keep], responses=contact.responses[keep])
+        assert not given_up()
         bench.contacts[contact.poke] = contact
         bench.session.add(contact)
-        bench.look()
-    row = int(np.searchsorted(PART.plan.channels, channel))
-    assert bench.guide._pokes.unanswered[row] == SETTINGS.unanswered
-    assert bench.guidance.given_up == {channel: Why.NEVER_FIRED}
+    assert given_up() == {target.channel: Why.NEVER_FIRED}
     gone = dict(bench.contacts)
     for poke in gone:
         bench.session.act(Exclude(poke))
         del bench.contacts[poke]
-    assert not bench.look().given_up
+    assert not given_up()
     for poke, contact in gone.items():
         bench.session.act(Restore(poke))
         bench.contacts[poke] = contact
-    assert bench.look().given_up == {channel: Why.NEVER_FIRED}
+    assert given_up() == {target.channel: Why.NEVER_FIRED}
 
 
 def test_a_target_that_was_not_shown_is_not_missed():
@@ -268,24 +283,27 @@ def test_a_target_that_was_not_shown_is_not_missed():
 
 
 def test_the_hand_is_at_the_newest_poke_whatever_was_restored():
-    bench = PokedBench()
-    for row in (3, 40, 70):
-        place, normal = bench.true(int(PART.plan.channels[row]))
+    bench, plan = PokedBench(), PART.plan
+    history = PokeHistory(plan.channels, SETTINGS)
+    pulls = candidates.pulls(plan.places, candidates.find_answering(plan.places, PART.spacing, PART.scene.noise))
+
+    def hand(contacts):
+        history.follow(contacts, {}, None, plan.places, plan.normals, pulls)
+        return history.hand(plan.places)
+
+    assert hand({}) is None
+    rows = (3, 40, 70)
+    for row in rows:
+        place, normal = bench.true(int(plan.channels[row]))
         bench.poke(place, -normal)
-    there = bench.guide._pokes.hand(bench.guide._places)
-    first = min(bench.contacts)
-    gone = bench.contacts.pop(first)
-    bench.session.act(Exclude(first))
-    bench.look()
-    bench.session.act(Restore(first))
-    bench.contacts = {first: gone, **bench.contacts}
-    bench.look()
-    np.testing.assert_allclose(bench.guide._pokes.hand(bench.guide._places), there, atol=1e-3)
-    newest = max(bench.contacts)
-    del bench.contacts[newest]
-    bench.session.act(Exclude(newest))
-    bench.look()
-    assert bench.guide._pokes.hand(bench.guide._places) is not None
+    there = hand(bench.contacts)
+    assert np.linalg.norm(there - plan.places[rows[-1]]) < PART.spacing
+    first, second, newest = bench.contacts
+    hand({number: bench.contacts[number] for number in (second, newest)})
+    # What was taken out and comes back stands first in the session, but last in what the history adds.
+    np.testing.assert_array_equal(hand({number: bench.contacts[number] for number in (second, newest, first)}), there)
+    without = hand({number: bench.contacts[number] for number in (first, second)})
+    assert np.linalg.norm(without - plan.places[rows[1]]) < PART.spacing
 
 
 def test_the_target_stays_while_a_poke_is_only_reported_again():

@@ -6,13 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 
+from skincal.guide import candidates
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import SKIPPED, Guide
+from skincal.guide.poke_history import PokeHistory
+from skincal.guide.progress import GuideSettings
 from skincal.model.actions import Exclude, MarkDead, Restore
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import WAYS, Conditions, MeantPokes, errors_of, looks, poked, rig_beside, run_course
-from skincal.taxels.result import Method
+from skincal.taxels.result import Method, State
 
 
 @cache
@@ -125,18 +128,19 @@ def test_a_poke_that_is_taken_out_and_put_in_again_leaves_no_trace():
     assert again.needs == before.needs
 
 
-def test_a_target_that_is_skipped_gives_way_and_a_side_skipped_twice_is_left_out():
+def test_a_target_that_is_skipped_gives_way_to_another():
     followed = Followed(seed=5)
     first = followed.guidance.target
     followed.guide.skip()
-    other = followed.look().target
-    assert other.channel != first.channel
+    assert followed.look().target.channel != first.channel
+
+
+def test_a_side_that_is_skipped_twice_is_asked_for_no_more():
+    followed = Followed(seed=5)
+    first = followed.guidance.target
+    for _ in range(SKIPPED):
+        followed.guide.skip()
     followed.guidance = followed.look()
-    followed.poke()
-    # The same side again and again: from then on never.
-    row = int(np.flatnonzero(part().plan.channels == first.channel)[0])
-    followed.guide._skips[row] = [first.push] * SKIPPED
-    followed.guide._stale[:] = True
     for _ in range(60):
         target = followed.guidance.target
         assert not (target.channel == first.channel and target.push @ first.push > 0.99)
@@ -155,14 +159,19 @@ def test_a_dead_taxel_is_never_asked_for():
 
 def test_a_poke_that_is_reported_twice_is_asked_for_once():
     followed = Followed(Method.SURFACE, seed=11)
+    first = followed.guidance.target
     followed.poke()
     number, contact = next(iter(followed.contacts.items()))
-    asked, target = followed.guide._pokes.asked.copy(), followed.guidance.target.channel
+    target = followed.guidance.target.channel
     again = replace(contact, tare_change=0.02)
     followed.session.add(again)
     followed.contacts[number] = again
     assert followed.look().target.channel == target
-    np.testing.assert_array_equal(followed.guide._pokes.asked, asked)
+    history, plan = PokeHistory(part().plan.channels, GuideSettings()), part().plan
+    pulls = candidates.pulls(plan.places, candidates.find_answering(plan.places, part().spacing, part().scene.noise))
+    for reported in (contact, again):
+        history.follow({number: reported}, {}, first, plan.places, plan.normals, pulls)
+        assert history.asked[plan.channels == first.channel] == history.asked.sum() == 1
 
 
 def test_a_poke_on_another_taxel_counts_where_it_landed():
@@ -184,16 +193,21 @@ def test_what_is_doubted_counts_less_for_the_guide():
     mistrusted[row] = replace(mistrusted[row], doubted={int(poke): 0.0})
     plain.update(followed.contacts, estimates, followed.session.evidence)
     doubting.update(followed.contacts, {**estimates, Method.FREE: mistrusted}, followed.session.evidence)
-    known, less = (np.trace(each._knowledge.information, axis1=1, axis2=2) for each in (plain, doubting))
-    assert less[row] < 0.9 * known[row]
-    np.testing.assert_array_equal(np.delete(less, row), np.delete(known, row))
+    # What is known less is worth more to poke; only around the taxel, since a poke on one tells of its neighbours.
+    beside = np.linalg.norm(followed.guidance.places - followed.guidance.places[row], axis=1)
+    for at, share in ((row, 1.05), (int(beside.argmax()), 1.0)):
+        channel = int(followed.guidance.channels[at])
+        worth = [each.axis_diversity(channel, followed.session.evidence).worth.max() for each in (plain, doubting)]
+        assert worth[1] > share * worth[0] if at == row else worth[1] == worth[0]
 
 
 def test_where_everything_is_done_it_says_so():
     followed = after(60)
-    estimates = followed.session.snapshot().estimates
-    easy = Guide(part().plan, part().scene.noise, Method.SURFACE, part().spacing)
-    easy._renew_needs = lambda *_: easy._needs.__setitem__(slice(None), [()] * 84)
+    estimates = dict(followed.session.snapshot().estimates)
+    known = (replace(each, state=State.ESTIMATED, rms=1e-3, rival=None) for each in estimates[Method.SURFACE])
+    estimates[Method.SURFACE] = tuple(known)
+    content = GuideSettings(own_pokes=0, balance=float("inf"), settled=float("inf"))
+    easy = Guide(part().plan, part().scene.noise, Method.SURFACE, part().spacing, content)
     guidance = easy.update(followed.contacts, estimates, followed.session.evidence)
     assert guidance.phase is GuidePhase.ENOUGH
     assert guidance.target is None
@@ -272,7 +286,7 @@ def test_a_side_that_was_skipped_is_worth_nothing():
     assert open_ is not None
     assert (open_.worth > 0).all()
     for _ in range(SKIPPED):
-        followed.guide._skips.setdefault(followed.guide._knowledge.row(first.channel), []).append(first.push)
+        followed.guide.skip()
     axes = followed.guide.axis_diversity(first.channel, followed.session.evidence)
     assert axes is not None
     np.testing.assert_array_equal(axes.worth == 0.0, axes.tried @ first.push > np.cos(np.radians(25.0)))

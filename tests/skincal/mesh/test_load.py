@@ -148,7 +148,7 @@ def test_a_flat_patch_keeps_its_winding(tmp_path, flip):
     assert FindingKind.TURNED not in found
 
 
-def test_flat_panels_round_a_part_are_told_by_the_whole_part(tmp_path):
+def test_flat_panels_round_a_part_are_judged_by_the_whole_part(tmp_path):
     """Six unconnected sides of a box, one of them turned."""
     vertices, triangles = box_mesh()
     corners = vertices[triangles]

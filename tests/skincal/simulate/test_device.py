@@ -121,14 +121,14 @@ def test_same_seed_same_bytes_and_another_seed_others():
 
 def test_the_same_poke_gives_the_truth_over_the_wire():
     # A perfect rig told to poke once: the mean of the held readings is the true wrench, and the foam answers as computed.
-    def told(rig, rng):
+    def poke_once(rig, rng):
         operator = Told(
             rig, replace(Habits.careful(), tremor=0.0, approach_s=(0.5, 0.5), hold_s=(0.5, 0.5), rest_s=(1, 1)), rng
         )
         operator.accept(PokeOrder(int(rig.channels[30]), np.radians(20), 1.0, 8.0))
         return operator
 
-    line, arrived = play(RigErrors.none(), 1.8, settings=QUIET, operator=told)
+    line, arrived = play(RigErrors.none(), 1.8, settings=QUIET, operator=poke_once)
     press = next(a for a in line._actions if isinstance(a, HandPress))
     _, times, wrenches = decode(line, arrived, "wrench")
     since = times - times[0]
@@ -148,12 +148,12 @@ def test_the_same_poke_gives_the_truth_over_the_wire():
 
 
 def test_the_foam_answers_later_than_the_force():
-    def told(rig, rng):
+    def press_hard(rig, rng):
         operator = Told(rig, replace(Habits.careful(), ramp_s=(0.2, 0.2)), rng)
         operator.accept(PokeOrder(int(rig.channels[30]), 0.0, 0.0, 12.0))
         return operator
 
-    line, arrived = play(RigErrors.none(), 1.2, settings=replace(QUIET, skin_hz=1000.0), operator=told)
+    line, arrived = play(RigErrors.none(), 1.2, settings=replace(QUIET, skin_hz=1000.0), operator=press_hard)
     press = next(a for a in line._actions if isinstance(a, HandPress))
     _, times, frames = decode(line, arrived, "skin")
     channel = line.rig.channels[30]
@@ -166,7 +166,7 @@ def test_the_foam_answers_later_than_the_force():
 
 
 def test_wrench_sign_is_the_sensors():
-    def told(rig, rng):
+    def press_straight(rig, rng):
         operator = Told(rig, Habits.careful(), rng)
         operator.accept(PokeOrder(0, 0.0, 0.0, 10.0))
         return operator
@@ -176,7 +176,7 @@ def test_wrench_sign_is_the_sensors():
         scene, _ = scene_and_surface("flat-patch")
         rig = Rig(replace(scene, wrench_sign=sign), None, RigErrors.none(), np.random.default_rng(1))
         rng = np.random.default_rng(2)
-        line = DeviceTimeline(rig, told(rig, rng), rng, QUIET)
+        line = DeviceTimeline(rig, press_straight(rig, rng), rng, QUIET)
         arrived = []
         while line.now < 1.5:
             arrived += line.step()
@@ -246,12 +246,12 @@ def test_boards_say_what_they_are_at_the_start_and_every_two_seconds():
 
 
 def test_the_arm_moves_between_poses_and_the_weight_with_it():
-    def told(rig, rng):
+    def move_once(rig, rng):
         operator = Told(rig, replace(Habits.careful(), move_s=0.5), rng)
         operator.accept(PoseOrder("2"))
         return operator
 
-    line, arrived = play(replace(RigErrors.none(), weight=8.0), 1.0, settings=QUIET, operator=told)
+    line, arrived = play(replace(RigErrors.none(), weight=8.0), 1.0, settings=QUIET, operator=move_once)
     _, times, angles = decode(line, arrived, "joints")
     degrees, since = np.degrees(angles[:, 3:]), times - times[0]
     np.testing.assert_allclose(degrees[since < 0.18], [[94, 0]] * int((since < 0.18).sum()), atol=1e-4)

@@ -83,12 +83,12 @@ def test_accidents_come_at_their_rates(rig, rng):
 
 
 def test_told_does_its_orders_in_turn(rig, rng):
-    told = Told(rig, Habits.careful(), rng)
-    assert told.next(0.0) is None
-    told.accept(PoseOrder("6"))
-    told.accept(PokeOrder(288, np.radians(25), np.radians(90), 7.5))
-    told.accept(PokeOrder(289))
-    move, first, second = actions(told)
+    operator = Told(rig, Habits.careful(), rng)
+    assert operator.next(0.0) is None
+    operator.accept(PoseOrder("6"))
+    operator.accept(PokeOrder(288, np.radians(25), np.radians(90), 7.5))
+    operator.accept(PokeOrder(289))
+    move, first, second = actions(operator)
     assert move.stance.name == "6"
     assert first.pokes.targets[0] == 288
     assert first.pokes.forces[0] == 7.5
@@ -100,12 +100,12 @@ def test_told_does_its_orders_in_turn(rig, rng):
 
 
 def test_orders_are_checked_when_given(rig, rng):
-    told = Told(rig, Habits.careful(), rng)
+    operator = Told(rig, Habits.careful(), rng)
     with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=0)):
-        told.accept(PokeOrder(0))
+        operator.accept(PokeOrder(0))
     with pytest.raises(InputError, match="'9'"):
-        told.accept(PoseOrder("9"))
-    assert told.next(0.0) is None
+        operator.accept(PoseOrder("9"))
+    assert operator.next(0.0) is None
 
 
 def test_lines_of_orders_are_read():

@@ -252,7 +252,7 @@ def test_a_line_that_is_no_target_is_named(line):
 
 
 def test_each_operator_says_what_it_does_not_take(rig, rng):
-    guided, told = Guided(rig, FOLLOWS, rng), Told(rig, FOLLOWS, rng)
+    guided, obedient = Guided(rig, FOLLOWS, rng), Told(rig, FOLLOWS, rng)
     with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=0)):
         guided.accept(TargetOrder(0, np.zeros(3), np.array([0.0, 0.0, -1.0])))
     for order in (PokeOrder(204), PoseOrder("2")):
@@ -260,8 +260,8 @@ def test_each_operator_says_what_it_does_not_take(rig, rng):
             guided.accept(order)
     for order in (target_at(rig, 204), NoTarget.WAIT):
         with pytest.raises(InputError, match=approved_pattern("operator.for_guided")):
-            told.accept(order)
-    assert told.next(0.0) is None
+            obedient.accept(order)
+    assert obedient.next(0.0) is None
 
 
 def guided_session(rig, pokes, seed=1):

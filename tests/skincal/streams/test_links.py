@@ -196,7 +196,7 @@ def test_port_in_use_is_said_and_taken_when_it_is_free():
 
 
 @needs_pty
-def test_port_taken_by_another_program_while_away_is_told_after_a_while(tmp_path):
+def test_port_taken_by_another_program_while_away_is_said_after_a_while(tmp_path):
     port = tmp_path / "tty"
     with pty() as first, pty() as second:
         port.symlink_to(first.path)
@@ -207,8 +207,8 @@ def test_port_taken_by_another_program_while_away_is_told_after_a_while(tmp_path
                 port.symlink_to(second.path)
                 first.unplug()
                 next_event(items, LinkState.LOST)
-                told = next_event(items, LinkState.LOST, NEW_REASON_S + PATIENCE_S)
-                assert approved("links.in_use") in told.text
+                taken = next_event(items, LinkState.LOST, NEW_REASON_S + PATIENCE_S)
+                assert approved("links.in_use") in taken.text
             next_event(items, LinkState.OPEN)
 
 

@@ -47,9 +47,9 @@ def test_the_figure_is_drawn(tmp_path):
 
 
 def test_an_interval_holds_the_median_and_is_null_where_it_is_not_reached():
-    told = guidance_study._interval([70.0, 80.0, 90.0, 100.0, float("inf")])
-    assert told["low"] <= told["median"] == 90.0
-    assert told["high"] is None
+    interval = guidance_study._interval([70.0, 80.0, 90.0, 100.0, float("inf")])
+    assert interval["low"] <= interval["median"] == 90.0
+    assert interval["high"] is None
     assert guidance_study._interval([float("inf")] * 3)["median"] is None
     many = guidance_study._interval(np.random.default_rng(1).normal(100, 10, 400).tolist())
     assert many["low"] < many["median"] < many["high"]
