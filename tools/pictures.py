@@ -1,7 +1,7 @@
-"""Make the pictures of the window in `docs/pictures` anew: `python -m tools.pictures`, about ten minutes.
+"""Make the pictures of the window in `docs/pictures` anew: `python -m tools.pictures`, some ten minutes.
 
-Opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show. Those of
-a session in progress differ a little from run to run, since the devices send in real time: look at each.
+Opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show. Sessions
+in progress differ a little from run to run, since the devices send in real time: look at each picture.
 """
 
 from __future__ import annotations
@@ -21,22 +21,24 @@ from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player
 from app.theme import Choice
 from app.window import Theme, Window
+from skincal.model.scene import load_scene
+from skincal.session.part import load_scene_surface
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.virtual_session import simulate_session
 from skincal.taxels.result import Method
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 SMALL, LARGE = (1280, 800), (1440, 860)
-DRAWN_S, SOON_S = 0.5, 0.06
-"""s. By then all is drawn; by then the next tick is, and the hand has not gone on."""
-WAIT_S = 600.0
+WAIT_S = 900.0
+DEVICES = server_command(None)
 
 
 class Photographed:
     """The window on one session, while its pictures are made."""
 
-    def __init__(self, request: OpenRequest, choice: Choice, size: tuple[int, int]) -> None:
-        settings = QSettings(str(Path("settings.ini").absolute()), QSettings.Format.IniFormat)
+    def __init__(self, request: OpenRequest, choice: Choice, size: tuple[int, int], tab: str) -> None:
+        settings = QSettings("settings.ini", QSettings.Format.IniFormat)
         settings.setValue("window/sounds", False)
-        settings.setValue("window/turn", False)
         self.theme = Theme(choice)
         self.window = Window(Controller(Path("documents")), self.theme, settings, Path("documents"), Player())
         self.window.resize(*size)
@@ -45,7 +47,9 @@ class Photographed:
         self.until(lambda: self.window.session_view is not None and self.window.session_view.state is not None)
         assert self.window.session_view is not None
         self.view = self.window.session_view
-        self.until(lambda: self.view.workspace.view.list_layers() != () and self.view.workspace.readings.curves is not None)
+        self.scene = self.view.workspace.view
+        self.until(lambda: self.scene.list_layers() != () and self.view.workspace.readings.curves is not None)
+        self.view.workspace.show_tab(tab)
 
     def until(self, there: Callable[[], bool]) -> None:
         """Let the window work until something is there."""
@@ -56,78 +60,55 @@ class Photographed:
             QApplication.processEvents()
             time.sleep(0.001)
 
-    def until_said(self, headline: str, detail: str = "", after: int = 0) -> None:
-        """Wait until the line below says something, as it begins and what its second line holds, `after` so many pokes."""
-        now = self.view.workspace.now
+    def until_said(self, headline: str, detail: str, pokes: int) -> None:
+        """Wait until the line below says that, in its two lines, after so many pokes."""
+        now, state = self.view.workspace.now, lambda: self.view.state
+        self.until(lambda: (shown := state()) is not None and len(shown.snapshot.pokes) >= pokes)
+        self.until(lambda: now.headline.text().startswith(headline) and detail in now.detail.text())
 
-        def said() -> bool:
-            known = len(self.view.state.snapshot.pokes) if self.view.state else 0
-            return known >= after and now.headline.text().startswith(headline) and detail in now.detail.text()
-
-        self.until(said)
-
-    def grab(self, name: str, seconds: float = DRAWN_S) -> None:
-        """Write the picture of the window, with the dialog in front of it."""
+    def grab(self, name: str, seconds: float = 0.06) -> None:
+        """Write the picture of the window with the dialog in front of it; soon, before the hand goes on."""
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > end)
-        picture = self.window.grab()
-        dialog = QApplication.activeModalWidget()
+        picture, dialog = self.window.grab(), QApplication.activeModalWidget()
         if dialog is not None:
-            dialog.render(picture, (self.window.rect().center() - dialog.rect().center()))
+            dialog.render(picture, self.window.rect().center() - dialog.rect().center())
         picture.save(str(PICTURES / f"{name}.png"))
-        print(name, flush=True)
 
 
-def guided(seed: int, errors: str) -> OpenRequest:
-    """Return a simulated forearm with an operator that is quick to do what the window asks for."""
-    command = server_command(None)
-    return OpenRequest(server=(*command, "--seed", str(seed), "--errors", errors, "--pace", "2"))
+def main() -> None:
+    """Write every picture of the window."""
+    forearm = load_scene(find_scene(None))
+    simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
+    course = Photographed(OpenRequest(session=Path("trial")), Choice.DARK, SMALL, "Errors")
+    course.grab("errors", 10.0)
+    course.window.close()
 
+    good = Photographed(OpenRequest(server=(*DEVICES, "--seed", "7", "--pace", "2")), Choice.LIGHT, LARGE, "Taxel")
+    good.until_said("hold still", "aim", 25)
+    good.grab("guide-contact")
+    good.scene.set_turning(False)
+    good.scene.reset_camera()
+    good.until_said("rejected", "", 30)
+    good.grab("guide-rejected")
+    good.view.workspace.show_tab("Readings")
+    good.window.resize(*SMALL)
+    good.until_said("counted", "Next", 60)
+    good.window.messages.dismiss()
+    good.grab("window")
+    good.window.close()
 
-def take_good_rig() -> None:
-    """A press, a rejection, and the window as `start.py` opens it."""
-    taken = Photographed(guided(7, "noise"), Choice.LIGHT, LARGE)
-    taken.view.workspace.show_tab("Taxel")
-    taken.until_said("hold still", "aim", 25)
-    taken.grab("guide-contact", SOON_S)
-    taken.until_said("rejected", after=25)
-    taken.grab("guide-rejected", SOON_S)
-    taken.window.resize(*SMALL)
-    taken.view.workspace.show_tab("Readings")
-    taken.until_said("counted", "Next", 60)
-    taken.grab("window", SOON_S)
-    taken.window.close()
-
-
-def take_paper_rig() -> None:
-    """What landmarks say of a wrong rig, and a verdict that is not to be believed."""
-    taken = Photographed(guided(3, "paper"), Choice.LIGHT, SMALL)
-    taken.view.workspace.show_tab("Rig")
-    taken.until(lambda: bool(taken.view.state and taken.view.state.offers))
-    taken.grab("rig", SOON_S)
-    taken.theme.choose(Choice.DARK)
-    taken.window.resize(*LARGE)
-    taken.view.show_method(Method.MODULES)
-    taken.until(lambda: taken.view.ends)
-    taken.view.ask_verdict(taken.window)
-    taken.grab("guide-verdict")
-    taken.window.close()
-
-
-def take_errors() -> None:
-    """The course of the errors of a recorded session."""
-    from skincal.mesh.load import load_surface
-    from skincal.model.scene import load_scene
-    from skincal.simulate.faults import RigErrors
-    from skincal.simulate.virtual_session import simulate_session
-
-    scene = load_scene(find_scene(None))
-    assert scene.surface is not None
-    simulate_session(scene, load_surface(scene.surface)[0], Path("trial"), 252, 1, RigErrors.noise())
-    taken = Photographed(OpenRequest(session=Path("trial")), Choice.DARK, SMALL)
-    taken.view.workspace.show_tab("Errors")
-    taken.grab("errors", 10.0)
-    taken.window.close()
+    wrong = Photographed(OpenRequest(server=(*DEVICES, "--errors", "paper")), Choice.LIGHT, SMALL, "Rig")
+    wrong.until(lambda: any(offer.frame is None for offer in (wrong.view.state.offers if wrong.view.state else ())))
+    wrong.until_said("poke", "Next", 6)
+    wrong.grab("rig")
+    wrong.theme.choose(Choice.DARK)
+    wrong.window.resize(*LARGE)
+    wrong.view.show_method(Method.MODULES)
+    wrong.until(lambda: wrong.view.ends)
+    wrong.view.ask_verdict(wrong.window)
+    wrong.grab("guide-verdict", 0.5)
+    wrong.window.close()
 
 
 if __name__ == "__main__":
@@ -135,6 +116,4 @@ if __name__ == "__main__":
     application = QApplication(sys.argv[:1])
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        for take in (take_errors, take_good_rig, take_paper_rig):
-            if len(sys.argv) < 2 or take.__name__.removeprefix("take_") in sys.argv[1:]:
-                take()
+        main()
