@@ -30,7 +30,6 @@ from skincal.taxels.result import Method
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 SMALL, LARGE = (1280, 800), (1440, 860)
 WAIT_S = 900.0
-DEVICES = server_command(None)
 
 
 class Photographed:
@@ -38,6 +37,7 @@ class Photographed:
 
     def __init__(self, request: OpenRequest, choice: Choice, size: tuple[int, int], tab: str) -> None:
         settings = QSettings("settings.ini", QSettings.Format.IniFormat)
+        settings.clear()
         settings.setValue("window/sounds", False)
         self.theme = Theme(choice)
         self.window = Window(Controller(Path("documents")), self.theme, settings, Path("documents"), Player())
@@ -84,7 +84,7 @@ def main() -> None:
     course.grab("errors", 10.0)
     course.window.close()
 
-    good = Photographed(OpenRequest(server=(*DEVICES, "--seed", "7", "--pace", "2")), Choice.LIGHT, LARGE, "Taxel")
+    good = Photographed(OpenRequest(server=(*server_command(None), "--seed", "7", "--pace", "2")), Choice.LIGHT, LARGE, "Taxel")
     good.until_said("hold still", "aim", 25)
     good.grab("guide-contact")
     good.scene.set_turning(False)
@@ -98,7 +98,7 @@ def main() -> None:
     good.grab("window")
     good.window.close()
 
-    wrong = Photographed(OpenRequest(server=(*DEVICES, "--errors", "paper")), Choice.LIGHT, SMALL, "Rig")
+    wrong = Photographed(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, SMALL, "Rig")
     wrong.until(lambda: any(offer.frame is None for offer in (wrong.view.state.offers if wrong.view.state else ())))
     wrong.until_said("poke", "Next", 6)
     wrong.grab("rig")
