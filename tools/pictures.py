@@ -1,7 +1,7 @@
 """Make the pictures of the window in `docs/pictures` anew: `python -m tools.pictures`, some ten minutes.
 
-Opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show. Sessions
-in progress differ a little from run to run, since the devices send in real time: look at each picture.
+Opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show. Devices
+send in real time, so that pictures of them differ a little from run to run: look at each.
 """
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ from skincal.taxels.result import Method
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 SMALL, LARGE = (1280, 800), (1440, 860)
-WAIT_S = 900.0
+WAIT_S, LATE_S = 900.0, 0.2
 
 
 class Photographed:
     """The window on one session, while its pictures are made."""
 
     def __init__(self, request: OpenRequest, choice: Choice, size: tuple[int, int], tab: str) -> None:
-        settings = QSettings("settings.ini", QSettings.Format.IniFormat)
-        settings.clear()
+        settings = QSettings(f"{tab}.ini", QSettings.Format.IniFormat)
         settings.setValue("window/sounds", False)
         self.theme = Theme(choice)
         self.window = Window(Controller(Path("documents")), self.theme, settings, Path("documents"), Player())
@@ -47,8 +46,7 @@ class Photographed:
         self.until(lambda: self.window.session_view is not None and self.window.session_view.state is not None)
         assert self.window.session_view is not None
         self.view = self.window.session_view
-        self.scene = self.view.workspace.view
-        self.until(lambda: self.scene.list_layers() != () and self.view.workspace.readings.curves is not None)
+        self.until(lambda: self.view.workspace.view.list_layers() != () and self.view.workspace.readings.curves is not None)
         self.view.workspace.show_tab(tab)
 
     def until(self, there: Callable[[], bool]) -> None:
@@ -62,9 +60,14 @@ class Photographed:
 
     def until_said(self, headline: str, detail: str, pokes: int) -> None:
         """Wait until the line below says that, in its two lines, after so many pokes."""
-        now, state = self.view.workspace.now, lambda: self.view.state
-        self.until(lambda: (shown := state()) is not None and len(shown.snapshot.pokes) >= pokes)
-        self.until(lambda: now.headline.text().startswith(headline) and detail in now.detail.text())
+        now = self.view.workspace.now
+
+        def said() -> bool:
+            state = self.view.state
+            shown = state is not None and len(state.snapshot.pokes) >= pokes and state.behind_s < LATE_S
+            return shown and now.headline.text().startswith(headline) and detail in now.detail.text()
+
+        self.until(said)
 
     def grab(self, name: str, seconds: float = 0.06) -> None:
         """Write the picture of the window with the dialog in front of it; soon, before the hand goes on."""
@@ -83,12 +86,11 @@ def main() -> None:
     course = Photographed(OpenRequest(session=Path("trial")), Choice.DARK, SMALL, "Errors")
     course.grab("errors", 10.0)
     course.window.close()
-
     good = Photographed(OpenRequest(server=(*server_command(None), "--seed", "7", "--pace", "2")), Choice.LIGHT, LARGE, "Taxel")
     good.until_said("hold still", "aim", 25)
     good.grab("guide-contact")
-    good.scene.set_turning(False)
-    good.scene.reset_camera()
+    good.view.workspace.view.set_turning(False)
+    good.view.workspace.view.reset_camera()
     good.until_said("rejected", "", 30)
     good.grab("guide-rejected")
     good.view.workspace.show_tab("Readings")
@@ -97,13 +99,11 @@ def main() -> None:
     good.window.messages.dismiss()
     good.grab("window")
     good.window.close()
-
     wrong = Photographed(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, SMALL, "Rig")
     wrong.until(lambda: any(offer.frame is None for offer in (wrong.view.state.offers if wrong.view.state else ())))
     wrong.until_said("poke", "Next", 6)
     wrong.grab("rig")
     wrong.theme.choose(Choice.DARK)
-    wrong.window.resize(*LARGE)
     wrong.view.show_method(Method.MODULES)
     wrong.until(lambda: wrong.view.ends)
     wrong.view.ask_verdict(wrong.window)
