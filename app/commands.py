@@ -66,7 +66,12 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     ),
     "View": (
         ("method", "Next method", "V", "Show the next method's estimates; the guide follows it"),
-        ("difference", "Lines to the other method", "X", "Join each estimate to the surface method's"),
+        (
+            "difference",
+            "Lines to another method",
+            "X",
+            "Join each estimate to the surface method's, or where that is shown to the free method's",
+        ),
         ("guide", "Guide", "G", "Say and show what to poke next"),
         ("sounds", SOUNDS, "M", "Hear contact, enough, verdict, taxel done, device lost"),
         ("speech", "Say why a poke is rejected", "Shift+M", "With the voice of the system"),

@@ -474,7 +474,7 @@ class SessionView(QObject):
         self.show_method(methods[(methods.index(self.method) + 1) % len(methods)])
 
     def show_difference(self) -> None:
-        """Join the estimates of the methods by lines, or do not."""
+        """Join each estimate to another method's by a line, or do not."""
         self.workspace.view.set_difference(self._commands.actions["difference"].isChecked())
 
     def select_taxel(self, channel: int | None) -> None:

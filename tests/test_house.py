@@ -207,6 +207,22 @@ def test_what_is_imported_is_declared_and_what_is_declared_is_imported() -> None
     assert {PACKAGE_OF.get(name, name) for name in foreign} == declared
 
 
+def test_files_and_folders_that_the_pages_name_exist() -> None:
+    """By the whole path or the end of it, as `guide/progress.py`, `links.py` or `panels/`."""
+    folders = [
+        path for folder in ("app", "skincal", "tools", "tests", "resources", "docs") for path in (CHECKOUT / folder).rglob("*")
+    ]
+    there = {f"/{path.relative_to(CHECKOUT)}" for path in (*folders, *CHECKOUT.iterdir())}
+    gone: list[str] = []
+    for page in (CHECKOUT / "README.md", *(CHECKOUT / "docs").rglob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        named = re.findall(r"`([\w./]+(?:\.py|\.h|/))`", text)
+        gone += [f"{page.name}: {name}" for name in named if not any(path.endswith(f"/{name.rstrip('/')}") for path in there)]
+        linked = re.findall(r"\]\(([^)#:]+)", text)
+        gone += [f"{page.name}: {name}" for name in linked if not (page.parent / name).exists()]
+    assert gone == []
+
+
 def test_files_are_opened_with_a_named_encoding() -> None:
     """On Windows the default is not UTF-8."""
     bare: list[str] = []

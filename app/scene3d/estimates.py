@@ -52,7 +52,7 @@ BESIDE = (Method.SURFACE, Method.FREE, Method.MODULES)
 
 
 class EstimatesLayer(Layer):
-    """Balls, marks, and where wanted a line from each estimate to the other method's."""
+    """Balls, marks, and where wanted a line from each estimate to another method's."""
 
     name = "estimates"
 

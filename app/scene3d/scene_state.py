@@ -167,7 +167,7 @@ class View3DState:
     selected: int | None
     """Channel."""
     difference: bool = False
-    """Also draw a line from each estimate to the other method's."""
+    """Also draw a line from each estimate to another method's."""
     target: Target | None = None
     """The poke that is asked for."""
     leeway: float = 0.0

@@ -192,7 +192,7 @@ class View3D(QWidget):
         return self.isVisible() and self._show_state()
 
     def set_difference(self, wanted: bool) -> None:
-        """Draw a line from each estimate to the other method's, or do not."""
+        """Draw a line from each estimate to another method's, or do not."""
         self._difference = wanted
         self._lay_over()
 

@@ -102,6 +102,62 @@ def test_what_is_kept_in_the_middle_of_a_recording_is_whole(recording, tmp_path,
     assert replay(kept).findings == ()
 
 
+def contents(folder: Path) -> dict[str, str]:
+    """What each file of a folder holds."""
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def write(tmp_path, monkeypatch):
+    """Write a session's files as they stand after so many segments."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def write(folder: Path, segments: int) -> dict[str, str]:
+        (folder / "scene").mkdir(parents=True, exist_ok=True)
+        names = [f"segment-000{n}.{kind}" for n in range(1, segments + 1) for kind in ("mcap", "jsonl")]
+        for name in ("scene/scene.toml", *names):
+            (folder / name).write_text(f"{name} of {segments}")
+        return contents(folder)
+
+    return write
+
+
+def test_a_temporary_recording_is_kept_whole_and_brought_up_to_date_at_its_end(tmp_path, write):
+    storage = Storage(OpenRequest(), tmp_path / "documents")
+    assert storage.can_keep
+    first = write(storage.folder, 1)
+    (storage.folder / LOCK_NAME).write_text("this process")
+    kept = storage.keep()
+    assert kept == storage.kept
+    assert kept.parent == tmp_path / "documents"
+    assert contents(kept) == first
+    assert not storage.can_keep
+    assert str(kept) in storage.words()
+    (storage.folder / LOCK_NAME).unlink()
+    second = write(storage.folder, 2)
+    storage.finish()
+    assert contents(kept) == second
+    assert not storage.folder.parent.exists()
+
+
+def test_a_temporary_recording_that_nobody_keeps_goes(tmp_path, write):
+    storage = Storage(OpenRequest(), tmp_path / "documents")
+    write(storage.folder, 1)
+    storage.finish()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["folder", "session"])
+def test_a_recording_in_a_folder_of_its_own_stays_there(tmp_path, write, kind):
+    storage = Storage(OpenRequest(**{kind: tmp_path / "monday"}), tmp_path / "documents")
+    assert storage.folder == tmp_path / "monday"
+    assert not storage.can_keep
+    held = write(storage.folder, 1)
+    storage.finish()
+    assert contents(tmp_path / "monday") == held
+    assert [path.name for path in tmp_path.iterdir()] == ["monday"]
+
+
 SLOW_S = 2.5
 """s. Longer than closing waits for work that nobody would miss."""
 

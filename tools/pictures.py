@@ -1,0 +1,120 @@
+"""Make the pictures of the window in `docs/pictures` anew: `python -m tools.pictures`, some ten minutes.
+
+Opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show. Devices
+send in real time, so that pictures of them differ a little from run to run: look at each.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from PySide6.QtCore import QSettings
+from PySide6.QtWidgets import QApplication
+
+from app.session.controller import Controller
+from app.session.opening import OpenRequest, find_scene, server_command
+from app.sound.player import Player
+from app.theme import Choice
+from app.window import Theme, Window
+from skincal.model.scene import load_scene
+from skincal.session.part import load_scene_surface
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.virtual_session import simulate_session
+from skincal.taxels.result import Method
+
+PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
+
+
+class Photographed:
+    """The window on one session, while its pictures are made."""
+
+    def __init__(self, request: OpenRequest, choice: Choice, tab: str, size: tuple[int, int] = (1280, 800)) -> None:
+        settings = QSettings(f"{tab}.ini", QSettings.Format.IniFormat)
+        settings.setValue("window/sounds", False)
+        self.theme = Theme(choice)
+        self.window = Window(Controller(Path("documents")), self.theme, settings, Path("documents"), Player())
+        self.window.resize(*size)
+        self.window.show()
+        self.window.controller.open(request)
+        self.until(lambda: self.window.session_view is not None and self.window.session_view.state is not None)
+        assert self.window.session_view is not None
+        self.view = self.window.session_view
+        self.until(lambda: self.view.workspace.view.list_layers() != () and self.view.workspace.readings.curves is not None)
+        self.view.workspace.show_tab(tab)
+
+    def until(self, there: Callable[[], bool]) -> None:
+        """Let the window work until something is there."""
+        end = time.monotonic() + 900.0
+        while not there():
+            if time.monotonic() > end:
+                sys.exit("pictures: what a picture is to show did not come; try another seed.")
+            QApplication.processEvents()
+            time.sleep(0.001)
+
+    def until_said(self, headline: str, detail: str, pokes: int) -> None:
+        """Wait until the line below says that, in its two lines, after so many pokes."""
+        now = self.view.workspace.now
+
+        def said() -> bool:
+            state = self.view.state
+            shown = state is not None and len(state.snapshot.pokes) >= pokes and state.behind_s < 0.2
+            return shown and now.headline.text().startswith(headline) and detail in now.detail.text()
+
+        self.until(said)
+
+    def grab(self, name: str, seconds: float = 0.06) -> None:
+        """Write the picture of the window with the dialog in front of it; soon, before the hand goes on."""
+        self.window.show()
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > end)
+        picture, dialog = self.window.grab(), QApplication.activeModalWidget()
+        if dialog is not None:
+            dialog.render(picture, self.window.rect().center() - dialog.rect().center())
+        picture.save(str(PICTURES / f"{name}.png"))
+
+
+def main() -> None:
+    """Write every picture of the window."""
+    forearm = load_scene(find_scene(None))
+    simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
+    course = Photographed(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
+    course.grab("errors", 10.0)
+    course.window.close()
+    good = Photographed(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
+    good.until_said("hold still", "aim", 25)
+    good.grab("guide-contact")
+    good.view.workspace.view.set_turning(False)
+    good.view.workspace.view.reset_camera()
+    good.until_said("rejected", "", 30)
+    good.grab("guide-rejected")
+    good.view.workspace.show_tab("Readings")
+    good.window.resize(1280, 800)
+    good.until_said("counted", "Next", 60)
+    good.window.messages.dismiss()
+    good.grab("window")
+    good.window.close()
+    wrong = Photographed(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
+    # A window that draws falls behind on a busy machine, and the operator pokes what was asked for before.
+    wrong.window.hide()
+    wrong.until(lambda: any(offer.frame is None for offer in (wrong.view.state.offers if wrong.view.state else ())))
+    wrong.grab("rig", 1.0)
+    wrong.window.hide()
+    wrong.theme.choose(Choice.DARK)
+    wrong.view.show_method(Method.MODULES)
+    wrong.until(lambda: wrong.view.ends)
+    wrong.view.ask_verdict(wrong.window)
+    wrong.grab("guide-verdict", 1.0)
+    wrong.window.close()
+
+
+if __name__ == "__main__":
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    application = QApplication(sys.argv[:1])
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        main()
