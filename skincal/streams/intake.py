@@ -200,13 +200,18 @@ def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: flo
 def _lower_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return the lower convex hull, left to right (Andrew's monotone chain)."""
     hull: list[tuple[float, float]] = []
-    for x, y in points:
-        while len(hull) >= 2:
-            (x0, y0), (x1, y1) = hull[-2], hull[-1]
+    drop, count = hull.pop, 0
+    for point in points:
+        x, y = point
+        while count > 1:
+            x1, y1 = hull[-1]
+            x0, y0 = hull[-2]
             if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
                 break
-            hull.pop()
-        hull.append((x, y))
+            drop()
+            count -= 1
+        hull.append(point)
+        count += 1
     return hull
 
 

@@ -140,7 +140,7 @@ class RecordedTimes:
         """Take stamps that go on as they should, once the usual interval is known; else return False, and take none."""
         if self._leap is not None or len(self._intervals) < FIRST_INTERVALS:
             return False
-        pauses = np.diff(stamps, prepend=self._highest)
+        pauses = _steps(self._highest, stamps)
         if pauses.min() < 0 or pauses.max() > OUT_OF_ORDER:
             return False
         self._count_gaps(pauses[pauses > self._gap_limit].tolist())
@@ -215,6 +215,14 @@ class RecordedTimes:
         self._count_gaps(self._pauses)
 
 
+def _steps(before: float, stamps: FloatArray) -> FloatArray:
+    """Return (n,) how far each stamp lies behind that before it."""
+    steps = stamps.copy()
+    steps[0] -= before
+    steps[1:] -= stamps[:-1]
+    return steps
+
+
 def agree(timelines: Sequence[RecordedTimes]) -> None:
     """Give jumps of the same amount in several files the same shift, that of the first file."""
     known: list[float] = []
@@ -287,7 +295,7 @@ def _placed(timeline: RecordedTimes, blocks: Iterator[RecordedLines], origin: fl
         times = START_NS + np.rint((stamps + shifts - origin) * 1e6).astype(np.int64) * 1000
         times[[line - index for line in astray[bisect_left(astray, index) : bisect_left(astray, end)]]] = START_NS
         times = np.maximum.accumulate(np.maximum(times, latest))
-        steady = np.abs(np.diff(stamps, prepend=before)) <= OUT_OF_ORDER
+        steady = np.abs(_steps(before, stamps)) <= OUT_OF_ORDER
         yield _Placed(times.tolist(), block.data, steady.tolist())
         latest, before, index = int(times[-1]), float(stamps[-1]), end
 

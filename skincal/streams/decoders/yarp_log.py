@@ -143,7 +143,9 @@ def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
     try:
         words = [line.split(None, 1 + stamps) for line in lines]
         numbers = [int(each[0]) for each in words]
-        times = np.array([[float(each[index]) for index in range(1, 1 + stamps)] for each in words])
+        times = np.empty((len(words), stamps))
+        for index in range(stamps):
+            times[:, index] = [float(each[1 + index]) for each in words]
     except (ValueError, IndexError):
         return None
     return times if _in_range(numbers, times) else None
