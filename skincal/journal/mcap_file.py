@@ -164,7 +164,9 @@ class McapWriter:
             offsets[channel] = at
             at += len(head) + len(entries)
         sizes = {"compressed_size": len(packed), "uncompressed_size": len(data)}
-        self._chunks.append(ChunkIndex(length, offset, "zstd", message_index_length=at - start, message_index_offsets=offsets, **times, **sizes))
+        self._chunks.append(
+            ChunkIndex(length, offset, "zstd", message_index_length=at - start, message_index_offsets=offsets, **times, **sizes)
+        )
         self._begin_chunk()
 
     def _write(self, record: McapRecord) -> int:

@@ -26,8 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.geometry import FloatArray
 from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import STAMP_MAX
@@ -61,7 +61,7 @@ class _Columns:
 
 
 class _Texts(dict[str, str]):
-    """What stands in a log line for a field, times `factor`; of the newest fields kept, since raw values of a skin come again."""
+    """What stands in a log line for a field, times `factor`; the newest are kept, since raw values of a skin come again."""
 
     def __init__(self, factor: float) -> None:
         self._factor = factor

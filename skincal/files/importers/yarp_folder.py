@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.geometry import FloatArray
 from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import (
@@ -226,7 +226,10 @@ def _whole_lines(path: Path) -> Iterator[list[bytes]]:
                 lines = BytesIO(rest + data).readlines()
                 rest = b"" if lines[-1].endswith(b"\n") else lines.pop()
                 if lines and (cut or max(map(len, lines)) > LINE_MAX + 1):
-                    lines = [TOO_LONG if len(line) > LINE_MAX + 1 or (cut and not index) else line for index, line in enumerate(lines)]
+                    lines = [
+                        TOO_LONG if len(line) > LINE_MAX + 1 or (cut and not index) else line
+                        for index, line in enumerate(lines)
+                    ]
                     cut = False
                 if lines:
                     yield lines

@@ -141,7 +141,7 @@ class Collector:
         return None
 
     def fits(self, stream: Stream, width: int) -> bool:
-        """Return whether readings of a stream that the link carries have this width; the first ones say it where it is unknown."""
+        """Return whether readings of a stream that the link carries have this width; where it is unknown the first say it."""
         if self._widths[stream] is None:
             self._widths[stream] = width
         return self._widths[stream] == width

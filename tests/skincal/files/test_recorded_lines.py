@@ -15,7 +15,6 @@ from skincal.files.importers.recorded_lines import (
 from skincal.model.errors import InputError
 from tests.approved import approved_pattern
 
-
 BLOCK = 7
 
 
