@@ -99,7 +99,8 @@ class McapWriter:
         records = np.zeros(count, np.dtype([*kinds.items(), ("data", "u1", (size,))]))
         records["kind"], records["length"] = Opcode.MESSAGE, records.itemsize - _OF_LENGTH
         records["channel"], records["made"], records["log"], records["data"] = channel, unix_ns, unix_ns, data
-        entries = np.column_stack([unix_ns, self._size + np.arange(count) * records.itemsize]).astype("<u8")
+        entries = np.empty((count, 2), "<u8")
+        entries[:, 0], entries[:, 1] = unix_ns, self._size + records.itemsize * np.arange(count)
         self._note(channel, count, int(unix_ns.min()), int(unix_ns.max()), entries.tobytes())
         self._put(records.tobytes())
 
