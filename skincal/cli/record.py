@@ -26,10 +26,10 @@ import typer
 from skincal.cli.calibrate import Json
 from skincal.model.errors import InputError
 from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
-from skincal.model.scene import Scene, load_scene, scene_file
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
+    from skincal.model.scene import Scene
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import LinkSpec, Reader
 
@@ -67,6 +67,8 @@ def add_to(app: typer.Typer) -> None:
 
 def find_scene(path: Path) -> Scene:
     """Load a scene file, or by name one that ships with skincal."""
+    from skincal.model.scene import load_scene, scene_file
+
     return load_scene(scene_file(path))
 
 

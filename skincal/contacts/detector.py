@@ -30,6 +30,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from statistics import median
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -373,7 +374,7 @@ class ContactDetector:
         if step > 0:
             self._spacings.append(step)  # a hole too: a device that became slower is one hole after the other
             if len(self._spacings) >= 3 and self._press is None:
-                self._period_s = float(np.median(self._spacings))
+                self._period_s = median(self._spacings)
         # Time that stands or goes back parts samples, too.
         return abs(step) if known > 0 and not 0 < step <= GAP_PERIODS * known else 0.0
 

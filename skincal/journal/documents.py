@@ -31,12 +31,13 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.contacts.detector import Doubt
 from skincal.contacts.gates import FinishedPress, StillMean
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.contacts.tare import Tare
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
@@ -53,6 +54,8 @@ _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
 _MISSING = ("still", "link_from_sensor", "after", "force", "moment")
 """What may be missing; elsewhere null is a float that is none."""
+SECONDS_MAX = 0x7FFFFFFF
+"""s. The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording."""
 _PREFIX = b"\x00\x01\x00\x00"
 _SEPARATOR = "=" * 80
 _HEADER = (
@@ -343,10 +346,17 @@ def decode_chunk(message: bytes) -> tuple[int, bytes]:
     return int(host_ns), message[16:]
 
 
-def encode_wrench(unix_ns: int, frame: str, wrench: FloatArray) -> bytes:
-    """Return a `geometry_msgs/msg/WrenchStamped` of a (6,) wrench, N and N m."""
-    body = _stamped(unix_ns, frame)
-    return _PREFIX + body + bytes(-len(body) % 8) + np.ascontiguousarray(wrench, dtype="<f8").tobytes()
+def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> NDArray[np.uint8]:
+    """Return a `geometry_msgs/msg/WrenchStamped` each, (n, bytes), of (n, 6) wrenches, N and N m."""
+    body = _stamped(0, frame)
+    alike = _PREFIX + body + bytes(-len(body) % 8)
+    messages = np.empty(len(wrenches), np.dtype([("alike", "u1", (len(alike),)), ("wrench", "<f8", (6,))]))
+    messages["alike"], messages["wrench"] = np.frombuffer(alike, np.uint8), wrenches
+    rows = messages.view(np.uint8).reshape(len(wrenches), -1)
+    seconds, rest = np.divmod(unix_ns, 1_000_000_000)
+    clock = np.column_stack([np.minimum(seconds, SECONDS_MAX), rest]).astype("<u4")
+    rows[:, len(_PREFIX) : len(_PREFIX) + 8] = clock.view(np.uint8)
+    return rows
 
 
 def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: FloatArray) -> bytes:
@@ -372,8 +382,7 @@ def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: Floa
 
 def _stamped(unix_ns: int, frame: str) -> bytes:
     seconds, rest = divmod(unix_ns, 1_000_000_000)
-    # The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording.
-    return struct.pack("<iI", min(seconds, 0x7FFFFFFF), rest) + _text(frame)
+    return struct.pack("<iI", min(seconds, SECONDS_MAX), rest) + _text(frame)
 
 
 def _text(text: str) -> bytes:

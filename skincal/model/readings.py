@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    # The commands' help needs no arrays, and numpy takes a quarter of its time.
+    import numpy as np
+    from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
+    from skincal.geometry import FloatArray, IntArray
 
 
 class Stream(Enum):

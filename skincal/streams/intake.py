@@ -123,6 +123,32 @@ class HullClock:
             self._end_bucket(x, y)
         return arrival_s - (y - self._offset - self._slope * x)
 
+    def map_steady(self, device_s: Sequence[float], arrival_s: float) -> list[float]:
+        """Return what `map` returns for readings that arrived together; only as many as need none but the usual steps."""
+        if self._origin is None or self._behind_since is not None:
+            return []
+        made: list[float] = []
+        first_x, first_y = self._origin
+        (low_x, low_y), last_x = self._lowest, self._last_x
+        offset, slope = self._offset, self._slope
+        y, end = arrival_s - first_y, self._bucket_start + BUCKET_S
+        for stamp in device_s:
+            x = stamp - first_x
+            late = y - offset - slope * x
+            # The same sums as in `map`, in the same order; a bucket ends where x - start says so.
+            if stamp < last_x - JUMP_S or not -JUMP_S <= late <= JUMP_S or x >= end - STEP_S:
+                break
+            if late < 0.0:
+                offset += late
+                late = 0.0
+            if late <= low_y - offset - slope * low_x:
+                low_x, low_y = x, y
+            if stamp > last_x:
+                last_x = stamp
+            made.append(arrival_s - (y - offset - slope * x))
+        self._lowest, self._last_x, self._offset = (low_x, low_y), last_x, offset
+        return made
+
     def _begin(self, device_s: float, arrival_s: float) -> None:
         self.reset()
         self._origin = device_s, arrival_s
@@ -179,13 +205,18 @@ def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: flo
 def _lower_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return the lower convex hull, left to right (Andrew's monotone chain)."""
     hull: list[tuple[float, float]] = []
-    for x, y in points:
-        while len(hull) >= 2:
-            (x0, y0), (x1, y1) = hull[-2], hull[-1]
+    drop, count = hull.pop, 0
+    for point in points:
+        x, y = point
+        while count > 1:
+            x1, y1 = hull[-1]
+            x0, y0 = hull[-2]
             if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
                 break
-            hull.pop()
-        hull.append((x, y))
+            drop()
+            count -= 1
+        hull.append(point)
+        count += 1
     return hull
 
 
@@ -273,10 +304,16 @@ class Stamper:
         """
         last = self._last.get(stream, -math.inf)
         stamps: list[float] = []
-        for x in device_s.tolist():
-            made_s = self._index[stream].map(arrival_s) if math.isnan(x) else self._device.map(x, arrival_s)
-            last = made_s if made_s >= last + STEP_S else last + STEP_S
-            stamps.append(last)
+        readings = device_s.tolist()
+        clocked = not np.isnan(device_s).any()
+        while len(stamps) < len(readings):
+            made = self._device.map_steady(readings[len(stamps) :], arrival_s) if clocked else []
+            if not made:
+                x = readings[len(stamps)]
+                made = [self._index[stream].map(arrival_s) if math.isnan(x) else self._device.map(x, arrival_s)]
+            for made_s in made:
+                last = made_s if made_s >= last + STEP_S else last + STEP_S
+                stamps.append(last)
         self._last[stream] = last
         return np.array(stamps)
 

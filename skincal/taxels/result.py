@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
 
-from skincal.geometry import FloatArray
+if TYPE_CHECKING:
+    # The commands' help names methods, and numpy takes a quarter of its time.
+    from skincal.geometry import FloatArray
 
 SD_MAX = 0.030
 """m. A position whose standard deviation in its worst direction exceeds this is none: it is the side of a whole module."""

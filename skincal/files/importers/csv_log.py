@@ -21,14 +21,21 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
-from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, check_overlap, merged
+import numpy as np
+
+from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import STAMP_MAX
 from skincal.streams.links import LinkSpec
 
+BLOCK = 64
+"""Rows that are read at a time."""
+TEXTS_MAX = 1 << 12
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
@@ -53,6 +60,22 @@ class _Columns:
     finding: str = ""
 
 
+class _Texts(dict[str, str]):
+    """What stands in a log line for a field, times `factor`; the newest are kept, since raw values of a skin come again."""
+
+    def __init__(self, factor: float) -> None:
+        self._factor = factor
+
+    def __missing__(self, field: str) -> str:
+        value = _to_float(field)
+        # What is no number goes on as it is, so that the decoder counts it.
+        text = repr(value * self._factor) if value is not None else field.replace(" ", "?") or "nan"
+        if len(self) >= TEXTS_MAX:
+            self.clear()
+        self[field] = text
+        return text
+
+
 class _Table:
     """One CSV file and how its rows are read.
 
@@ -73,6 +96,8 @@ class _Table:
             self.columns = _named_columns(stream, [name.lower() for name in row], path)
         else:
             self.columns = _columns_by_place(stream, len(row), path)
+        known = {factor: _Texts(factor) for factor in self.columns.factors}
+        self._texts = [known[factor] for factor in self.columns.factors]
         self.skipped = 0
         """Rows of the last reading that have no time and so no place."""
 
@@ -80,18 +105,48 @@ class _Table:
     def link(self) -> LinkSpec:
         return LinkSpec(self.stream.value, f"file:{self.path}", (self.stream,), "csv")
 
-    def lines(self) -> Iterator[RecordedLine]:
-        """Give each row with its time; count the rows that have none."""
+    def stamps(self) -> Iterator[FloatArray]:
+        """Give the times of the rows; count the rows that have none."""
         self.skipped = 0
-        rows = _rows(self.path, self._separator)
+        # Of a row nothing is read behind its time.
+        rows = self._rows(self.columns.time + 1)
+        while block := list(islice(rows, BLOCK)):
+            stamps = [seconds for row in block if (seconds := self._seconds(row)) is not None]
+            self.skipped += len(block) - len(stamps)
+            if stamps:
+                yield np.array(stamps)
+
+    def lines(self) -> Iterator[RecordedLines]:
+        """Give the rows that have a time."""
+        rows = enumerate(self._rows())
+        while block := list(islice(rows, BLOCK)):
+            lines = [(seconds, self._line(*each, seconds)) for each in block if (seconds := self._seconds(each[1])) is not None]
+            if lines:
+                stamps, data = zip(*lines, strict=True)
+                yield RecordedLines(np.array(stamps), data)
+
+    def _rows(self, splits: int = -1) -> Iterator[list[str]]:
+        rows = _rows(self.path, self._separator, splits)
         if self._header:
             next(rows, None)
-        for index, row in enumerate(rows):
-            line = _line(index, row, self.columns)
-            if line is not None:
-                yield line
-            else:
-                self.skipped += 1
+        return rows
+
+    def _seconds(self, row: list[str]) -> float | None:
+        columns = self.columns
+        stamp = _to_float(row[columns.time]) if columns.time < len(row) else None
+        return None if stamp is None or not abs(stamp * columns.to_s) <= STAMP_MAX else stamp * columns.to_s
+
+    def _line(self, index: int, row: list[str], seconds: float) -> bytes:
+        """Return a row as a log line. A row of another width keeps it, so that it is counted."""
+        columns = self.columns
+        number = _to_float(row[columns.number]) if columns.number is not None and columns.number < len(row) else None
+        if len(row) == columns.width:
+            values = [texts[row[at]] for texts, at in zip(self._texts, columns.values, strict=True)]
+        else:
+            values = [texts[row[at]] if at < len(row) else "" for texts, at in zip(self._texts, columns.values, strict=True)]
+            values += ["nan"] * (len(row) - columns.width)
+        line = f"{index if number is None or not math.isfinite(number) else int(number)} {seconds:.9f} {' '.join(values)}\n"
+        return line.encode("ascii", "replace")
 
 
 def read_csv(
@@ -107,7 +162,7 @@ def read_csv(
     timelines: list[RecordedTimes] = []
     for table in tables:
         name = table.stream.value
-        timeline = RecordedTimes(name, (line.stamp for line in table.lines()))
+        timeline = RecordedTimes(name, table.stamps())
         if not timeline.lines:
             raise InputError(
                 f"{table.path}: no row with a time was found; expected a row a reading, its time and its values. A time "
@@ -125,8 +180,12 @@ def read_csv(
     return tuple(table.link for table in tables), chunks, tuple(findings)
 
 
-def _rows(path: Path, separator: str | None) -> Iterator[list[str]]:
-    """Give the fields of each row, in quotes or not; empty lines and lines that begin with # are left out."""
+def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[str]]:
+    """Give the fields of each row, in quotes or not; empty lines and lines that begin with # are left out.
+
+    With `splits` what lies behind so many fields stays together.
+    """
+    marks = [mark for mark in " \t\"'" if mark != separator]
     try:
         # Spreadsheets begin a file with a byte order mark.
         with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -134,8 +193,8 @@ def _rows(path: Path, separator: str | None) -> Iterator[list[str]]:
                 # A tab at an end stands beside an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):
-                    fields = line.split(separator)
-                    yield [field.strip(" \t\"'") for field in fields]
+                    fields = line.split(separator, splits)
+                    yield [field.strip(" \t\"'") for field in fields] if any(mark in line for mark in marks) else fields
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
 
@@ -212,26 +271,3 @@ def _joint_columns(names: list[str], others: list[int], path: Path) -> tuple[tup
 
 
 _VALUE_COLUMNS = {Stream.WRENCH: _wrench_columns, Stream.SKIN: _skin_columns, Stream.JOINTS: _joint_columns}
-
-
-def _line(index: int, row: list[str], columns: _Columns) -> RecordedLine | None:
-    """Return a row as a log line; None where it has no time. A row of another width keeps it, so that it is counted."""
-    stamp = _to_float(row[columns.time]) if columns.time < len(row) else None
-    if stamp is None or not abs(stamp * columns.to_s) <= STAMP_MAX:
-        return None
-    number = _to_float(row[columns.number]) if columns.number is not None and columns.number < len(row) else None
-    seconds = stamp * columns.to_s
-    values = [_value(row, at, factor) for at, factor in zip(columns.values, columns.factors, strict=True)]
-    values += ["nan"] * (len(row) - columns.width)
-    line = f"{index if number is None or not math.isfinite(number) else int(number)} {seconds:.9f} {' '.join(values)}\n"
-    return RecordedLine(seconds, line.encode("ascii", "replace"))
-
-
-def _value(row: list[str], at: int, factor: float) -> str:
-    if at >= len(row):
-        return ""
-    if not row[at]:
-        return "nan"
-    value = _to_float(row[at])
-    # What is no number goes on as it is, so that the decoder counts it.
-    return repr(value * factor) if value is not None else row[at].replace(" ", "?")

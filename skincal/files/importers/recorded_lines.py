@@ -2,7 +2,7 @@
 
 Stamps of a recording jump: a clock is set back, messages come out of order, a program hangs. Each file is read twice: first
 `RecordedTimes` finds its jumps and says what it found, then `merged` gives the lines, in the order of the files and of a common
-clock that never runs backwards. Neither holds more than a line of each file.
+clock that never runs backwards. Neither holds more than a few lines of each file: a block at a time.
 
 - A stamp a little before the one before it (`OUT_OF_ORDER`) is a message that came late: it is placed at the time of the
   one before it, and its own stamp, which stands in its line, says when it was taken.
@@ -21,11 +21,15 @@ from __future__ import annotations
 
 import heapq
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import TypeAlias
 
+import numpy as np
+
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk
 
@@ -43,8 +47,8 @@ AWAY_S = 60.0
 """s. A clock that is right again after no more than this was wrong meanwhile: time servers look every minute or so."""
 SPAN_MAX = 1e8
 """s. Three years: a recording that is longer has a clock that leapt."""
-TOGETHER = 0.05
-"""s. Lines of so long travel in one chunk: a fifth of the time that a skin frame waits for its wrench."""
+TOGETHER_NS = 50_000_000
+"""ns. Lines of so long travel in one chunk: a fifth of the time that a skin frame waits for its wrench."""
 TOGETHER_LINES = 64
 """Lines of one chunk, whatever their stamps say: a bound for memory."""
 FIRST_INTERVALS = 500
@@ -53,17 +57,17 @@ START_NS = 1_000_000_000
 """ns. Where a recording begins on the host's clock; 0 means never there."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedLine:
-    """One line of a recording."""
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedLines:
+    """A block of n > 0 lines that follow one another in a recording."""
 
-    stamp: float
-    """seconds, of any clock."""
-    data: bytes
-    """As the decoder takes it, with its line end."""
+    stamps: FloatArray
+    """(n,) float, seconds, of any clock."""
+    data: Sequence[bytes]
+    """n lines, each as the decoder takes it, with its line end."""
 
 
-Lines: TypeAlias = Callable[[], Iterator[RecordedLine]]
+Lines: TypeAlias = Callable[[], Iterator[RecordedLines]]
 """Opens a file and gives its lines; it is called twice."""
 
 
@@ -83,9 +87,9 @@ class _Leap:
 
 
 class RecordedTimes:
-    """What a first reading of a file's stamps, in seconds, finds; `name` is that of the file's link."""
+    """What a first reading of a file's stamps, blocks of seconds, finds; `name` is that of the file's link."""
 
-    def __init__(self, name: str, stamps: Iterable[float]) -> None:
+    def __init__(self, name: str, blocks: Iterable[FloatArray]) -> None:
         self.name = name
         self.lines = 0
         self.first = self.last = 0.0
@@ -109,8 +113,10 @@ class RecordedTimes:
         # Long ones, kept back until the usual interval is known.
         self._pauses: list[float] = []
         self._gap_limit = GAP_MIN
-        for stamp in stamps:
-            self._add(stamp)
+        for stamps in blocks:
+            if not self._add_steady(stamps):
+                for stamp in stamps.tolist():
+                    self._add(stamp)
         self._end()
 
     @property
@@ -144,6 +150,19 @@ class RecordedTimes:
                 "the lines after it follow on without a break, but a poke that it cuts may be wrong."
             )
         return found
+
+    def _add_steady(self, stamps: FloatArray) -> bool:
+        """Take stamps that go on as they should, once the usual interval is known; else return False, and take none."""
+        if self._leap is not None or len(self._intervals) < FIRST_INTERVALS:
+            return False
+        pauses = _steps(self._highest, stamps)
+        if pauses.min() < 0 or pauses.max() > OUT_OF_ORDER:
+            return False
+        self._count_gaps(pauses[pauses > self._gap_limit].tolist())
+        self._highest = float(stamps[-1])
+        self.last = self._highest + self._shift
+        self.lines += len(stamps)
+        return True
 
     def _add(self, stamp: float) -> None:
         if self.lines == 0:
@@ -234,6 +253,14 @@ class RecordedTimes:
         self._count_gaps(self._pauses)
 
 
+def _steps(before: float, stamps: FloatArray) -> FloatArray:
+    """Return (n,) how far each stamp lies behind that before it."""
+    steps = stamps.copy()
+    steps[0] -= before
+    steps[1:] -= stamps[:-1]
+    return steps
+
+
 def agree(timelines: Sequence[RecordedTimes]) -> None:
     """Give jumps of the same amount in several files the same shift, that of the first file."""
     known: list[float] = []
@@ -285,43 +312,55 @@ def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: 
 
 @dataclass(frozen=True, slots=True)
 class _Placed:
-    """A line and its time."""
+    """n lines and their times."""
 
-    host_ns: int
-    data: bytes
-    # Its stamp follows on the one before; else the decoder's clock starts anew with it.
-    steady: bool
-
-
-def _placed(timeline: RecordedTimes, lines: Iterator[RecordedLine], origin: float) -> Iterator[_Placed]:
-    shift, latest, before = 0.0, START_NS, -math.inf
-    for index, line in enumerate(lines):
-        shift += timeline.jumps.get(index, 0.0)
-        if index not in timeline.astray:
-            # Stamps have microseconds; more digits would be those of the double.
-            latest = max(latest, START_NS + round((line.stamp + shift - origin) * 1e6) * 1000)
-        yield _Placed(latest, line.data, abs(line.stamp - before) <= OUT_OF_ORDER)
-        before = line.stamp
+    host_ns: list[int]
+    data: Sequence[bytes]
+    # Whether a line's stamp follows on the one before; else the decoder's clock starts anew with it.
+    steady: list[bool]
 
 
-def _chunks(timeline: RecordedTimes, lines: Iterator[_Placed], *, together: bool) -> Iterator[Chunk]:
+def _placed(timeline: RecordedTimes, blocks: Iterator[RecordedLines], origin: float) -> Iterator[_Placed]:
+    shift, latest, before, index = 0.0, START_NS, -math.inf, 0
+    jumps, astray = sorted(timeline.jumps), sorted(timeline.astray)
+    for block in blocks:
+        stamps, end = block.stamps, index + len(block.stamps)
+        shifts = np.full(len(stamps), shift)
+        for line in jumps[bisect_left(jumps, index) : bisect_left(jumps, end)]:
+            shift += timeline.jumps[line]
+            shifts[line - index :] = shift
+        # Stamps have microseconds; more digits would be those of the double.
+        times = START_NS + np.rint((stamps + shifts - origin) * 1e6).astype(np.int64) * 1000
+        times[[line - index for line in astray[bisect_left(astray, index) : bisect_left(astray, end)]]] = START_NS
+        times = np.maximum.accumulate(np.maximum(times, latest))
+        steady = np.abs(_steps(before, stamps)) <= OUT_OF_ORDER
+        yield _Placed(times.tolist(), block.data, steady.tolist())
+        latest, before, index = int(times[-1]), float(stamps[-1]), end
+
+
+def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: bool) -> Iterator[Chunk]:
     """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is a chunk alone.
 
     The clock of a decoder takes a chunk's time for the arrival of each of its lines, and the least delay for the true one: the
     last line's is right, the others only look late. A clock's first line has no other to be measured by.
     """
-    held: list[_Placed] = []
-    for line in lines:
-        if held and (not line.steady or line.host_ns - held[0].host_ns > TOGETHER * 1e9 or len(held) >= TOGETHER_LINES):
-            yield _chunk(timeline, held)
-            held = []
-        held.append(line)
-        if not (line.steady and together):
-            yield _chunk(timeline, held)
-            held = []
+    held: list[bytes] = []
+    first_ns = last_ns = 0
+    for block in blocks:
+        times, steady, at = block.host_ns, block.steady, 0
+        while at < len(times):
+            if held and (not steady[at] or times[at] - first_ns > TOGETHER_NS or len(held) >= TOGETHER_LINES):
+                yield Chunk(timeline.name, last_ns, b"".join(held))
+                held = []
+            if not (steady[at] and together):
+                yield Chunk(timeline.name, times[at], block.data[at])
+                at += 1
+                continue
+            first_ns = first_ns if held else times[at]
+            end = bisect_right(times, first_ns + TOGETHER_NS, at, min(at + TOGETHER_LINES - len(held), len(times)))
+            if False in steady[at:end]:
+                end = steady.index(False, at)
+            held += block.data[at:end]
+            last_ns, at = times[end - 1], end
     if held:
-        yield _chunk(timeline, held)
-
-
-def _chunk(timeline: RecordedTimes, held: Sequence[_Placed]) -> Chunk:
-    return Chunk(timeline.name, held[-1].host_ns, b"".join(line.data for line in held))
+        yield Chunk(timeline.name, last_ns, b"".join(held))

@@ -13,10 +13,14 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from io import BytesIO
+from itertools import chain, islice
 from pathlib import Path
 
-from skincal.files.importers.recorded_lines import RecordedLine, RecordedTimes, check_overlap, merged
+import numpy as np
+
+from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import (
@@ -25,9 +29,11 @@ from skincal.streams.decoders.yarp_log import (
     MEASURES_WRENCH,
     BottleError,
     LogLine,
+    even_words,
     is_header,
     parse_bottle,
     split_line,
+    split_stamps,
 )
 from skincal.streams.links import LinkSpec
 
@@ -40,6 +46,8 @@ GRAMMAR_LINES = 50
 """Lines from which the grammar of an old log is found."""
 BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
+BLOCK = 1 << 13
+"""bytes that are read at a time: some 100 wrenches."""
 TOO_LONG = b"...\n"
 """Stands for a line that is too long: no record, so that it is counted as unreadable."""
 FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
@@ -66,25 +74,33 @@ class _Log:
     def link(self) -> LinkSpec:
         return LinkSpec(self.name, f"file:{self.path}", (self.stream,), self.decoder)
 
-    def lines(self) -> Iterator[RecordedLine]:
-        """Give each record with the time at which this program would have received it.
+    def lines(self) -> Iterator[RecordedLines]:
+        """Give the records with the times at which this program would have received them.
 
         A line that is no record has no time: it travels before the next record, so that the decoder counts it.
         """
         before = b""
-        for data in _whole_lines(self.path):
-            line = split_line(data, self.stamps)
-            if line is not None:
-                yield RecordedLine(line.stamps[-1], before + data)
+        for block in _whole_lines(self.path):
+            times = split_stamps(block, self.stamps)
+            if times is not None:
+                yield RecordedLines(times[:, -1], [before + block[0], *block[1:]])
                 before = b""
-            elif len(before) < LINE_MAX and not is_header(data):
-                before += data
+                continue
+            for data in block:
+                line = split_line(data, self.stamps)
+                if line is not None:
+                    yield RecordedLines(np.array(line.stamps[-1:]), [before + data])
+                    before = b""
+                elif len(before) < LINE_MAX and not is_header(data):
+                    before += data
 
 
 @dataclass(slots=True)
 class _Contents:
     """What a first reading of a log counts."""
 
+    # Distinct values of a skin; None for others, and once they are not those of a binarised skin.
+    levels: set[float] | None
     # Lines whose first stamp is 0: their sender gave none.
     untimed: int = 0
     empty: int = 0
@@ -95,8 +111,6 @@ class _Contents:
     sensors: int = 0
     # Number of lines by their number of values, plain vectors only.
     widths: Counter[int] = field(default_factory=Counter[int])
-    # Distinct values of a skin; None once they are not those of a binarised skin.
-    levels: set[float] | None = field(default_factory=set[float])
 
 
 def read_yarp(
@@ -180,7 +194,8 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
         if len(clocks) in FORMATS and set(clocks) <= {"tx", "rx"}:
             return len(clocks), clocks[-1], []
         raise InputError(f"{path.with_name(INFO)}: Stamp is {found.group(1)!r}; expected tx, rx or tx+rx.")
-    head = [line for data in islice(_whole_lines(path), GRAMMAR_LINES) if (line := split_line(data, 2)) is not None]
+    first = islice(chain.from_iterable(_whole_lines(path)), GRAMMAR_LINES)
+    head = [line for data in first if (line := split_line(data, 2)) is not None]
     # No Stamp line: where most of the first lines have a second time, all lines have.
     two = sum(_is_second_stamp(line) for line in head) * 2 > len(head) > 0
     return (2, "rx", []) if two else (1, "", [])
@@ -199,19 +214,27 @@ def _is_second_stamp(line: LogLine) -> bool:
     return rx > EPOCH_MIN and (tx == 0 or abs(rx - tx) < STAMPS_APART)
 
 
-def _whole_lines(path: Path) -> Iterator[bytes]:
-    """Give the lines of a file that have an end; the dumper ends every line, so one without is cut.
+def _whole_lines(path: Path) -> Iterator[list[bytes]]:
+    """Give the lines of a file that have an end, block by block; the dumper ends every line, so one without is cut.
 
     Of a line that is too long to be a record, `TOO_LONG` is given.
     """
     try:
         with path.open("rb") as file:
-            cut = False
-            while line := file.readline(LINE_MAX + 1):
-                ends = line.endswith(b"\n")
-                if ends:
-                    yield TOO_LONG if cut else line
-                cut = not ends
+            rest, cut = b"", False
+            while data := file.read(BLOCK):
+                lines = BytesIO(rest + data).readlines()
+                rest = b"" if lines[-1].endswith(b"\n") else lines.pop()
+                if lines and (cut or max(map(len, lines)) > LINE_MAX + 1):
+                    lines = [
+                        TOO_LONG if len(line) > LINE_MAX + 1 or (cut and not index) else line
+                        for index, line in enumerate(lines)
+                    ]
+                    cut = False
+                if lines:
+                    yield lines
+                if len(rest) > LINE_MAX:
+                    rest, cut = b"", True
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its rights.") from None
 
@@ -227,7 +250,7 @@ def _ends_open(path: Path) -> bool:
 
 def _read_through(log: _Log) -> tuple[RecordedTimes, _Contents]:
     """Read a log once: its timeline, and what it holds."""
-    contents = _Contents()
+    contents = _Contents(levels=set() if log.stream is Stream.SKIN else None)
     timeline = RecordedTimes(log.name, _stamps(log, contents))
     if not timeline.lines:
         seen = f"has {plural(contents.unreadable, 'line')}, none of them of the form <number> <time> <values>"
@@ -240,18 +263,28 @@ def _read_through(log: _Log) -> tuple[RecordedTimes, _Contents]:
     return timeline, contents
 
 
-def _stamps(log: _Log, contents: _Contents) -> Iterator[float]:
-    for data in _whole_lines(log.path):
-        line = split_line(data, log.stamps)
-        if line is not None:
-            contents.untimed += line.stamps[0] == 0
-            _look(log.stream, line.payload, contents)
-            yield line.stamps[-1]
-        elif not is_header(data):
-            contents.unreadable += 1
+def _stamps(log: _Log, contents: _Contents) -> Iterator[FloatArray]:
+    for block in _whole_lines(log.path):
+        times = split_stamps(block, log.stamps)
+        data = b"".join(block)
+        found = None if times is None or contents.levels is not None or b"(" in data else even_words(data)
+        if times is not None and found is not None and found[1] > 1 + log.stamps:
+            # The usual block: lines of words alone, all of one width.
+            contents.untimed += int(np.count_nonzero(times[:, 0] == 0))
+            contents.widths[found[1] - 1 - log.stamps] += len(block)
+            yield times[:, -1]
+            continue
+        for data in block:
+            line = split_line(data, log.stamps)
+            if line is not None:
+                contents.untimed += line.stamps[0] == 0
+                _look(line.payload, contents)
+                yield np.array(line.stamps[-1:])
+            elif not is_header(data):
+                contents.unreadable += 1
 
 
-def _look(stream: Stream, payload: bytes, contents: _Contents) -> None:
+def _look(payload: bytes, contents: _Contents) -> None:
     """Note what a line carries, without reading more of it than is needed."""
     words = payload.split()
     if not words:
@@ -262,7 +295,7 @@ def _look(stream: Stream, payload: bytes, contents: _Contents) -> None:
     elif not contents.nested:
         contents.nested = True
         contents.sensors = _count_sensors(payload)
-    if stream is Stream.SKIN and contents.levels is not None:
+    if contents.levels is not None:
         contents.levels = _levels(words, contents.levels)
 
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Batch, JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
 
 SEQ_MODULUS = 1 << 16
@@ -135,16 +136,19 @@ class Collector:
         """
         if stream not in self._widths:
             return None
-        width = self._widths[stream]
-        if width is None:
-            # No scene says how many joints there are: the first reading does.
-            width = self._widths[stream] = len(values)
-        if len(values) != width:
+        if not self.fits(stream, len(values)):
+            width = self._widths[stream]
             self.note = f"{stream.value} readings of {len(values)} values arrive where {width} are expected; {_MEND[stream]}"
             return Loss.BAD_WIDTH
         # The other bits of a status mean nothing here.
         self._readings[stream].append((seq, device_s, values, status & (SATURATED_BIT | INVALID_BIT)))
         return None
+
+    def fits(self, stream: Stream, width: int) -> bool:
+        """Return whether readings of a stream that the link carries have this width; where it is unknown the first say it."""
+        if self._widths[stream] is None:
+            self._widths[stream] = width
+        return self._widths[stream] == width
 
     def take(self) -> list[Batch]:
         """Return the readings since the last call, one batch a stream; count those that are not numbers."""
@@ -153,6 +157,12 @@ class Collector:
     def _batch(self, stream: Stream, readings: list[tuple[int, float, list[float] | NDArray[Any], int]]) -> Batch:
         numbers, clocks, rows, status = zip(*readings, strict=True)
         seq, device_s, values = np.array(numbers, np.int64), np.array(clocks, np.float64), np.array(rows, np.float64)
+        return self.batch(stream, seq, device_s, values, np.array(status))
+
+    def batch(
+        self, stream: Stream, seq: IntArray, device_s: FloatArray, values: FloatArray, status: IntArray | None = None
+    ) -> Batch:
+        """Return n readings, their values (n, width), as a batch; count those that are not numbers. For the rest see `add`."""
         finite = np.isfinite(values)
         if not finite.all():
             self._counts[Loss.NOT_A_NUMBER] += int(np.count_nonzero(~finite.all(axis=1)))
@@ -160,7 +170,7 @@ class Collector:
             return SkinBatch(seq, device_s, np.where(finite, values, np.nan))
         if stream is Stream.JOINTS:
             return JointsBatch(seq, device_s, np.radians(values))  # every format has degrees
-        bits = np.array(status)
+        bits = np.zeros(len(seq), np.int64) if status is None else status
         saturated, invalid = (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
         for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
             if flags.any():
@@ -176,6 +186,11 @@ class Splitter:
         self._limit = limit
         self._rest = b""
         self._skipping = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether bytes without a mark are kept, or left out up to the next mark."""
+        return bool(self._rest) or self._skipping
 
     def split(self, data: bytes) -> list[bytes | None]:
         """Return the pieces that `data` completes, without the mark; None stands for one that was too long."""

@@ -11,12 +11,16 @@ from its serialiser (12 lists, 10 in older versions), not observed.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import TypeAlias
 
+import numpy as np
+
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.readings import Loss, Stream
+from skincal.model.readings import Batch, Loss, Stream
 from skincal.streams.decoders.base import PieceDecoder
 
 Item: TypeAlias = "float | str | list[Item]"
@@ -41,6 +45,8 @@ _TOKEN = re.compile(
     re.DOTALL,
 )
 """Of a bottle: what parts words, the ends of a list, a string, a name in brackets, any other word."""
+_INK = bytes(set(range(256)) - set(b" \t\n\r\x0b\x0c"))
+"""Every byte but those that part words."""
 _NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
 """What no payload of plain numbers has."""
 
@@ -132,6 +138,35 @@ def split_line(line: bytes, stamps: int) -> LogLine | None:
     return LogLine(seq, times, words[1 + stamps] if len(words) > 1 + stamps else b"")
 
 
+def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
+    """Return the stamps (n, stamps), seconds, of n lines; None where `split_line` refuses one of them."""
+    try:
+        words = [line.split(None, 1 + stamps) for line in lines]
+        numbers = [int(each[0]) for each in words]
+        times = np.empty((len(words), stamps))
+        for index in range(stamps):
+            times[:, index] = [float(each[1 + index]) for each in words]
+    except (ValueError, IndexError):
+        return None
+    return times if _in_range(numbers, times) else None
+
+
+def _in_range(numbers: Sequence[int], times: FloatArray) -> bool:
+    # What is not finite is not within the limit, either.
+    return bool((np.abs(times) <= STAMP_MAX).all()) and max(numbers) <= SEQ_MAX and min(numbers) >= -SEQ_MAX
+
+
+def even_words(data: bytes) -> tuple[list[bytes], int] | None:
+    """Return the words of whole lines and how many each line has, where all have as many, one space between them; else None."""
+    marks = data.translate(None, _INK)
+    width = marks.find(b"\n") + 1
+    if not data.endswith(b"\n") or marks != (b" " * (width - 1) + b"\n") * (len(marks) // width):
+        return None
+    words = data.split()
+    # As many words as marks: one before each.
+    return (words, width) if len(words) == len(marks) else None
+
+
 def is_header(line: bytes) -> bool:
     """Return whether a line holds no record: it is blank, or says what now stands in `info.log`."""
     return not line.strip() or line.lstrip().startswith(HEADER_WORDS)
@@ -157,6 +192,18 @@ class _Steps:
             return step // self._usual - 1
         return 0
 
+    def all_missing(self, numbers: Sequence[int]) -> int:
+        """Return how many numbers are missing before and among `numbers`."""
+        step, last = self._usual, self._last
+        if step and step == self._step and last is not None and list(numbers) == _counted(last + step, step, len(numbers)):
+            self._last = numbers[-1]
+            return 0
+        return sum(self.missing(number) for number in numbers)
+
+
+def _counted(first: int, step: int, count: int) -> list[int]:
+    return list(range(first, first + step * count, step))
+
 
 class YarpDecoder(PieceDecoder):
     """Decode log lines with one stamp, of one stream."""
@@ -176,6 +223,33 @@ class YarpDecoder(PieceDecoder):
         self._first = False  # A log is read from its first line on: nothing of it is lost.
         self._stream = carries[0]
         self._steps = _Steps()
+
+    def feed(self, data: bytes) -> list[Batch]:
+        """Take the next bytes of the link and return the readings that they complete."""
+        batch = self._even_lines(data)
+        return super().feed(data) if batch is None else [batch]
+
+    def _even_lines(self, data: bytes) -> Batch | None:
+        """Return the readings of whole lines, all of plain numbers and of one width, at once; None where one is otherwise."""
+        if self._splitter.holds or len(data) > LINE_MAX or any(mark in data for mark in _NOT_PLAIN):
+            return None
+        found = even_words(data)
+        if found is None:
+            return None
+        words, width = found
+        try:
+            numbers = [int(word) for word in words[::width]]
+            table = np.fromiter(map(float, words), np.float64, len(words)).reshape(-1, width)
+        except ValueError:
+            return None
+        times, values = table[:, 1 : 1 + self.stamps], table[:, 1 + self.stamps :]
+        if not values.size or not _in_range(numbers, times) or not self._collector.fits(self._stream, values.shape[1]):
+            return None
+        missing = self._steps.all_missing(numbers)
+        if missing:
+            self.counts[Loss.MISSING] += missing
+        self.good += len(numbers)
+        return self._collector.batch(self._stream, np.array(numbers, np.int64), times[:, self.made].copy(), values.copy())
 
     def _decode(self, piece: bytes) -> Loss | None:
         line = split_line(piece, self.stamps)

@@ -439,3 +439,8 @@ def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_pa
         pass
     assert (folder / "segment-0001.mcap").read_bytes() == b"of another program"
     assert (folder / "scene").is_dir()
+
+
+def test_help_does_not_wait_for_numpy():
+    seen = "import sys; from skincal.cli import main; main(['solve', '--help']); sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", seen], stdout=subprocess.DEVNULL, check=False).returncode == 0

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from skincal.files.importers.recorded_lines import (
     START_NS,
     TOGETHER_LINES,
-    RecordedLine,
+    RecordedLines,
     RecordedTimes,
     agree,
     check_overlap,
@@ -15,9 +15,18 @@ from skincal.files.importers.recorded_lines import (
 from skincal.model.errors import InputError
 from tests.approved import approved, approved_pattern
 
+BLOCK = 7
+
+
+def timed(name, stamps):
+    return RecordedTimes(name, (np.array(stamps[at : at + BLOCK]) for at in range(0, len(stamps), BLOCK)))
+
 
 def lines(stamps):
-    return lambda: (RecordedLine(stamp, f"{index}\n".encode()) for index, stamp in enumerate(stamps))
+    data = [f"{index}\n".encode() for index in range(len(stamps))]
+    return lambda: (
+        RecordedLines(np.array(stamps[at : at + BLOCK]), data[at : at + BLOCK]) for at in range(0, len(stamps), BLOCK)
+    )
 
 
 def play(**files):
@@ -26,7 +35,7 @@ def play(**files):
 
 
 def together(alone=(), **files):
-    timelines = [RecordedTimes(name, stamps) for name, stamps in files.items()]
+    timelines = [timed(name, stamps) for name, stamps in files.items()]
     return list(merged(timelines, [lines(stamps) for stamps in files.values()], alone))
 
 
@@ -59,16 +68,16 @@ def test_one_clock_set_back_is_one_shift_though_each_file_saw_it_at_another_inst
 def test_two_clocks_set_back_by_other_amounts_keep_their_own_shift():
     wrench = [5.0, 5.01, 5.02, 1.0, 1.01]
     skin = [5.0, 5.02, 4.0, 4.02]
-    timelines = [RecordedTimes("a", wrench), RecordedTimes("b", skin)]
+    timelines = [timed("a", wrench), timed("b", skin)]
     agree(timelines)
     shifts = [back for timeline in timelines for back in timeline.jumps.values()]
     assert shifts == pytest.approx([4.03, 1.04])
 
 
 def test_a_slow_stream_has_no_gaps_and_a_fast_one_has_those_that_are_there():
-    assert RecordedTimes("joints", [k * 0.2 for k in range(700)]).gaps == 0
+    assert timed("joints", [k * 0.2 for k in range(700)]).gaps == 0
     early_and_late = [k * 0.01 + (0.3 if k > 20 else 0) + (0.5 if k > 650 else 0) for k in range(700)]
-    found = RecordedTimes("wrench", early_and_late)
+    found = timed("wrench", early_and_late)
     assert (found.gaps, round(found.longest_gap, 6), found.interval) == (2, 0.51, pytest.approx(0.01))
 
 
@@ -86,7 +95,7 @@ def test_whatever_the_stamps_every_line_comes_once_in_its_files_order_and_time_n
 
 
 def test_recordings_of_different_times_are_refused():
-    first, second = RecordedTimes("wrench", [1.0, 2.0]), RecordedTimes("skin", [3.0, 4.0])
+    first, second = timed("wrench", [1.0, 2.0]), timed("skin", [3.0, 4.0])
     with pytest.raises(
         InputError,
         match=approved_pattern(
@@ -94,7 +103,7 @@ def test_recordings_of_different_times_are_refused():
         ),
     ):
         check_overlap([first, second])
-    check_overlap([first, RecordedTimes("skin", [1.5, 4.0])])
+    check_overlap([first, timed("skin", [1.5, 4.0])])
 
 
 @given(st.lists(STAMPS, min_size=1, max_size=3))
@@ -125,7 +134,7 @@ def test_stamps_that_do_not_move_do_not_gather_without_end():
 def test_stamps_written_wrong_shift_nothing(wrong, lines_wrong):
     stamps = [5.0 + k * 0.01 for k in range(100)]
     broken = [wrong + k * 0.01 if 40 <= k < 40 + lines_wrong else stamp for k, stamp in enumerate(stamps)]
-    found = RecordedTimes("wrench", broken)
+    found = timed("wrench", broken)
     assert (found.astray, found.jumps, found.gaps) == (set(range(40, 40 + lines_wrong)), {}, 0)
     assert (found.first, found.last) == (stamps[0], stamps[-1])
     assert any(f"{lines_wrong} stamp" in sentence for sentence in found.sentences())
@@ -136,12 +145,12 @@ def test_stamps_written_wrong_shift_nothing(wrong, lines_wrong):
 
 
 def test_a_last_stamp_years_later_is_wrong_and_a_clock_that_stays_years_later_is_refused():
-    found = RecordedTimes("wrench", [1.0, 1.01, 1.02, 9e8])
+    found = timed("wrench", [1.0, 1.01, 1.02, 9e8])
     assert (found.last, found.astray, found.gaps) == (1.02, {3}, 0)
     with pytest.raises(
         InputError, match=approved_pattern("recording.over_years", link="wrench", first="1.000", last="900000000.050")
     ):
-        check_overlap([RecordedTimes("wrench", [1.0, *(9e8 + k * 0.01 for k in range(6))])])
+        check_overlap([timed("wrench", [1.0, *(9e8 + k * 0.01 for k in range(6))])])
 
 
 @pytest.mark.parametrize("off", [5.0, -5.0])
@@ -149,7 +158,7 @@ def test_a_clock_that_is_wrong_for_a_second_shifts_nothing_after_it(off):
     """Both signs, in one of two files: the other one goes on meanwhile, and they stay paired."""
     true = [10.0 + 0.02 * k for k in range(400)]
     wrong = [stamp + off * (100 <= k < 150) for k, stamp in enumerate(true)]
-    found = RecordedTimes("skin", wrong)
+    found = timed("skin", wrong)
     assert (found.gaps, found.last) == (0, pytest.approx(true[-1]))
     assert approved("recording.wrong_meanwhile", link="skin", off=f"{off:+.3f}", seconds="1.0") in found.sentences()
     times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=true, skin=wrong) if chunk.link == "skin"]) * 1e-9
@@ -158,6 +167,6 @@ def test_a_clock_that_is_wrong_for_a_second_shifts_nothing_after_it(off):
 
 def test_a_clock_that_is_set_again_much_later_or_by_another_amount_was_set_twice():
     later = [0.02 * k - 5.0 * (100 <= k < 3300) for k in range(4000)]
-    assert sorted(RecordedTimes("skin", later).jumps) == [100]
+    assert sorted(timed("skin", later).jumps) == [100]
     other = [0.02 * k + 5.0 * (100 <= k < 150) - 2.0 * (k >= 150) for k in range(300)]
-    assert RecordedTimes("skin", other).jumps == {150: pytest.approx(7.0)}
+    assert timed("skin", other).jumps == {150: pytest.approx(7.0)}

@@ -244,9 +244,10 @@ def test_alignment_holds_for_every_length_of_a_name(frame):
 
     name = "geometry_msgs/msg/WrenchStamped"
     decode = generate_dynamic(name, documents.SCHEMAS[name])[name]
-    message = decode(documents.encode_wrench(1_500_000_000_000_000_007, frame, np.arange(6.0)))
+    times = np.array([3, 1_500_000_000_000_000_007])
+    message = decode(documents.encode_wrenches(times, frame, np.arange(-6.0, 6.0).reshape(2, 6))[1].tobytes())
     assert message.header.frame_id == frame
-    assert message.header.stamp.nanosec == 7
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_500_000_000, 7)
     assert [message.wrench.force.x, message.wrench.torque.z] == [0.0, 5.0]
     name = "skincal_msgs/msg/Taxels"
     message = generate_dynamic(name, documents.SCHEMAS[name])[name](
