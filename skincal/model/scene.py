@@ -109,7 +109,7 @@ class NoiseSettings:
     radius: float = 0.03
     """m, of the part across its axis under the skin: pokes beside a taxel lean with the skin, so the axes meet below it. A
     forearm's; 1 where the part is flat."""
-    skin: float = 0.001
+    skin: float = 0.0015
     """m, sd of how far the face that is touched lies above the taxels, or the mesh beside them: a push that leans acts so much
     farther along the skin. 2 to 3 mm of foam or fabric on an iCub."""
     pose_turn: float = 0.0
@@ -292,12 +292,13 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
         # The type of the default says which kind of number is expected.
         key = _IN_DEGREES.get(item.name, item.name)
         value = table.take(key, wanted, default)
-        # 0 is allowed only where it is the default: it switches that noise off.
-        if not (value > 0 or value == default):
-            expected = "0 or a number above" if default == 0 else "a number above 0"
+        # 0 is allowed where it is the default, and for the skin's thickness: it switches that noise off.
+        off = default == 0 or key == "skin"
+        if not (value > 0 or (off and value == 0)):
+            expected = "0 or a number above" if off else "a number above 0"
             raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")
         most = SECONDS_MOST if key.endswith("_s") else SETTING_MOST
-        if value != default and not SETTING_LEAST <= value <= most:
+        if value not in (0, default) and not SETTING_LEAST <= value <= most:
             raise InputError(f"{table.where}: {key} is {value:g}; expected a number from {SETTING_LEAST:g} to {most:g}.")
         given[item.name] = value if key == item.name else float(np.radians(value))
     return kind(**given)
