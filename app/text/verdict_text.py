@@ -9,9 +9,9 @@ from app.text.outcomes import METHOD_NAMES
 from app.text.rig_text import offer_words
 from app.units import count, millimetres, minutes, number
 from skincal.guide.progress import GuideSettings, Why
-from skincal.guide.verdict import LandmarkAgreement, Left, Verdict
+from skincal.guide.verdict import Left, Verdict
 from skincal.rig.correction import UsedCorrection
-from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS
+from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
 from skincal.sentences import correction_sentence, rig_sentences
 from skincal.session.review import Review
 from skincal.taxels.result import Method

@@ -280,8 +280,9 @@ def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], f
     ----------
     answer : what landmark pokes say
     """
-    from skincal.guide.verdict import landmark_agreement, unchecked_of
     from skincal.rig.correction import RIG
+    from skincal.rig.correction_fit import landmark_agreement
+    from skincal.rig.expected_gain import unchecked_of
     from skincal.sentences import unchecked_sentence
 
     used, estimates = session.corrections.get(RIG), session.snapshot().estimates[session.methods[-1]]

@@ -33,9 +33,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_squares
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_poked
-from skincal.rig.correction import UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
-from skincal.rig.expected_gain import unchecked_error
+from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
@@ -56,9 +54,6 @@ AGREED = 0.1
 """Chance below which they are not said to agree: at most one session in ten is denied it wrongly."""
 TELLING = 10
 """Held-out pokes below which agreement says nothing: of five, none falls outside by chance in three sessions of four."""
-AS_PREDICTED = 1.5
-"""Misses of landmarks over what is predicted for them that are still as predicted: of 21 pokes at six landmarks the ratio is
-0.7 to 1.1 on rigs that are wrong as modelled."""
 OTHERS = 2
 """Other contacts of its taxel that a held-out poke needs: from fewer nothing is predicted."""
 
@@ -93,58 +88,6 @@ class Check:
     def believed(self) -> bool:
         """Whether nothing speaks against the predicted errors."""
         return self.chance >= BELIEVED
-
-
-@dataclass(frozen=True, slots=True)
-class LandmarkAgreement:
-    """How landmarks are passed, over what is predicted."""
-
-    pokes: int
-    ratio: float
-    """Root mean square of their misses, each over its predicted standard deviation."""
-    corrected: bool
-    """A correction of the rig is in use, made without the pokes that are judged; else the rig is judged as it reports."""
-
-    @property
-    def agrees(self) -> bool:
-        """Whether they are passed as predicted."""
-        return self.ratio <= AS_PREDICTED
-
-
-def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> LandmarkAgreement | None:
-    """Return how landmarks are passed; None where too few were poked to say.
-
-    Parameters
-    ----------
-    rig : what landmark pokes say; None where nobody has looked
-    used : the correction of the rig that is in use
-    """
-    if rig is not None and rig.correction is not None:
-        ratio = rig.plain_ratio if used is None else rig.ratio
-        return LandmarkAgreement(len(rig.trust), ratio, used is not None)
-    return None if used is None or np.isnan(used.ratio) else LandmarkAgreement(used.pokes, used.ratio, True)
-
-
-def unchecked_of(
-    used: UsedCorrection | None,
-    landmarks: LandmarkAgreement | None,
-    estimates: Sequence[Estimate],
-    contacts: Sequence[Contact],
-    pokes: Sequence[LandmarkPoke],
-    noise: NoiseSettings,
-) -> float | None:
-    """Return by how much the rig's errors may move the taxels beside what is predicted, metres; None where all is predicted.
-
-    Parameters
-    ----------
-    used : the correction of the rig that is in use
-    landmarks : how the rig passes them: where it does not as predicted, or nobody knows, it may be as wrong as any
-    estimates, contacts, pokes, noise : see `unchecked_error`
-    """
-    if used is not None and not used.correction.exact:
-        return None
-    known = used is not None or (landmarks is not None and landmarks.agrees)
-    return unchecked_error(estimates, contacts, pokes if known else (), noise)
 
 
 def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:

@@ -28,7 +28,17 @@ from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings, Scene
 from skincal.modules.pose import ModuleModel, ModulePoses
 from skincal.modules.pose_fit import Touches, fit_poked, trust_of
-from skincal.rig.correction import POSES_KEPT, Correction, RigPrior, RigReadings, RigRows, RigState, rig_rows, rigid_motion
+from skincal.rig.correction import (
+    POSES_KEPT,
+    Correction,
+    RigPrior,
+    RigReadings,
+    RigRows,
+    RigState,
+    UsedCorrection,
+    rig_rows,
+    rigid_motion,
+)
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 
@@ -52,6 +62,9 @@ BETTER = 0.5
 """The held-out pokes must be predicted better by this share, in the mean square, for a correction to be used. Six pokes at six
 landmarks in one pose, ten rigs each: on good ones whose landmarks are 4 to 6 mm off it comes to 0.53 and more by chance, on
 the paper's to 0.01 to 0.43 in 19 of 20, with landmarks that are right or 4 mm off."""
+AS_PREDICTED = 1.5
+"""Misses of landmarks over what is predicted for them that are still as predicted: of 21 pokes at six landmarks the ratio is
+0.7 to 1.1 on rigs that are wrong as modelled."""
 DOUBTED = 0.9
 """A landmark poke that counts less than this is named to the operator."""
 PLACES_OFF = (0.0, 0.0005, 0.001, 0.002, 0.004)
@@ -248,6 +261,36 @@ class RigAnswer:
     is wrong that the correction does not know of, and its uncertainty is as many times larger."""
     plain_ratio: float = float("nan")
     """The same of all pokes without a correction, over what the scene's noise and the hand make of a right rig."""
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkAgreement:
+    """How landmarks are passed, over what is predicted."""
+
+    pokes: int
+    ratio: float
+    """Root mean square of their misses, each over its predicted standard deviation."""
+    corrected: bool
+    """A correction of the rig is in use, made without the pokes that are judged; else the rig is judged as it reports."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether they are passed as predicted."""
+        return self.ratio <= AS_PREDICTED
+
+
+def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> LandmarkAgreement | None:
+    """Return how landmarks are passed; None where too few were poked to say.
+
+    Parameters
+    ----------
+    rig : what landmark pokes say; None where nobody has looked
+    used : the correction of the rig that is in use
+    """
+    if rig is not None and rig.correction is not None:
+        ratio = rig.plain_ratio if used is None else rig.ratio
+        return LandmarkAgreement(len(rig.trust), ratio, used is not None)
+    return None if used is None or np.isnan(used.ratio) else LandmarkAgreement(used.pokes, used.ratio, True)
 
 
 def _nothing() -> None:

@@ -25,8 +25,8 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
-from skincal.rig.correction import RigPrior, RigReadings, RigRows, RigState, rig_rows
-from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke, qr_factor, readings_of
+from skincal.rig.correction import RigPrior, RigReadings, RigRows, RigState, UsedCorrection, rig_rows
+from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, qr_factor, readings_of
 from skincal.taxels.result import Estimate
 
 POSES = 7
@@ -130,6 +130,28 @@ def unchecked_error(
         return None
     places, normals = (np.array(values) for values in zip(*pairs, strict=True))
     return expected_error(RigPrior(), noise, [poke for poke in pokes if poke.pose in poses], [], places, normals, poses).now
+
+
+def unchecked_of(
+    used: UsedCorrection | None,
+    landmarks: LandmarkAgreement | None,
+    estimates: Sequence[Estimate],
+    contacts: Sequence[Contact],
+    pokes: Sequence[LandmarkPoke],
+    noise: NoiseSettings,
+) -> float | None:
+    """Return by how much the rig's errors may move the taxels beside what is predicted, metres; None where all is predicted.
+
+    Parameters
+    ----------
+    used : the correction of the rig that is in use
+    landmarks : how the rig passes them: where it does not as predicted, or nobody knows, it may be as wrong as any
+    estimates, contacts, pokes, noise : see `unchecked_error`
+    """
+    if used is not None and not used.correction.exact:
+        return None
+    known = used is not None or (landmarks is not None and landmarks.agrees)
+    return unchecked_error(estimates, contacts, pokes if known else (), noise)
 
 
 def _landmark_rows(

@@ -16,12 +16,12 @@ from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, Landmark
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
-from skincal.guide.verdict import Verdict, landmark_agreement, unchecked_of, verdict_of
+from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, RigPrior
-from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
-from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error
+from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
+from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
 from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot

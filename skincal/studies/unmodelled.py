@@ -16,14 +16,14 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
-from skincal.guide.verdict import Check, LandmarkAgreement, check, is_believed, landmark_agreement
+from skincal.guide.verdict import Check, check, is_believed
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigRequest, correct_rig
+from skincal.rig.correction_fit import LandmarkAgreement, LandmarkPoke, RigRequest, correct_rig, landmark_agreement
 from skincal.studies.measuring import finite
 from skincal.studies.physics import CASES, Poked, poke
 from skincal.taxels.contact_table import ContactTable

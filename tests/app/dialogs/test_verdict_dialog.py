@@ -23,9 +23,9 @@ from app.text.verdict_text import (
     sentence,
 )
 from skincal.guide.progress import Need, Why
-from skincal.guide.verdict import AS_PREDICTED, Check, LandmarkAgreement, Left, Verdict
+from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.correction import RIG, Correction, UsedCorrection
-from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke, RigAnswer
+from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
 from skincal.sentences import correction_sentence, rig_sentences
 from skincal.session.corrections import correct_action
 from skincal.session.review import Review

@@ -11,23 +11,14 @@ from scipy import stats
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import unplaced
 from skincal.guide.progress import PAUSE_S, GuideSettings, Need, Tried, Why, given_up, pace, pokes_left, worked
-from skincal.guide.verdict import (
-    INSIDE,
-    ONE_IN,
-    Check,
-    LandmarkAgreement,
-    check,
-    held_out,
-    landmark_agreement,
-    unchecked_of,
-    verdict_of,
-)
+from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
 from skincal.methods import estimate_taxels
 from skincal.model.actions import MarkDead
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, Correction, UsedCorrection
-from skincal.rig.correction_fit import RigAnswer, RigRequest, correct_rig
+from skincal.rig.correction_fit import LandmarkAgreement, RigAnswer, RigRequest, correct_rig, landmark_agreement
+from skincal.rig.expected_gain import unchecked_of
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided

@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from skincal.guide.verdict import Check, LandmarkAgreement, is_believed
+from skincal.guide.verdict import Check, is_believed
+from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.studies import unmodelled as study
 from skincal.studies.measuring import bars_of
 from skincal.studies.unmodelled import (
