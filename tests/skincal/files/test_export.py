@@ -98,7 +98,7 @@ def test_json_has_no_nan_and_names_its_units(part):
     document = json.loads(text, parse_constant=refuse)
     assert document["contacts"][4]["tare_change_N"] is None
     assert document["noise"] == {
-        "force_N": 0.2, "moment_Nm": 0.01, "contact_m": 0.0015, "reach_m": 0.0025, "radius_m": 0.03, "skin_m": 0.001,
+        "force_N": 0.2, "moment_Nm": 0.01, "contact_m": 0.0015, "reach_m": 0.0025, "radius_m": 0.03, "skin_m": 0.0015,
         "pose_turn_rad": 0.0, "pose_shift_m": 0.0,
     }  # fmt: skip
     assert document["skincal_version"] == "0.1.0"
