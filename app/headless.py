@@ -7,6 +7,7 @@ from pathlib import Path
 
 from skincal.files.export import write_calibration
 from skincal.files.reference import error_summary, read_reference
+from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import Method
@@ -29,8 +30,9 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
     _say(f"{why}\nThe same session runs without it: {POKES} pokes on the simulated {scene_path.parent.name}, in {out}")
     pipeline = _simulate(scene_path, out)
     calibration = pipeline.session.calibration()
-    method = Method.SURFACE if Method.SURFACE in calibration.estimates else Method.FREE
+    method = leading_method(calibration.estimates) or Method.FREE
     positions = out / "positions.txt"
+    _say(f"{method.value} predicts the smallest error, and is written and drawn")
     for finding in write_calibration(calibration, "icub", positions, method):
         _say(finding)
     truth = read_reference(out / "truth.json")

@@ -17,6 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from app import theme
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import LaidSkin
@@ -29,10 +30,8 @@ from skincal.taxels.result import Estimate, Method
 Colour: TypeAlias = tuple[int, int, int]
 ColourArray: TypeAlias = NDArray[np.uint8]
 
-HUES = np.array(
-    [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)], dtype=np.uint8
-)
-"""(7, 3) Okabe and Ito's palette without its black: seven hues that colour-blind people tell apart."""
+HUES = np.array([list(bytes.fromhex(hue[1:])) for hue in theme.HUES], dtype=np.uint8)
+"""(7, 3) the modules' hues: seven that colour-blind people tell apart."""
 CREASE = float(np.cos(np.radians(40.0)))
 """Cosine. A triangle more than 40 degrees off the mean of a vertex is beyond an edge; below it the part is smooth."""
 DEFAULT_RADIUS = 0.06
@@ -69,28 +68,24 @@ class Look:
     """Sets of places over each other; the methods as in the course of errors."""
 
 
-DARK = Look(
-    background=(20, 23, 28),
-    front=(176, 179, 184),
-    back=(74, 77, 83),
-    ink=(245, 245, 245),
-    faint=(128, 132, 140),
-    tints={
-        Tint.FROM: (245, 245, 245), Tint.TO: (255, 92, 170), Tint.LAYOUT: (245, 245, 245),
-        Tint.FREE: (86, 180, 233), Tint.SURFACE: (230, 159, 0), Tint.MODULES: (53, 197, 150),
-    },
-)  # fmt: skip
-LIGHT = Look(
-    background=(238, 240, 243),
-    front=(150, 153, 158),
-    back=(214, 216, 220),
-    ink=(16, 18, 22),
-    faint=(120, 124, 130),
-    tints={
-        Tint.FROM: (16, 18, 22), Tint.TO: (190, 0, 105), Tint.LAYOUT: (16, 18, 22),
-        Tint.FREE: (0, 114, 178), Tint.SURFACE: (213, 94, 0), Tint.MODULES: (0, 121, 90),
-    },
-)  # fmt: skip
+def _rgb(colour: str) -> Colour:
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
+
+
+def _look(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> Look:
+    """Return the look of a theme: its own window and methods, and what only the 3D view has."""
+    tints = {Tint.FROM: ink, Tint.TO: to, Tint.LAYOUT: ink}
+    tints |= zip((Tint.FREE, Tint.SURFACE, Tint.MODULES), map(_rgb, of.methods), strict=True)
+    return Look(_rgb(of.window), front, back, ink, faint, tints)
+
+
+DARK = _look(
+    theme.DARK, front=(176, 179, 184), back=(74, 77, 83), ink=(245, 245, 245), faint=(128, 132, 140), to=(255, 92, 170)
+)
+LIGHT = _look(
+    theme.LIGHT, front=(150, 153, 158), back=(214, 216, 220), ink=(16, 18, 22), faint=(120, 124, 130), to=(190, 0, 105)
+)
 
 
 def module_hues(layout: Layout | None, channels: IntArray) -> ColourArray:

@@ -173,12 +173,12 @@ def _carried(
         moves, of_poses = ordered.moves(shared, places)
         added = added + of_poses
     pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
-    found: list[Estimate] = []
-    for estimate in estimates:
-        pad = pad_of[estimate.channel]
-        of, gradient = fitted.of[pad], gradients[pad]
-        found.append(with_shared(estimate, gradient @ added[of] @ gradient.T, None if moves is None else gradient @ moves[of]))
-    return found
+    known = [estimate for estimate in estimates if estimate.position is not None]
+    pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)
+    of, gradient = fitted.of[pads], gradients[pads]
+    more = gradient @ added[of] @ gradient.transpose(0, 2, 1)
+    found = with_shared(known, more, None if moves is None else gradient @ moves[of]) if known else []
+    return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 
 def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> FloatArray:

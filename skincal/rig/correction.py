@@ -7,10 +7,9 @@ both small, a poke with the measured wrench (f, m) at the point P of the link fr
     (f', m') = (I + C) (f, m),   c = exp(-S(w)) (R'(P - o) - t),   r = E (m' - c x f') / |f|,
 
 where C may go on with columns for the products of the wrench's components (a sensor that is not linear), (R, o) is the arm's
-pose as reported and E two directions across the measured push. For a landmark P is known but for
-the hand's aim; for a poke on the skin it is the middle of the pads that answered (`skincal.modules.pose_fit`), and moves with
-its module. Every unknown of the rig has a prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not
-determine stays at zero.
+pose as reported and E two directions across the measured push. For a landmark P is known but for the hand's aim; for a poke on
+the skin it is the middle of the pads that answered (`skincal.modules.pose_fit`), and moves with its module. Every unknown of
+the rig has a prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not determine stays at zero.
 """
 
 from __future__ import annotations
@@ -162,8 +161,6 @@ class RigRows:
     """(m, 2, n) float: change of r with the rig's unknowns, each in its prior's standard deviations."""
     of_place: FloatArray
     """(m, 2, 3) float, 1/m: change of r with P."""
-    of_wrench: FloatArray
-    """(m, 2, 6) float, 1/N and 1/(N m): change of r with the wrench."""
     distances: FloatArray
     """(m,) float, metres: how far the corrected axis passes P."""
 
@@ -237,7 +234,6 @@ def rig_rows(
         misses=(rows @ residual[:, :, None])[:, :, 0],
         of_rig=of_rig * scales,
         of_place=with_place @ sensor_from_link,
-        of_wrench=matrix,
         distances=np.linalg.norm(np.cross(force, residual), axis=1) / np.sum(force * force, axis=1),
     )
 

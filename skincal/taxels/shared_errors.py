@@ -140,9 +140,8 @@ def carried(
     of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
     places = np.array([estimate.position for estimate in known])[of]
     normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
-    free = np.tile(np.eye(3), (len(known), 1, 1))
-    if known[0].method is Method.SURFACE:
-        free = across(normals)
+    # The directions in which a taxel is free: all, or those of its triangle's plane.
+    free = across(normals) if known[0].method is Method.SURFACE else np.tile(np.eye(3), (len(known), 1, 1))
     pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
     held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
     misses = trust[order, None] * np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
@@ -159,11 +158,7 @@ def carried(
     if shared is not None:
         alike, of_poses = ordered.moves(shared, places)
         moves, inside = outward @ alike, inside + of_poses
-    added = outward @ inside @ free
-    found = {
-        estimate.channel: with_shared(estimate, added[row], None if moves is None else moves[row])
-        for row, estimate in enumerate(known)
-    }
+    found = {estimate.channel: estimate for estimate in with_shared(known, outward @ inside @ free, moves)}
     return [found.get(estimate.channel, estimate) for estimate in estimates]
 
 
@@ -177,23 +172,33 @@ def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
     return trust
 
 
-def with_shared(estimate: Estimate, added: FloatArray, moved: FloatArray | None) -> Estimate:
-    """Return an estimate with more covariance: `added` (3, 3), m^2, and of shared errors `moved` (3, n), metres."""
-    if estimate.covariance is None:
-        return estimate
-    covariance = estimate.covariance + added
-    if moved is not None:
-        covariance = covariance + moved @ moved.T
-    values, axes = np.linalg.eigh(covariance)
-    worst = axes[:, -1]
-    return replace(
-        estimate,
-        covariance=covariance,
-        weakest=worst * np.copysign(1.0, worst[np.abs(worst).argmax()]),
-        sd=float(np.sqrt(values[-1])),
-        rms=float(np.sqrt(np.trace(covariance))),
-        moved=moved,
-    )
+def with_shared(estimates: Sequence[Estimate], added: FloatArray, moves: FloatArray | None) -> list[Estimate]:
+    """Return n estimates that have a position with more covariance.
+
+    Parameters
+    ----------
+    added : (n, 3, 3) float, m^2
+    moves : (n, 3, k) float, metres: how errors that all taxels share move them; None without any
+    """
+    covariances = np.array([estimate.covariance for estimate in estimates]).reshape(-1, 3, 3) + added
+    if moves is not None:
+        covariances = covariances + moves @ moves.transpose(0, 2, 1)
+    values, axes = np.linalg.eigh(covariances)
+    worst = axes[:, :, -1]
+    largest = np.take_along_axis(worst, np.abs(worst).argmax(axis=1)[:, None], axis=1)
+    weakest = worst * np.copysign(1.0, largest)
+    sds, rms = np.sqrt(values[:, -1]).tolist(), np.sqrt(np.trace(covariances, axis1=1, axis2=2)).tolist()
+    return [
+        replace(
+            estimate,
+            covariance=covariances[row],
+            weakest=weakest[row],
+            sd=sds[row],
+            rms=rms[row],
+            moved=None if moves is None else moves[row],
+        )
+        for row, estimate in enumerate(estimates)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +222,5 @@ def predicted_error(estimates: Sequence[Estimate]) -> PredictedError | None:
     moves = [estimate.moved for estimate in known if estimate.moved is not None]
     whole = 0.0
     if moves:
-        width = max(move.shape[1] for move in moves)
-        mean = np.sum([np.pad(move, ((0, 0), (0, width - move.shape[1]))) for move in moves], axis=0) / len(known)
-        whole = float(np.sum(mean**2))
+        whole = float(np.sum((np.sum(moves, axis=0) / len(known)) ** 2))
     return PredictedError(float(np.sqrt(whole)), float(np.sqrt(max(every - whole, 0.0))), float(np.sqrt(every)))
