@@ -59,8 +59,8 @@ def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
     assert bare.list_layers() == EVERY[2:]
     assert make_view(qtbot, surface=False).list_layers() == EVERY[1:]
     actors = stage_of(bare).renderer.GetActors()
-    assert actors.GetNumberOfItems() == 14, (
-        "balls, marks, lines to the other method and to a rival, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare"
+    assert actors.GetNumberOfItems() == 15, (
+        "balls, holes, marks, lines to the other method and to a rival, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare"
     )
 
 
