@@ -90,8 +90,11 @@ class Sight:
         pairs = (self.place, other.place), (self.eye.right, other.eye.right), (self.eye.up, other.eye.up)
         return all(np.array_equal(mine, its) for mine, its in pairs)
 
-    def lift(self, points: FloatArray, by: float) -> FloatArray:
-        """Return (..., 3) points, metres nearer to the camera, half of the way at most; in the picture nothing moves."""
+    def lift(self, points: FloatArray, by: float | FloatArray) -> FloatArray:
+        """Return (..., 3) points, metres nearer to the camera, half of the way at most; in the picture nothing moves.
+
+        `by` is one number, or one for each point, (..., 1).
+        """
         way = self.place - points
         return points + way * np.minimum(by / np.linalg.norm(way, axis=-1, keepdims=True), 0.5)
 

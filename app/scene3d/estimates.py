@@ -41,8 +41,6 @@ BLIND_REACH = 0.05
 """m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
 LIFT = 4e-4
 """m. Marks float this far above the part."""
-WORST = 3
-"""Ellipsoids at a time: more hide the taxels that they are about."""
 SPACE_95 = 2.7955
 """sqrt of the 95 % quantile of chi-square with 3 degrees of freedom."""
 SURFACE_95 = 2.4477
@@ -215,7 +213,7 @@ CIRCLES = rings(np.zeros((3, 3)), np.eye(3), 1.0, sides=48)
 
 
 class UncertaintyLayer(Layer):
-    """The 95 % regions of the worst estimates and of the selected one: three circles an ellipsoid, one a disc on a surface.
+    """The 95 % regions of the worst estimate and of the selected one: three circles an ellipsoid, one a disc on a surface.
 
     A region is {p + L u : |u| <= s} with L L' the covariance; s = 2.80 = sqrt(chi2(3, 0.95)) in space and
     2.45 = sqrt(chi2(2, 0.95)) on a surface, where the covariance has no part along the normal. It leaves out what
@@ -243,9 +241,9 @@ class UncertaintyLayer(Layer):
         return True
 
     def rows(self, state: View3DState) -> list[int]:
-        """Return whose regions are drawn: the worst by predicted error, and the selected taxel's."""
+        """Return whose regions are drawn: more would hide the taxels that they are about."""
         known = {row: e.rms for row, e in enumerate(state.estimates()) if e.covariance is not None and e.rms is not None}
-        worst = sorted(known, key=lambda row: (-known[row], row))[:WORST]
+        worst = sorted(known, key=lambda row: (-known[row], row))[:1]
         selected = self.static.row.get(-1 if state.selected is None else state.selected)
         return worst if selected is None or selected not in known or selected in worst else [*worst, selected]
 

@@ -6,9 +6,10 @@ A diamond that has no cross, and is paler, was poked as the arm stands. What lie
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 
 import numpy as np
-from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
+from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer, vtkTextActor
 
 from app.scene3d.camera import project
 from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState, unit
@@ -44,8 +45,8 @@ class LandmarksLayer(Layer):
     def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
         super().__init__()
         self.marks = Segments(pixels=2.0)
-        self.names: list[vtkTextActor] = []
-        """Made when they are first needed; the first `named` belong to the landmarks, the others are hidden."""
+        self.names = [_name() for _ in range(MOST_NAMES)]
+        """The first `named` belong to the landmarks, the others are hidden."""
         self.named = 0
         self.places: FloatArray = np.empty((0, 3))
         """(n, 3) float, metres: where the landmarks are."""
@@ -55,6 +56,10 @@ class LandmarksLayer(Layer):
         self._poked: frozenset[str] = frozenset()
         self._normals: FloatArray = np.empty((0, 3))
         self._generation = -1
+
+    def props(self) -> Sequence[vtkProp]:
+        """Return the diamonds, then the names."""
+        return *super().props(), *self.names
 
     def show(self, state: View3DState) -> bool:
         """Show a session's landmarks; return whether anything changed."""
@@ -102,14 +107,17 @@ class LandmarksLayer(Layer):
     def _put_names(self) -> None:
         """Write the names beside the diamonds, where there are few."""
         self.named = len(self._landmarks) if len(self._landmarks) <= MOST_NAMES else 0
-        for _ in range(len(self.names), self.named):
-            self.names.append(written(vtkTextActor(), letters=LETTERS))
-            self.names[-1].GetTextProperty().SetJustificationToLeft()
-            self._renderer.AddViewProp(self.names[-1])
         for actor in self.names[self.named :]:
             actor.VisibilityOff()
         for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):
             actor.SetInput(landmark.name)
+
+
+def _name() -> vtkTextActor:
+    actor = written(vtkTextActor(), letters=LETTERS)
+    actor.GetTextProperty().SetJustificationToLeft()
+    actor.VisibilityOff()
+    return actor
 
 
 def poked_here(snapshot: Snapshot) -> frozenset[str]:

@@ -123,9 +123,8 @@ class Stage:
         self.landmarks = LandmarksLayer(renderer, static)
         self.target, self.compare = TargetLayer(static), CompareLayer(static)
         self.layers = self._build(static)
-        for layer in self.layers:
-            for prop in layer.props():
-                renderer.AddViewProp(prop)
+        self._hidden: frozenset[str] = frozenset()
+        self.hide(self._hidden)
         self.turner = Turner(static.surface, camera.level_of(static.extent))
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
@@ -155,9 +154,18 @@ class Stage:
         for layer in self.layers:
             layer.set_colours(look)
 
+    def hide(self, names: frozenset[str]) -> None:
+        """Leave these out of the picture, and show all others; names are those of `Layer.parts`."""
+        self._hidden = names
+        self.renderer.RemoveAllViewProps()
+        for layer in self.layers:
+            for name, props in layer.parts().items():
+                for prop in props if name not in names else ():
+                    self.renderer.AddViewProp(prop)
+
     def show(self, state: View3DState) -> bool:
         """Show a moment; return whether the picture changes."""
-        changed = [layer.show(state) for layer in self.layers]
+        changed = [layer.show(state) and layer.name not in self._hidden for layer in self.layers]
         if any(changed) and not len(self.static.extent):
             self._keep_known_in_picture()
         return any(changed)
@@ -213,6 +221,8 @@ class Stage:
 
     def pick(self, x: float, y: float) -> int | None:
         """Return the channel whose estimate a click means; x and y are pixels from the lower left."""
+        if self.estimates.name in self._hidden:
+            return None
         screen = project(self.renderer, self.estimates.places)
         screen[~self.estimates.near] = np.nan
         row = nearest_at(screen, x, y, self.estimates.balls.actor.GetProperty().GetPointSize() / 2)

@@ -5,7 +5,10 @@ Ring and arrow are drawn twice, broad in black and narrow in white upon it, so t
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
+from vtkmodules.vtkRenderingCore import vtkProp
 
 from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
@@ -45,6 +48,10 @@ class TargetLayer(Layer):
         self._target: Target | None = None
         self._at: FloatArray = np.zeros(3)
         """(3,) float, metres: where the target's line meets the skin."""
+
+    def parts(self) -> Mapping[str, Sequence[vtkProp]]:
+        """Return ring and arrow, which are always seen, and the cone."""
+        return {self.name: (self.rim.actor, self.core.actor), "cone": (self.cone.actor,)}
 
     def show(self, state: View3DState) -> bool:
         """Show the target of a moment; return whether anything changed."""

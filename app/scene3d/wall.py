@@ -77,8 +77,8 @@ class Walls:
 
     def beside(self, rows: IntArray, places: FloatArray) -> Wall:
         """Return the wall beside places, (n, 3), of the taxels in these rows, (n,), of `StaticScene.channels`."""
-        moved = (self._places[rows] != places).any(axis=1)
-        if self._static.surface is not None and moved.any():
+        moved = np.flatnonzero(np.abs(self._places[rows] - places).sum(axis=1) != 0.0)
+        if self._static.surface is not None and len(moved):
             self._find(self._static.surface, rows[moved], places[moved])
         return Wall(self._depths[rows], self._normals[rows], self._sides[rows], self._depths_of_plan[rows])
 
