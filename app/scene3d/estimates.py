@@ -19,14 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.scene3d.camera import Sight
-from app.scene3d.scene_state import ColourArray, Comparison, Look, StaticScene, Tint, View3DState
+from app.scene3d.scene_state import BALL, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
 from app.scene3d.shapes import Balls, Dots, Layer, Segments, crosses, heads, rings
 from app.scene3d.wall import Walls, facing
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
-BALL = 3.2e-3
-"""m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
 BALL_PIXELS = (5.0, 34.0)
 """Smallest and largest ball on the screen: below it a hue cannot be made out, above it balls hide each other."""
 RING = 2.6e-3

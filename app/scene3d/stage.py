@@ -173,7 +173,7 @@ class Stage:
     def turn(self, state: View3DState, now_s: float) -> bool:
         """Turn the camera to the target where it has to; return whether it moved."""
         width, height = self.renderer.GetSize()
-        return self.turner.step(self.renderer.GetActiveCamera(), max(width, 1) / max(height, 1), state, now_s)
+        return self.turner.step(self.renderer.GetActiveCamera(), (max(width, 1), max(height, 1)), state, now_s)
 
     def touch(self, now_s: float) -> None:
         """Note that the operator moved the camera."""

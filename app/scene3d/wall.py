@@ -87,7 +87,7 @@ class Walls:
         normals = surface.normals[triangles]
         depths = np.einsum("ix,ix->i", feet - places, normals)
         planned, sides = self._static.places[rows], self._static.skin_normals[rows]
-        laid = np.isfinite(planned).all(axis=1) & np.isfinite(sides).all(axis=1)
+        laid = np.isfinite(planned[:, 0] + sides[:, 0])
         self._places[rows], self._normals[rows], self._depths[rows] = places, normals, depths
         self._sides[rows] = np.where(laid[:, None], sides, normals)
         self._depths_of_plan[rows] = np.where(laid, np.einsum("ix,ix->i", planned - places, sides), depths)
