@@ -9,11 +9,14 @@ from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
-from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer, vtkTextActor
+from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer
 
 from app.scene3d.camera import project
-from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState, unit
-from app.scene3d.shapes import Layer, Segments, closed, tangents, written
+from app.scene3d.names import box_around, make_readable, name_actor, put
+from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState
+from app.scene3d.shapes import Layer, Segments, closed, tangents
+from app.scene3d.target import TargetLayer
 from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
@@ -30,8 +33,8 @@ MOST_NAMES = 12
 """More landmarks than this are drawn without their names, which would hide each other."""
 LETTERS = 13
 """Points, size of the names."""
-BESIDE, GAP = 1.8, 4.0
-"""Radii of the diamond, and pixels, from its middle to its name: that begins beyond the target's ring."""
+GAP = 6.0
+"""Pixels between a diamond and its name; where the target's ring is there, the name stands beyond that."""
 FAR_SIDE = -0.1
 """Cosine. A landmark that is turned further from the camera is behind the part; a little less than 0 since the nearer ones of
 a part that fills the picture are seen at such an angle."""
@@ -42,16 +45,19 @@ class LandmarksLayer(Layer):
 
     name = "landmarks"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene, target: TargetLayer) -> None:
         super().__init__()
         self.marks = Segments(pixels=2.0)
-        self.names = [_name() for _ in range(MOST_NAMES)]
+        self.names = [name_actor(LETTERS) for _ in range(MOST_NAMES)]
         """The first `named` belong to the landmarks, the others are hidden."""
         self.named = 0
         self.places: FloatArray = np.empty((0, 3))
         """(n, 3) float, metres: where the landmarks are."""
         self._surface = static.surface
         self._renderer = renderer
+        self._target = target
+        self._taken = target.boxes
+        """What the names made room for."""
         self._landmarks: tuple[Landmark, ...] = ()
         self._poked: frozenset[str] = frozenset()
         self._normals: FloatArray = np.empty((0, 3))
@@ -63,6 +69,8 @@ class LandmarksLayer(Layer):
 
     def show(self, state: View3DState) -> bool:
         """Show a session's landmarks; return whether anything changed."""
+        if self._target.boxes is not self._taken:
+            self.draw()
         snapshot = state.snapshot
         if not (snapshot.landmarks or self._landmarks) or snapshot.generation == self._generation:
             return False
@@ -95,14 +103,21 @@ class LandmarksLayer(Layer):
         inner = np.tile(ink, (2 * int(fresh.sum()), 1))
         ends = np.concatenate([diamonds.reshape(-1, 2, 3), crosses[fresh].reshape(-1, 2, 3)])
         self.marks.join(sight.lift(ends, LIFT * scale), np.concatenate([sides.reshape(-1, 3), inner]).astype(np.uint8))
+        self._place_names(near, scale * DIAMOND * sight.scale)
+
+    def _place_names(self, near: NDArray[np.bool_], radius: float) -> None:
+        """Put each name beside its diamond, of so many pixels, and away from the target and from each other."""
+        self._taken = self._target.boxes
         at = project(self._renderer, self.places)
-        beside = GAP + BESIDE * scale * DIAMOND * sight.scale
+        # So, and not `>`: the depth of what lies behind the camera is NaN.
+        seen = near & (np.abs(at[:, 2]) <= 1.0)
+        taken = [*self._taken, *(box_around(place[:2], radius) for place in at[seen])]
         for row, actor in enumerate(self.names[: self.named]):
-            x, y, depth = at[row]
-            actor.SetVisibility(bool(near[row] and abs(depth) <= 1.0))
-            actor.SetPosition(x + beside, y)
+            actor.SetVisibility(bool(seen[row]))
             poked = self._landmarks[row].name in self._poked
-            actor.GetTextProperty().SetColor(*unit(pale if poked else self.look.ink))
+            make_readable(actor, self.look, _pale(self.look) if poked else self.look.ink)
+            if seen[row]:
+                taken.append(put(actor, self._renderer, at[row, :2], radius + GAP, taken))
 
     def _put_names(self) -> None:
         """Write the names beside the diamonds, where there are few."""
@@ -111,13 +126,6 @@ class LandmarksLayer(Layer):
             actor.VisibilityOff()
         for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):
             actor.SetInput(landmark.name)
-
-
-def _name() -> vtkTextActor:
-    actor = written(vtkTextActor(), letters=LETTERS)
-    actor.GetTextProperty().SetJustificationToLeft()
-    actor.VisibilityOff()
-    return actor
 
 
 def poked_here(snapshot: Snapshot) -> frozenset[str]:

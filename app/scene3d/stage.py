@@ -32,6 +32,7 @@ from app.scene3d.axes import AxesLayer
 from app.scene3d.camera import Sight, Turner, project, ray, sight_of
 from app.scene3d.estimates import CompareLayer, EstimatesLayer, UncertaintyLayer
 from app.scene3d.landmarks import LandmarksLayer
+from app.scene3d.names import make_readable
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.scene_state import DEFAULT_RADIUS, Look, StaticScene, View3DState, unit
 from app.scene3d.shapes import DrawnShape, Layer, cells, written
@@ -71,7 +72,7 @@ class HintsLayer(Layer):
         """Draw the axes as they lie in the picture, and a bar of a round length."""
         self.lines.GetProperty().SetColor(*unit(self.look.faint))
         for text in (*self.texts, self.length):
-            text.GetTextProperty().SetColor(*unit(self.look.faint))
+            make_readable(text, self.look, self.look.ink)
         if self.sight is None:
             return
         self._xy[:6, :2] = self._axes(self.sight)
@@ -120,8 +121,8 @@ class Stage:
         self.moved = False
         """The operator moved the camera: it is theirs from then on."""
         self.estimates = EstimatesLayer(static)
-        self.landmarks = LandmarksLayer(renderer, static)
-        self.target, self.compare = TargetLayer(static), CompareLayer(static)
+        self.target, self.compare = TargetLayer(renderer, static), CompareLayer(static)
+        self.landmarks = LandmarksLayer(renderer, static, self.target)
         self.layers = self._build(static)
         self._hidden: frozenset[str] = frozenset()
         self.hide(self._hidden)
@@ -141,8 +142,9 @@ class Stage:
             layers.append(SurfaceLayer(static.shaded))
         if layout is not None and static.laid is not None and np.isfinite(static.places[:, 0]).any():
             layers.append(ModulesLayer(static, layout, static.laid))
-        others = (self.estimates, AxesLayer(static), UncertaintyLayer(static), self.landmarks)
-        return (*layers, *others, self.target, self.compare, HintsLayer())
+        # The landmarks' names make room for the target.
+        others = (self.estimates, AxesLayer(static), UncertaintyLayer(static), self.target, self.landmarks)
+        return (*layers, *others, self.compare, HintsLayer())
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""

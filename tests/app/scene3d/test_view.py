@@ -42,7 +42,7 @@ from tests.app.view3d_on_screen import (
 )
 
 PLAN = layout()
-EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "landmarks", "target", "compare", "hints")
+EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "target", "landmarks", "compare", "hints")
 
 
 @pytest.fixture(autouse=True)
