@@ -180,7 +180,9 @@ class View3DState:
 class StaticScene:
     """The part of a scene that does not change during a session; `channels` are in the order of the snapshot's estimates."""
 
-    def __init__(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
+    def __init__(
+        self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int] | IntArray
+    ) -> None:
         self.scene = scene
         self.surface = surface
         self.laid = laid
