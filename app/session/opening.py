@@ -67,9 +67,9 @@ def server_command(scene: Path | None) -> tuple[str, ...]:
     Its operator pokes what the window asks for (`DeviceProcess.tell`).
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
-    # -P: nothing that lies in the working folder is imported.
-    simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
-    return (*simulate, "--scene", name, "--json")
+    # A frozen program takes the commands itself. -P: nothing that lies in the working folder is imported.
+    program = () if getattr(sys, "frozen", False) else ("-P", "-m", "skincal.cli")
+    return (sys.executable, *program, "simulate", "--serve", "--tcp", "--operator", "guided", "--scene", name, "--json")
 
 
 def check_addresses(addresses: Addresses) -> None:
