@@ -20,7 +20,7 @@ _PAGE = 1 << 16
 """Bytes by which the memory grows."""
 _ALIGNED = 16
 """Bytes. Every array begins at a multiple of it."""
-FLOAT, INTEGER, _WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uint32)
+FLOAT, INTEGER, WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uint32)
 """The kinds of numbers that the solver reads."""
 
 
@@ -87,7 +87,7 @@ class Machine:
 
     def run(self, name: str, words: Sequence[int], free: int) -> None:
         """Run a function of the solver, which is asked `words` and may use the memory from `free` on."""
-        self.write(self._asked, np.array([free, *words]), _WORD)
+        self.write(self._asked, np.array([free, *words]), WORD)
         function = self._functions.get(name)
         if function is None:
             function = self._functions[name] = self._exports[name]

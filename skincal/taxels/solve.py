@@ -27,7 +27,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from math import copysign, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,35 +75,6 @@ def factor(a: FloatArray, b: FloatArray, starts: IntArray) -> Factors:
         call.run("factor", [*asked, roots, *rest, ranks])
         offsets, solutions, blind = (call.taken(place) for place in rest)
         return Factors(call.taken(roots), offsets, call.taken(ranks).astype(np.int64), solutions, blind)
-
-
-def triangle(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return (d, d + 1) R | c with |A p - b|^2 = |R p - c|^2 + a constant, of a (m, d) and b (m,): `factor` for any d.
-
-    R is triangular but for the order of its columns, which is that of p.
-    """
-    unknowns = a.shape[1]
-    rows = np.zeros((max(len(a), unknowns), unknowns + 1))
-    rows[: len(a), :unknowns], rows[: len(a), unknowns] = a, b
-    rows[: len(a)] = rows[np.argsort(-np.sum(a * a, axis=1), kind="stable")]
-    for k in range(unknowns):
-        # Columns that are done are zero here.
-        left = rows[k:]
-        squares = np.einsum("ij,ij->j", left[:, :unknowns], left[:, :unknowns])
-        pivot = int(squares.argmax())
-        size, v = sqrt(squares[pivot]), left[:, pivot].copy()
-        if size == 0.0:
-            break
-        if k == unknowns - 1:
-            # A plain projection, as in `factor.h`.
-            left[0, unknowns] = v @ left[:, unknowns] / size
-            left[0, pivot] = size
-        else:
-            alpha = copysign(size, v[0])
-            v[0] += alpha
-            left -= v[:, None] * (v @ left / (alpha * v[0]))
-            left[1:, pivot], left[0, pivot] = 0.0, -alpha
-    return rows[:unknowns]
 
 
 RIVAL_ODDS = 20.0
