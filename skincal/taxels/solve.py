@@ -25,7 +25,7 @@ What is said of a taxel here is its state and a `Cause` with numbers.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -122,7 +122,7 @@ class Solution:
 
     evidence: Evidence
     """With the trust that was found."""
-    doubted: list[dict[int, float]]
+    doubted: list[Mapping[int, float]]
     """For each taxel the pokes whose trust is below 1: number to trust."""
     factors: Factors
     pushes: FloatArray
@@ -144,6 +144,7 @@ def solve(
     surface: Surface | None,
     last: IntArray | None = None,
     doubting: bool = True,
+    second: bool = False,
 ) -> Solution:
     """Solve each taxel of `evidence`.
 
@@ -152,6 +153,7 @@ def solve(
     surface : needed by the surface method
     last : (t,) the triangles of the last answers, -1 where there are none; they make the search shorter and nothing else
     doubting : whether contacts far off the others count less; else all have the trust of `evidence`
+    second : whether this is a second thread, beside one that solves, too
     """
     count, answers = len(evidence.channels), len(evidence.weights)
     free = Method.FREE in methods
@@ -161,6 +163,7 @@ def solve(
         from skincal.mesh.search import solver_copy
 
         machine, place = solver_copy(surface)
+    machine = machine.twin() if second else machine
     with machine.call() as call:
         asked = _asked(call, evidence, noise)
         trust = call.changed(evidence.trust)
