@@ -46,8 +46,8 @@ GRAMMAR_LINES = 50
 """Lines from which the grammar of an old log is found."""
 BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
-BLOCK = 1 << 16
-"""bytes that are read at a time: some 1,000 wrenches, or 50 frames of a whole arm."""
+BLOCK = 1 << 13
+"""bytes that are read at a time: some 100 wrenches."""
 TOO_LONG = b"...\n"
 """Stands for a line that is too long: no record, so that it is counted as unreadable."""
 FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
