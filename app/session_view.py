@@ -41,8 +41,7 @@ from app.text.compare_text import saved_words
 from app.text.message import Message
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
-from app.text.rig_text import corrected_words, offer_news, offer_text
-from app.text.verdict_text import rig_state
+from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.theme import GAP
 from app.units import ChannelNames
 from skincal.files.calibration import landmark_check

@@ -17,10 +17,10 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.widgets import embolden, plain_buttons, quiet
-from app.text.verdict_text import figures, left_words, sentence
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
 from skincal.guide.verdict import Verdict
+from skincal.guide.verdict_words import figures, left_words, sentence
 
 HEADINGS = ("Taxel", "Why it is not done")
 
