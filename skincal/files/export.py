@@ -429,6 +429,18 @@ def write_calibration(
 
     Raises InputError: the format or method is unknown, or the file cannot be written.
     """
+    content, sentences = calibration_file(calibration, format, method, part)
+    write_atomically(path, content)
+    return sentences
+
+
+def calibration_file(
+    calibration: Calibration,
+    format: str,  # noqa: A002 - as above
+    method: Method,
+    part: str | None = None,
+) -> tuple[bytes, tuple[str, ...]]:
+    """Return a calibration file's bytes, and what was found in it; all as for `write_calibration`, but nothing is written."""
     names = {each.value: each for each in ExportFormat}
     if format not in names:
         raise InputError(f"the format is {format!r}; expected one of {', '.join(names)}.")
@@ -444,8 +456,7 @@ def write_calibration(
         sentences += _left_out(calibration.of(each), each)
     if wanted is ExportFormat.ICUB:
         sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, content.decode("utf-8"))]
-    write_atomically(path, content)
-    return tuple(sentences)
+    return content, tuple(sentences)
 
 
 def _content(calibration: Calibration, format_: ExportFormat, method: Method, part: str | None, shape: _Part) -> bytes:
