@@ -34,6 +34,10 @@ FACING = 0.0
 """Least cosine of a taxel's normal with the way to the viewer at which it is drawn in a view."""
 
 
+SIDEWAYS = 0.1
+"""Least share of the normals' sum that lies across the way up, to say where the front is."""
+
+
 def draw_sides(facts: SessionFacts) -> bytes:
     """Return a PNG of the part from four sides with its taxels, by error."""
 
@@ -51,21 +55,17 @@ def draw_sides(facts: SessionFacts) -> bytes:
 def side_frames(facts: SessionFacts) -> tuple[FloatArray, ...]:
     """Return for each of four views the rotation (3, 3) whose rows are right, up and to the viewer, in the link frame.
 
-    Up is the longest direction of the part, the front where most of the skin looks, and the views follow each other around.
+    Up is the link's axis along which the part is longest, the front where most of the skin looks, and the views follow each
+    other around.
     """
     surface = facts.part.surface
     points = _positions(facts) if surface is None else surface.vertices
-    out = _normals(facts).sum(axis=0) if len(facts.estimates) else np.zeros(3)
-    middle = points - points.mean(axis=0) if len(points) else np.zeros((1, 3))
-    _, axes = np.linalg.eigh(middle.T @ middle)
-    up = axes[:, -1]
-    # Upright where the link's z is: else a part would stand on its head in every second report.
-    up = up if up[np.abs(up).argmax()] > 0 else -up
+    extents = np.ptp(points, axis=0) if len(points) else np.ones(3)
+    up, aside = np.eye(3)[extents.argmax()], np.eye(3)[extents.argmin()]
+    out = _normals(facts).sum(axis=0)
     flat = out - (out @ up) * up
-    if np.linalg.norm(flat) < 0.1 * np.linalg.norm(out) or not out.any():
-        # Skin that looks up all along, or of which nothing is known: any side is as good.
-        flat = axes[:, 0]
-    front = flat / np.linalg.norm(flat)
+    # Where skin looks up all along, or nothing is known of it, the thinnest side is as good.
+    front = flat / np.linalg.norm(flat) if np.linalg.norm(flat) > SIDEWAYS * np.linalg.norm(out) else aside
     right = np.cross(up, front)
     return tuple(
         np.stack([np.cross(up, towards), up, towards])
@@ -95,7 +95,10 @@ def draw_map(facts: SessionFacts, layout: Layout) -> bytes:
 
 
 def draw_course(facts: SessionFacts) -> bytes:
-    """Return an SVG of the error of every method against pokes and against time, and against what it costs to solve."""
+    """Return an SVG of the error of every method against pokes and against time, and against what it costs to solve.
+
+    Some method knows a taxel: of nothing there is no course.
+    """
 
     def draw(figure: Figure) -> None:
         by_poke, by_time, by_cost = figure.subplots(1, 3, sharey=True)

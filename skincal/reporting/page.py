@@ -7,6 +7,7 @@ template escapes all text, and the page forbids a browser to run or to fetch any
 from __future__ import annotations
 
 import math
+import re
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -17,7 +18,7 @@ from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
 from skincal.guide.progress import GuideSettings
 from skincal.guide.verdict_words import check_words, figures, landmark_words, left_words, sentence
-from skincal.model.errors import plural
+from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
 from skincal.rig.correction import RIG
@@ -35,6 +36,7 @@ from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
 
 DASH = "\N{EN DASH}"
+_UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
 AGREES, AGAINST, OPEN = "agrees", "speaks against it", "not checked"
 """What a check says of the verdict."""
 GUIDE_UNITS = {
@@ -97,9 +99,13 @@ def report_page(facts: SessionFacts) -> str:
     # Only now: the commands' help needs no template.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    templates = FileSystemLoader(Path(__file__).parent)
     environment = Environment(
-        loader=templates, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_visible,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     scene = facts.part.scene
     return environment.get_template("report.html.jinja").render(
@@ -113,6 +119,11 @@ def report_page(facts: SessionFacts) -> str:
         enough=facts.verdict.enough and not facts.verdict.doubted,
         sections=tuple(_sections(facts)),
     )
+
+
+def _visible(value: object) -> object:
+    """Return text without characters that are not seen, and may turn the order of all that follow."""
+    return _UNSEEN.sub("\N{REPLACEMENT CHARACTER}", value) if isinstance(value, str) else value
 
 
 def _sections(facts: SessionFacts) -> Iterator[ReportSection]:
@@ -139,8 +150,12 @@ def _verdict(facts: SessionFacts) -> ReportSection:
         ReportTable(("What was looked at", "What was found", "Verdict"), list(_evidence(facts)), "What it rests on"),
     ]
     if left:
-        rows = [(str(each.channel), left_words(each)) for each in left]
-        tables.append(ReportTable(("Channel", "Why it is not done"), rows, f"{plural(len(left), 'taxel')} not done"))
+        of: dict[str, list[int]] = {}
+        for each in left:
+            of.setdefault(left_words(each), []).append(each.channel)
+        rows = [(why, str(len(some)), list_channels(some, most=len(some))) for why, some in of.items()]
+        headings = ("Why they are not done", "Taxels", "Channels")
+        tables.append(ReportTable(headings, rows, f"{plural(len(left), 'taxel')} not done"))
     return ReportSection("Verdict and evidence", tables=tables)
 
 
@@ -155,15 +170,19 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     yield _module_evidence(facts)
     yield (
         "Exported file",
-        f"{plural(len(facts.lint), 'remark')}, below" if facts.lint else "nothing to remark",
-        (OPEN if facts.lint else AGREES),
+        "what was remarked stands below" if facts.lint else "nothing to remark",
+        (plural(len(facts.lint), "remark") if facts.lint else AGREES),
     )
     lead = next(each for each in facts.methods if each.method is facts.method)
     if lead.error is None:
         yield "Truth", "not known: only a simulated rig tells where its taxels are", OPEN
     else:
         yield "Truth", f"simulated: taxels are {_mm(lead.error.mean)} off in the mean, {_mm(lead.error.max)} at most", "known"
-    yield "Recording", " ".join(facts.findings) or "read without damage", OPEN if facts.findings else AGREES
+    yield (
+        "Recording",
+        " ".join(facts.findings) or "read without damage",
+        (plural(len(facts.findings), "remark") if facts.findings else AGREES),
+    )
 
 
 def _frame_evidence(facts: SessionFacts) -> tuple[str, str, str]:
@@ -208,7 +227,9 @@ def _errors(facts: SessionFacts) -> ReportSection:
     if len(facts.module_spreads):
         tables.append(ReportTable(MODULE_HEADINGS, list(_module_rows(facts)), f"Modules; {error_name(facts)}, mm"))
     said = f"Errors are {against}; the table of taxels stands at the end. Time is that spent poking, without long pauses."
-    return ReportSection("Errors", (said,), (_picture(draw_course(facts), "svg", words),), tables)
+    known = any((spreads[:, 0, TAXELS] > 0).any() for spreads in facts.series.spreads.values())
+    pictures = (_picture(draw_course(facts), "svg", words),) if known else ()
+    return ReportSection("Errors", (said if known else "No taxel is known yet.",), pictures, tables)
 
 
 METHOD_HEADINGS = (
@@ -279,7 +300,8 @@ def _rig(facts: SessionFacts) -> ReportSection:
     ]
     headings = ("Landmark", "x, mm", "y, mm", "z, mm", "Pokes", "They pass it at, mm")
     tables = (ReportTable(headings, rows, "Landmarks, as the rig reports their pokes"),) if rows else ()
-    return ReportSection("Rig and landmarks", said or ("The scene names no landmarks.",), tables=tables)
+    said += [] if rows else ["The scene names no landmarks."]
+    return ReportSection("Rig and landmarks", said, tables=tables)
 
 
 def _misses(facts: SessionFacts, name: str) -> str:
