@@ -96,7 +96,7 @@ def read_places(path: Path, method: Method | None = None) -> PlaceSet:
     InputError
         The file cannot be read, is none of these, or has no such method.
     """
-    sets = _read_sets(path)
+    sets = read_place_sets(path)
     if method is not None:
         chosen = next((each for each in sets if each.method is method), None)
         if chosen is None:
@@ -139,13 +139,17 @@ def load_reference(path: Path, link: str, channels: Collection[int], origin: Ori
     Raises InputError: as for `read_places`; also if the file is of another link or knows none of the channels.
     """
     read = read_places(path)
-    named, places = read.link, read.places
+    check_part(read, path, link, channels)
+    return Reference(origin, path.name, read.places)
+
+
+def check_part(found: PlaceSet, path: Path, link: str, channels: Collection[int]) -> None:
+    """Raise InputError where places read from `path` are of another link than `link`, or know none of `channels`."""
     # An iCub file names no link; the operator answers for it.
-    if named and named != link:
-        raise InputError(f"{path}: its places are in the frame of {named!r}; the scene calibrates {link!r}.")
-    if not places.keys() & set(channels):
+    if found.link and found.link != link:
+        raise InputError(f"{path}: its places are in the frame of {found.link!r}; the scene calibrates {link!r}.")
+    if not found.places.keys() & set(channels):
         raise InputError(f"{path}: it knows none of this skin's {len(channels)} taxels; choose the file of this part.")
-    return Reference(origin, path.name, places)
 
 
 def find_truth(folder: Path, link: str, channels: Collection[int]) -> Reference | None:
@@ -166,8 +170,11 @@ def plan_reference(name: str, places: FloatArray) -> Reference | None:
     return Reference(Origin.PLAN, name, known) if known else None
 
 
-def _read_sets(path: Path) -> tuple[PlaceSet, ...]:
-    """Return the sets of places in a file, at least one; the one that leads comes first."""
+def read_place_sets(path: Path) -> tuple[PlaceSet, ...]:
+    """Read all sets of places in a file, at least one: of several methods the one that leads comes first.
+
+    Raises InputError: as for `read_places`.
+    """
     try:
         if path.suffix.lower() == ".json":
             return _json_sets(path)

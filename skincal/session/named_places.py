@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
-from skincal.files.reference import TRUTH_NAME, PlaceSet, plan_reference, read_places
+from skincal.files.reference import TRUTH_NAME, PlaceSet, check_part, plan_reference, read_place_sets, read_places
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.model.skin import Layout
@@ -52,15 +53,38 @@ def session_places(folder: Path, which: str = "") -> PlaceSet:
     pipeline = load(folder)
     if which == PLAN:
         return _plan_of(pipeline, name)
-    estimates = pipeline.snapshot().estimates
-    method = Method(which) if which else leading_method(estimates)
-    if method is None:
+    sets = _sets_of(pipeline, folder)
+    chosen = next((each for each in sets if not which or each.method is Method(which)), None)
+    if chosen is None:
+        raise InputError(f"{folder}: has no places by the {which} method; expected {', '.join(each.name for each in sets)}.")
+    return chosen
+
+
+def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceSet, ...]:
+    """Return all places of the taxels of a part that a file, or the folder of a session by each of its methods, knows.
+
+    The method that leads comes first.
+
+    Raises InputError: as for `find_places`; also where they are of another link than `link`, or know none of `channels`.
+    """
+    sets = _sets_of(load(path), path) if path.is_dir() else read_place_sets(path)
+    for found in sets:
+        check_part(found, path, link, channels)
+    return sets
+
+
+def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[PlaceSet, ...]:
+    """Return the places that each method of a session knows; InputError where none knows any."""
+    estimates, scene, name = pipeline.snapshot().estimates, pipeline.scene, folder.resolve().name
+    leads, modules = leading_method(estimates), _modules_of(scene.skin.layout)
+    if leads is None:
         raise InputError(f"{folder}: no taxel is known in this session yet; poke some more, or name its plan or its truth.")
-    if method not in estimates:
-        raise InputError(f"{folder}: has no {method.value} method; expected {', '.join(each.value for each in estimates)}.")
-    places = {estimate.channel: estimate.position for estimate in estimates[method] if estimate.position is not None}
-    scene = pipeline.scene
-    return PlaceSet(f"{name}, {method.value} method", scene.link, places, _modules_of(scene.skin.layout), method)
+    known = {
+        method: {estimate.channel: estimate.position for estimate in found if estimate.position is not None}
+        for method, found in estimates.items()
+    }
+    order = sorted(filter(known.__getitem__, known), key=lambda method: method is not leads)
+    return tuple(PlaceSet(f"{name}, {each.value} method", scene.link, known[each], modules, each) for each in order)
 
 
 def _plan_of(pipeline: Pipeline, name: str) -> PlaceSet:
