@@ -41,8 +41,9 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
         ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
-        ("reference", "Compare with...", "Ctrl+R", "Show the error against a truth.json or an iCub position file"),
+        ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),
         ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
+        ("report", "Report...", "Ctrl+Shift+E", "Write what the session came to as one file for the browser and for paper"),
         ("picture", "Save 3D picture...", "Ctrl+P", "Write the 3D view as it stands"),
         ("quit", "Quit", "Ctrl+Q", "Everything recorded is on the disk already"),
     ),
@@ -174,6 +175,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
+            ("report", may.verdict),
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),

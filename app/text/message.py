@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+REPORTING = "The report is being written; it is said when it is there."
 STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
 
 
@@ -29,6 +30,11 @@ def refused_words(failure: str) -> str:
 def kept_words(folder: Path) -> str:
     """Return what is said where a temporary recording was copied to `folder`."""
     return f"This session is kept in {folder}; what is recorded from now on is added when the window closes."
+
+
+def report_words(path: Path, verdict: str) -> str:
+    """Return where a report is, and its verdict."""
+    return f"The report is in {path}. {verdict}"
 
 
 def place_words(folder: Path, kept: Path | None, *, temporary: bool) -> str:

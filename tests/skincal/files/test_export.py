@@ -102,6 +102,9 @@ def test_json_has_no_nan_and_names_its_units(part):
         "pose_turn_rad": 0.0, "pose_shift_m": 0.0,
     }  # fmt: skip
     assert document["skincal_version"] == "0.1.0"
+    gains = [each["gain"] for each in document["estimates"]["surface"]]
+    assert gains[0]["raw_per_N"] > 0
+    assert gains[-1] == {"pokes": 0, "raw_per_N": None, "sd_raw_per_N": None}
 
 
 def test_every_setting_has_a_unit():
@@ -113,7 +116,19 @@ def test_csv_has_a_row_a_channel_and_method(part, tmp_path):
     calibration = make_calibration(part, unseen=(5,), blind=(13,))
     said = write_calibration(calibration, "csv", tmp_path / "c.csv", Method.FREE)
     text = (tmp_path / "c.csv").read_text()
-    assert text.splitlines()[0] == "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm"
+    assert text.splitlines()[0] == (
+        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes"
+    )
+    gains = calibration.gains(Method.FREE)
+    for gain, row in zip(gains, csv.DictReader(text.splitlines()), strict=False):
+        told = [row[name] for name in ("gain_raw_per_N", "gain_sd_raw_per_N", "gain_pokes")]
+        assert told == [
+            "" if gain.mean is None else repr(gain.mean),
+            "" if gain.spread is None else repr(gain.spread),
+            str(gain.pokes),
+        ]
+    assert any(gain.mean is not None for gain in gains)
+    assert any(gain.mean is None for gain in gains)
     rows = list(csv.DictReader(text.splitlines()))
     layout = part.scene.skin.layout
     assert layout is not None
