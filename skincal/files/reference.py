@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -13,6 +12,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
+from skincal.model.given import DOCUMENT_MOST, parse_json, read_regular
 from skincal.taxels.result import Estimate
 
 TRUTH_NAME = "truth.json"
@@ -101,12 +101,10 @@ def _read(path: Path) -> tuple[str, dict[int, FloatArray]]:
         # Zeros stand for no position in such a file.
         return "", {channel: place for channel, place in enumerate(read_icub(path)[:, :3]) if np.any(place != 0.0)}
     try:
-        document: Any = json.loads(path.read_text(encoding="utf-8"))
+        document: Any = parse_json(read_regular(path, DOCUMENT_MOST))
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
         return str(document.get("link", "")), places
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, AttributeError):
         raise InputError(f'{path}: not a reference; expected JSON with "taxels": [{{"channel", "position_m"}}].') from None
 
 
