@@ -34,15 +34,17 @@ def shortened(sentence: str, most: int = SENTENCE_MOST) -> str:
     """Return a sentence of at most so many characters: long words lose their middle first, then the whole."""
     if len(sentence) <= most:
         return sentence
-    words = (
-        w if len(w) <= WORD_MOST else f"{w[: WORD_MOST // 2]}\N{HORIZONTAL ELLIPSIS}{w[-WORD_MOST // 3 :]}"
-        for w in sentence.split(" ")
-    )
-    shorter = " ".join(words)
+    shorter = " ".join(_short_word(word) for word in sentence.split(" "))
     if len(shorter) > most:
         head = most * 2 // 3
         shorter = f"{shorter[:head]}\N{HORIZONTAL ELLIPSIS}{shorter[head + 1 - most :]}"
     return shorter
+
+
+def _short_word(word: str) -> str:
+    if len(word) <= WORD_MOST:
+        return word
+    return f"{word[: WORD_MOST // 2]}\N{HORIZONTAL ELLIPSIS}{word[1 - WORD_MOST // 2 :]}"
 
 
 MOST_NAMED = 8

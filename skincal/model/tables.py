@@ -41,13 +41,11 @@ def read_text(path: Path) -> str:
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """Return the content of a TOML file's text; `InputError` says what is wrong with it and where."""
     if _DOTTED.search(text):
-        raise InputError(f"{path}: a name has {DOTS_MOST} dots or more; expected tables within tables of few levels.")
+        raise InputError(f"{path}: a name has {DOTS_MOST} dots or more; expected a few levels.")
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise InputError(
-            f"{path}: its lists or tables are nested too deep; expected tables within tables of few levels."
-        ) from None
+        raise InputError(f"{path}: its lists or tables are nested too deep; expected a few levels.") from None
     except ValueError as error:  # also for numbers of very many digits
         raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
 
