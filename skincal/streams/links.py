@@ -28,6 +28,7 @@ from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 from skincal.model.errors import InputError
+from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 
 DEFAULT_BAUD = 115200
@@ -364,13 +365,13 @@ class PlaybackLink:
 
         self._path = path
         try:
-            self._file = path.open("rb")
-            self._decoder = LinkDecoder(spec.format, None, spec.carries)
-        except FileNotFoundError as error:
-            raise LinkFailure(FailureKind.ABSENT, f"There is no file {path}; check the name.") from error
-        except OSError as error:
-            raise LinkFailure(FailureKind.OTHER, f"{path} cannot be read: {error.strerror or error}.") from error
+            self._file = open_regular(path, advice="check the name")
         except InputError as error:
+            raise LinkFailure(FailureKind.OTHER if path.exists() else FailureKind.ABSENT, str(error)) from error
+        try:
+            self._decoder = LinkDecoder(spec.format, None, spec.carries)
+        except InputError as error:
+            self._file.close()
             raise LinkFailure(FailureKind.ADDRESS, str(error)) from error
         self._byte_s = BITS_PER_BYTE / baud
         self._block: bytes | None = None
