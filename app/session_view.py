@@ -18,7 +18,7 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, Qt, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from app.commands import Commands
+from app.commands import LAYERS, Commands
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
 from app.dialogs.verdict_dialog import VerdictDialog
@@ -452,6 +452,11 @@ class SessionView(QObject):
         """Turn the camera to the target between pokes, or do not."""
         self.workspace.view.set_turning(self._commands.actions["turn"].isChecked())
 
+    def show_layers(self) -> None:
+        """Show the layers of the 3D view that are wanted."""
+        hidden = (name for name in LAYERS if not self._commands.actions[name].isChecked())
+        self.workspace.view.hide_layers(frozenset(hidden))
+
     def skip_target(self) -> None:
         """Ask for another target."""
         self.guide.skip()
@@ -671,6 +676,9 @@ class SessionView(QObject):
         self._commands.actions["guide"].setChecked(self.guide.wanted)
         self._commands.actions["turn"].setChecked(bool(settings.value("window/turn", True, type=bool)))
         self.show_turning()
+        for name in LAYERS:
+            self._commands.actions[name].setChecked(bool(settings.value(f"layers/{name}", True, type=bool)))
+        self.show_layers()
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
         self._follow()
@@ -684,6 +692,8 @@ class SessionView(QObject):
         self.workspace.error_course.save(settings)
         settings.setValue("window/guide", self.guide.wanted)
         settings.setValue("window/turn", self._commands.actions["turn"].isChecked())
+        for name in LAYERS:
+            settings.setValue(f"layers/{name}", self._commands.actions[name].isChecked())
         settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
 
     def close(self) -> None:

@@ -26,7 +26,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.commands import Commands, key_words
+from app.commands import LAYERS, Commands, key_words
 from app.dialogs.pedals import Pedals
 from app.panels.message_bar import MessageBar
 from app.panels.widgets import ElidedLabel, mix
@@ -179,6 +179,7 @@ class Window(QMainWindow):
             "sounds": self._switch_sounds,
             "speech": self._switch_sounds,
             "turn": self._of_session(lambda view: view.show_turning()),
+            **dict.fromkeys(LAYERS, self._of_session(lambda view: view.show_layers())),
             "camera": self._of_session(lambda view: view.workspace.view.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,
