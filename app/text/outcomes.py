@@ -15,7 +15,7 @@ import numpy as np
 from app.state.policies import GOOD_RMS, Mark
 from app.state.view_state import LinkLook, ViewState, link_look
 from app.units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
-from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
+from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkHealth
 from skincal.sentences import state_sentence
@@ -71,6 +71,8 @@ def reason_short(rejection: Rejection) -> str:
 def reason_words(rejection: Rejection) -> str:
     """Return why a poke does not count, with its number and limit: `"slid 2.1 mm, at most 1.5 mm"`."""
     reason, value, limit = rejection.reason, rejection.value, rejection.limit
+    if rejection.unit == RAW and math.isfinite(value):
+        return f"{reason.value}: largest {number(value, 1)}, needed {number(limit, 1)}"
     if reason in _BARE or not (math.isfinite(value) and math.isfinite(limit)):
         return reason.value
     bound = "at least" if value < limit else "at most"
