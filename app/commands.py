@@ -53,6 +53,8 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin; N skips one landmark"),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
         ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
+        ("redo", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Bring again what was taken back last"),
+        ("history", "History...", "H", "What was done and when; Enter takes back everything down to a line"),
         ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
         ("last", "Select last poke", "L", "Show the newest poke in the list"),
         ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
@@ -113,6 +115,8 @@ class Commands(QObject):
             action.setShortcuts([QKeySequence(key) for key in command.keys])
             action.setStatusTip(command.hint)
             action.setCheckable(command.checkable)
+            # A key that is held down would take back one poke after another.
+            action.setAutoRepeat(False)
             # Lambdas drop the `checked` argument that Qt would pass.
             action.triggered.connect(lambda _checked=False, slot=slots[command.name]: slot())
             self.menus[command.menu].addAction(action)
@@ -164,6 +168,7 @@ class Commands(QObject):
         exclude = "Restore selected pokes" if may.restore and not excludes else "Exclude selected pokes"
         for name, enabled, text in (
             ("undo", bool(may.undo), f"Undo {may.undo}".strip()),
+            ("redo", bool(may.redo), f"Redo {may.redo}".strip()),
             ("exclude", excludes or bool(may.restore), exclude),
             ("dead", may.mark_dead or may.revive, "Use selected taxel again" if may.revive else "Do not use selected taxel"),
             ("correct", bool(correct), correct or CORRECT),

@@ -169,6 +169,8 @@ class Window(QMainWindow):
             "correct": self._of_session(lambda view: view.correct()),
             "no landmarks": self._of_session(lambda view: view.skip_landmarks()),
             "undo": self._of_session(lambda view: view.undo()),
+            "redo": self._of_session(lambda view: view.redo()),
+            "history": self._of_session(lambda view: view.show_history(self)),
             "exclude": self._of_session(lambda view: view.exclude_or_restore()),
             "last": self._of_session(lambda view: view.select_last()),
             "dead": self._of_session(lambda view: view.mark_or_revive()),
