@@ -44,6 +44,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("reference", "Compare with...", "Ctrl+R", "Show the error against a truth.json or an iCub position file"),
         ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
         ("picture", "Save 3D picture...", "Ctrl+P", "Write the 3D view as it stands"),
+        ("pace", "Pace of the simulated operator", "Shift+P", "Once, twice or four times as quick as a careful hand"),
         ("quit", "Quit", "Ctrl+Q", "Everything recorded is on the disk already"),
     ),
     "Poke": (
@@ -161,6 +162,11 @@ class Commands(QObject):
             for action in menu.actions()
             for key in action.shortcuts()
         }
+
+    def follow_pace(self, words: str, *, served: bool) -> None:
+        """Name the pace of a simulated operator, where there is one."""
+        self.actions["pace"].setEnabled(served)
+        self.actions["pace"].setText(words)
 
     def follow(self, may: Allowed, correct: str, *, can_keep: bool) -> None:
         """Enable what may be done, and name it."""

@@ -67,7 +67,8 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     folder = options.new
     if folder is None and addresses:
         folder = dated_folder(documents_folder(), datetime.now().astimezone())
-    return OpenRequest(scene=scene, addresses=addresses, server=server_command(scene), folder=folder)
+    demo = scene is None and folder is None
+    return OpenRequest(scene=scene, addresses=addresses, server=server_command(scene), folder=folder, demo=demo)
 
 
 class Faults(QObject):

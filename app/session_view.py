@@ -39,6 +39,7 @@ from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
+from app.text.demo_text import simulated_words
 from app.text.message import Message
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -63,6 +64,8 @@ if TYPE_CHECKING:
     from skincal.files.reference import Reference
     from skincal.modules.health import LayoutMend
 
+VERDICT_MS = 3000
+"""The demo's line says *enough* for so long before the verdict comes by itself."""
 LATE_S = 0.3
 """s. What happened longer ago makes no sound any more: by now the hand does something else."""
 SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
@@ -239,6 +242,8 @@ class SessionView(QObject):
     sound_due = Signal(object)
     """`DueCue`: a sound that is due."""
 
+    _ended = False
+    """The verdict of the demo came by itself."""
     _history: HistoryDialog | None = None
     """Made when it is first asked for."""
 
@@ -354,6 +359,10 @@ class SessionView(QObject):
         self.state = state = self.view_state(tick)
         self._cue(state)
         self._announce_modules(state)
+        if self.ends and self._controller.demo and not self._ended:
+            # Nobody's hands are busy, and somebody who only looks on would not know that this is the end.
+            self._ended = True
+            QTimer.singleShot(VERDICT_MS, self.workspace, lambda: self.ask_verdict(self.workspace.window()))
         self.workspace.show_state(state)
         self.chips.show_state(state)
         if self._history is not None:
@@ -404,6 +413,7 @@ class SessionView(QObject):
             offers=self._rig.offers(snapshot),
             modules=self._modules_check.found,
             unsolved=tick.unsolved,
+            simulated=simulated_words(self._controller.pace, self._controller.running) if self._controller.simulated else "",
             opened_s=self._opened_s,
             costs=self.guide.costs,
             eye=self.workspace.view.eye(),

@@ -28,12 +28,14 @@ from PySide6.QtWidgets import (
 
 from app.commands import Commands, key_words
 from app.dialogs.pedals import Pedals
+from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
 from app.panels.widgets import ElidedLabel, mix
-from app.session.controller import Controller
+from app.session.controller import PACES, Controller
 from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
 from app.state.running import Running
+from app.text.demo_text import pace_words
 from app.text.message import Message
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
@@ -144,6 +146,7 @@ class Window(QMainWindow):
         self._documents = documents
         self._player = player
         self.session_view: SessionView | None = None
+        self._told: FirstMinute | None = None
         self.messages = MessageBar()
         self.stack = QStackedWidget()
         self.opening = QLabel()
@@ -161,6 +164,7 @@ class Window(QMainWindow):
             "export": self._of_session(lambda view: view.ask_export(self)),
             "reference": self._of_session(lambda view: view.ask_reference(self)),
             "picture": self._of_session(lambda view: view.ask_picture(self)),
+            "pace": self._change_pace,
             "quit": self.close,
             "space": self._do_obvious,
             "pause": self.controller.toggle,
@@ -269,6 +273,9 @@ class Window(QMainWindow):
             self.stack.addWidget(session_view.workspace)
             self.stack.setCurrentWidget(session_view.workspace)
             session_view.begin()
+            if self.controller.demo and not self._settings.value("window/told", False, type=bool):
+                self._told = FirstMinute(session_view.workspace.view)
+                self._told.gone.connect(lambda: self._settings.setValue("window/told", True))
 
     def _take_session(self, snapshot: Snapshot) -> None:
         if self.session_view is not None:
@@ -277,6 +284,7 @@ class Window(QMainWindow):
 
     def _running_changed(self, running: Running) -> None:
         self._show_opening()
+        self.commands.follow_pace(pace_words(self.controller.pace), served=self.controller.served)
         if self.session_view is not None:
             if running is Running.OFFLINE and self.session_view.state is None:
                 self.session_view.workspace.wait("nothing to show", "No device could be opened; Ctrl+N names others.")
@@ -321,10 +329,17 @@ class Window(QMainWindow):
     def _escape(self) -> None:
         if self.session_view is not None and self.session_view.picking.waiting:
             self.session_view.picking.stop()
+        elif self._told is not None and self._told.isVisible():
+            self._told.leave()
         elif self.messages.isVisible():
             self.messages.dismiss()
         elif self.session_view is not None:
             self.session_view.select_taxel(None)
+
+    def _change_pace(self) -> None:
+        """Have the simulated operator be quicker, and after the quickest as slow as at first."""
+        paces = PACES
+        self.controller.set_pace(paces[(paces.index(self.controller.pace) + 1) % len(paces)])
 
     def _switch_sounds(self) -> None:
         """Play sounds, and say words, as the menu has it."""
@@ -375,6 +390,8 @@ class Window(QMainWindow):
 
     def _drop_session(self) -> None:
         session_view, self.session_view = self.session_view, None
+        # It goes with the view that it stands over.
+        self._told = None
         if session_view is not None:
             session_view.save(self._settings)
             session_view.close()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout
 
 from app.panels.top_view import AROUND, TopView, top_view
 from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, embolden, mix
@@ -27,6 +27,7 @@ RIM_PX = 3.0
 TAXEL_PX = 2.4
 RING_PX = 6.5
 """Radius of the ring around the taxel that is asked for."""
+SIMULATED_PT = 12
 BALL_PX = 6.0
 """Radius of the ball at the tool's upper end."""
 FINEST = 0.2
@@ -260,6 +261,10 @@ class NowPanel(QFrame):
         self.headline = FittedLabel()
         self.detail = ElidedLabel("muted")
         self.detail.setProperty("quiet", True)
+        self.simulated = QLabel()
+        self.simulated.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self.simulated.setToolTip("No robot is connected: a simulated hand pokes a simulated rig; Shift+P changes its pace")
+        embolden(self.simulated, SIMULATED_PT)
         self.gauge = ForceGauge()
         self.dial = Dial()
         self.dial.hide()
@@ -288,7 +293,10 @@ class NowPanel(QFrame):
         row.addWidget(self.sign)
         row.addWidget(self.dial)
         row.addLayout(words, 1)
-        row.addWidget(self.gauge)
+        right = QVBoxLayout()
+        right.addWidget(self.simulated)
+        right.addWidget(self.gauge, 1)
+        row.addLayout(right)
         # The same height with the dial and without: nothing beside it moves when the guide is switched off.
         self.setFixedHeight(DIAL_PX + 2 * GAP + 2 * self.frameWidth() + 2)
 
@@ -300,6 +308,7 @@ class NowPanel(QFrame):
         """Say what happens now."""
         now, self._memory = now_line(self._memory, state)
         self.dial.show_state(state)
+        self.simulated.setText(state.simulated)
         progress, limits = state.live.progress, state.scene.contacts
         self.gauge.set(float(np.linalg.norm(progress.force)), limits.force_min, limits.force_max)
         self.say(now, progress.still)

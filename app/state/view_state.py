@@ -89,6 +89,8 @@ class ViewState:
     """Whether modules lie as planned; None while that was not worked out."""
     unsolved: int = 0
     """How many taxels are being solved anew; what is shown is from before. 0 too where that takes no time to speak of."""
+    simulated: str = ""
+    """What is said of a rig that is none: empty of a real one."""
     opened_s: float = 0.0
     """Host's monotonic clock, seconds, when the session was opened here."""
     costs: Mapping[Method, int] = field(default_factory=dict[Method, int])

@@ -16,6 +16,8 @@ from skincal.model.errors import InputError
 from skincal.taxels.result import Estimate
 
 TRUTH_NAME = "truth.json"
+RIG_KEY = "rig"
+"""In a truth: `seed` and `errors` of the simulated rig, by which `simulate` makes the same one again."""
 """A simulated session has one beside its segments."""
 
 
