@@ -40,6 +40,7 @@ from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
+from app.text.guidance_text import early_words
 from app.text.message import Message
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -48,7 +49,7 @@ from app.text.verdict_text import rig_state
 from app.theme import GAP
 from app.units import ChannelNames
 from skincal.files.calibration import landmark_check
-from skincal.guide.guidance import Guidance, leeway
+from skincal.guide.guidance import Guidance, GuidePhase, leeway
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Redo, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.model.errors import InputError
@@ -590,10 +591,22 @@ class SessionView(QObject):
         def write(format_: str, path: Path, method: Method) -> None:
             review = None if self.state is None else self.state.review
             check = None if review is None else landmark_check(review.rig)
-            self._controller.export(format_, path, method, check, dialog.show_findings, dialog.show_failure)
+            early = self._early_words()
+
+            def done(sentences: tuple[str, ...]) -> None:
+                dialog.show_findings((*early, *sentences))
+
+            self._controller.export(format_, path, method, check, done, dialog.show_failure)
 
         dialog.write_requested.connect(write)
         dialog.open()
+
+    def _early_words(self) -> tuple[str, ...]:
+        """Return that it is not enough yet, where it is not: a file says nothing of what was not poked."""
+        guidance = self._guidance
+        if self.state is None or guidance is None or guidance.phase is GuidePhase.ENOUGH:
+            return ()
+        return (early_words(guidance, self.state.snapshot.dead),)
 
     def ask_reference(self, parent: QWidget) -> None:
         """Ask for a file with known places of the taxels, and show the error against it."""

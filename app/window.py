@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
-from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal
+from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
@@ -36,7 +36,7 @@ from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
-from app.text.message import Message
+from app.text.message import Message, keep_question
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
@@ -147,6 +147,9 @@ class Window(QMainWindow):
         self._player = player
         self.session_view: SessionView | None = None
         self._told: FirstMinute | None = None
+        self._question: QMessageBox | None = None
+        """What becomes of pokes that would go."""
+        self._leaves = False
         self.messages = MessageBar()
         self.stack = QStackedWidget()
         self.opening = QLabel()
@@ -381,12 +384,49 @@ class Window(QMainWindow):
             self.open(OpenRequest(session=Path(folder)))
 
     def open(self, request: OpenRequest) -> None:
-        """Open something in place of what is open."""
+        """Open something in place of what is open, once it is settled what becomes of that."""
+        self._before_losing(lambda: self._open(request))
+
+    def _open(self, request: OpenRequest) -> None:
         self._drop_session()
         self.where.setText("")
         self.controller.open(request)
 
+    def _before_losing(self, then: Callable[[], object]) -> None:
+        """Ask what becomes of pokes in a temporary recording, if there are any, then go on."""
+        pokes = self.controller.would_lose
+        if not pokes:
+            then()
+            return
+        if self._question is not None:
+            return
+        question, more = keep_question(pokes)
+        self._question = box = QMessageBox(QMessageBox.Icon.Question, "Keep this session", question, parent=self)
+        box.setInformativeText(more)
+        keep = box.addButton("Keep", QMessageBox.ButtonRole.AcceptRole)
+        drop = box.addButton("Do not keep", QMessageBox.ButtonRole.DestructiveRole)
+        box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setDefaultButton(keep)
+
+        def answered() -> None:
+            chosen, self._question = box.clickedButton(), None
+            box.deleteLater()
+            if chosen is keep:
+                self.controller.keep(then)
+            elif chosen is drop:
+                then()
+
+        box.finished.connect(answered)
+        box.open()
+        keep.setFocus()
+
     # Coming and going
+
+    @Slot()
+    def leave(self) -> None:
+        """Close without a question: it is answered, or nobody can be asked."""
+        self._leaves = True
+        self.close()
 
     def _drop_session(self) -> None:
         session_view, self.session_view = self.session_view, None
@@ -401,7 +441,11 @@ class Window(QMainWindow):
                 gone.deleteLater()
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask nothing: everything that was recorded is on the disk. Stop the timers, close the 3D view, then the journal."""
+        """Ask whether a temporary recording is kept; then stop the timers, close the 3D view, then the journal."""
+        if not self._leaves and self.controller.would_lose:
+            self._before_losing(self.leave)
+            event.ignore()
+            return
         self._settings.setValue("window/geometry", self.saveGeometry())
         self._settings.setValue("window/sounds", self._player.on)
         self._settings.setValue("window/speech", self._player.speaks)

@@ -10,9 +10,9 @@ from app.panels.widgets import embolden, quiet
 from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END
 from app.theme import GAP
 
-WIDTH_PX = 400
+WIDTH_PX = 340
 STAYS_MS = 60_000
-TITLE_PT = 12.0
+TITLE_PT = 10.5
 
 
 class FirstMinute(QFrame):

@@ -26,7 +26,7 @@ from app.session.opening import (
 )
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
-from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
+from app.text.message import STILL_SOLVING, Message, kept_old_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -488,21 +488,28 @@ class Controller(QObject):
             if not self.act(action):
                 return
 
-    def keep(self) -> None:
-        """Copy a temporary recording to where it stays."""
+    def keep(self, then: Callable[[], object] = lambda: None) -> None:
+        """Copy a temporary recording to where it stays, and go on with `then` once it lies there."""
+
+        def kept(folder: Path) -> None:
+            self.said.emit(Message(kept_words(folder)))
+            self._publish_storage()
+            then()
+
         if self._recording is not None and self.can_keep:
             # What is still buffered is in no file that could be copied.
             self._recording.pipeline.sync()
-            self._endings.submit(self._recording.storage.keep, self._kept, self._say_failure)
-
-    def _kept(self, folder: Path) -> None:
-        self.said.emit(Message(kept_words(folder)))
-        self._publish_storage()
+            self._endings.submit(self._recording.storage.keep, kept, self._say_failure)
 
     @property
     def can_keep(self) -> bool:
         """Whether the recording would go with the window."""
         return self._recording is not None and self._recording.storage.can_keep
+
+    @property
+    def would_lose(self) -> int:
+        """How many pokes would go with the window."""
+        return len(self._recording.pipeline.snapshot().pokes) if self._recording is not None and self.can_keep else 0
 
     def export(
         self,
@@ -536,7 +543,8 @@ class Controller(QObject):
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            return write_calibration(calibration, format_, path, method)
+            older = (kept_old_words(path),) if path.exists() else ()
+            return (*write_calibration(calibration, format_, path, method), *older)
 
         self.compute(write, done, failed)
 
