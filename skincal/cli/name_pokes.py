@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from skincal.model.actions import Action, AddLandmark, AtLandmark
     from skincal.session.landmark_pokes import NearestLandmark
     from skincal.session.session import Session
+    from skincal.session.undo import Entry
 
 NOWHERE = "-"
 """Stands for no landmark, as an empty name does."""
@@ -280,7 +281,7 @@ def _take_back(folder: Path, known: Session) -> list[str]:
     """Undo what the last call wrote; return it in lines."""
     from skincal.model.actions import Undo
 
-    count = _last_call(folder)
+    count = _last_call(known.history)
     if not count:
         raise InputError(
             f"{folder}: what was done last is {known.can_undo or 'nothing'}, not a landmark; nothing to take back."
@@ -293,27 +294,19 @@ def _take_back(folder: Path, known: Session) -> list[str]:
     return lines
 
 
-def _last_call(folder: Path) -> int:
-    """Return how many of the last steps of a session name landmarks and were written at one moment."""
-    from skincal.contacts.outcome import Contact
-    from skincal.journal.documents import Taken
-    from skincal.journal.reader import SessionLog
-    from skincal.model.actions import AddLandmark, AskLandmark, AtLandmark, Stamped, Undo
+def _last_call(history: Sequence[Entry]) -> int:
+    """Return how many of the last entries of a session's history name landmarks and were written at one moment."""
+    from skincal.model.actions import AddLandmark, AtLandmark
+    from skincal.session.undo import ActionEntry
 
-    steps: list[tuple[str, int]] = []
-    for item in SessionLog(folder).state():
-        if isinstance(item, Taken):
-            for outcome in (outcome for outcome, _ in item.outcomes):
-                step = "poke", outcome.poke
-                if isinstance(outcome, Contact) != (step in steps):
-                    (steps.append if isinstance(outcome, Contact) else steps.remove)(step)
-        elif isinstance(item, Stamped) and isinstance(item.action, Undo):
-            steps = steps[:-1]
-        elif isinstance(item, Stamped) and not isinstance(item.action, AskLandmark):
-            steps.append(("landmark" if isinstance(item.action, AddLandmark | AtLandmark) else "other", item.host_ns))
-    last = steps[-1] if steps else ("other", 0)
-    count = next((i for i, step in enumerate(reversed(steps)) if step != last), len(steps))
-    return count if last[0] == "landmark" else 0
+    moment, count = None, 0
+    for entry in reversed(history):
+        if not isinstance(entry, ActionEntry) or not isinstance(entry.action, AddLandmark | AtLandmark):
+            break
+        if moment not in (None, entry.at_s):
+            break
+        moment, count = entry.at_s, count + 1
+    return count
 
 
 # ---- what is known ----

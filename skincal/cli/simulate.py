@@ -72,6 +72,7 @@ def simulate(
         float,
         typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
     ] = 1.0,
+    run: Annotated[int, typer.Option(min=0, help="Another number: the same rig, served on another day.")] = 0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -79,11 +80,10 @@ def simulate(
 
     Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME. With --operator guided:
     target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame; - is a place, + a known point
-    of the part), wait (nothing is to be poked), or any (nobody guides); until the first of them it pokes as auto does.
+    of the part), wait (nothing is to be poked), any (nobody guides), or pace TIMES; until the first of them it pokes as auto
+    does.
     """
-    import numpy as np
-
-    from skincal.files.reference import TRUTH_NAME, read_reference
+    from skincal.files.reference import RIG_KEY, TRUTH_NAME, read_reference
     from skincal.session.part import load_scene_surface
     from skincal.simulate.device import DeviceTimeline
     from skincal.simulate.faults import RigErrors
@@ -116,12 +116,21 @@ def simulate(
         finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
         return
     # Streams of their own: another operator meets the same rig and the same devices.
-    rig_rng, operator_rng, device_rng = np.random.default_rng(seed).spawn(3)
+    rig_rng, operator_rng, device_rng = _streams(seed, run)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _hand(operator, rig, habits, operator_rng, (pokes, names))
     with closing(Server(DeviceTimeline(rig, hand, device_rng), tcp=tcp)) as server:
-        _print_links(server, rig.truth() if as_json else {})
+        known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
+        _print_links(server, known if as_json else {})
         _run(server, hand if isinstance(hand, Told | Guided) else None)
+
+
+def _streams(seed: int, run: int) -> list[np.random.Generator]:
+    """Return the random numbers of rig, operator and devices; those of the rig are the same in every run."""
+    import numpy as np
+
+    rig, *others = np.random.default_rng(seed).spawn(3)
+    return [rig, *(np.random.default_rng((seed, run)).spawn(2) if run else others)]
 
 
 def _hand(

@@ -23,6 +23,8 @@ from skincal.taxels.differences import Repeatability, repeatability
 from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
+RIG_KEY = "rig"
+"""In a truth: `seed` and `errors` of the simulated rig, by which `simulate` makes the same one again."""
 """A simulated session has one beside its segments."""
 
 
