@@ -12,14 +12,35 @@ import select
 import socket
 import threading
 import time
-from typing import TypeAlias
+from collections.abc import Mapping
+from typing import Protocol
 
 from skincal.model.errors import InputError
+from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceTimeline
 from skincal.streams.links import LinkSpec
 
 LATE_MAX_S = 1.0
 """s. When the machine slept longer than this, the boards go on from now rather than send it all at once."""
+
+
+class Outlet(Protocol):
+    """One link's end on the board's side."""
+
+    address: str
+    """What a host opens."""
+
+    def poll(self) -> tuple[bool, bytes]:
+        """Return whether somebody came since the last call, and what was said to the board."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send to those who listen, without ever waiting."""
+        ...
+
+    def close(self) -> None:
+        """Hang up."""
+        ...
 
 
 class Server:
@@ -36,13 +57,25 @@ class Server:
     def __init__(self, line: DeviceTimeline, *, tcp: bool) -> None:
         self._line = line
         self._outlets: dict[str, Outlet] = {}
+        speakers = line.settings.speakers
         try:
+            if speakers:
+                self._open_makers(speakers, tcp=tcp)
             for name in line.links:
-                self._outlets[name] = TcpOutlet() if tcp else PtyOutlet()
+                if name not in self._outlets:
+                    self._outlets[name] = TcpOutlet() if tcp else PtyOutlet()
         except BaseException:
             self.close()
             raise
         self._paused: set[str] = set()
+
+    def _open_makers(self, speakers: Mapping[Stream, str], *, tcp: bool) -> None:
+        from skincal.simulate.outlets import MakerOutlets
+
+        makers = MakerOutlets()
+        for name, stream in self._line.links.items():
+            if stream in speakers:
+                self._outlets[name] = makers.open(speakers[stream], stream, tcp=tcp)
 
     @property
     def links(self) -> tuple[LinkSpec, ...]:
@@ -123,7 +156,7 @@ class TcpOutlet:
     def write(self, data: bytes) -> None:
         """Send to every client what its connection takes; keep the rest for the next time."""
         for client, pending in list(self._clients.items()):
-            pending += data
+            pending += self._share(client, data)
             try:
                 sent = client.send(pending) if pending else 0
             except BlockingIOError:
@@ -134,6 +167,11 @@ class TcpOutlet:
             del pending[:sent]
             if len(pending) > PENDING_MAX:
                 self._drop(client)
+
+    def _share(self, client: socket.socket, data: bytes) -> bytes:
+        """Return what of `data` a client gets."""
+        del client
+        return data
 
     def _drop(self, client: socket.socket) -> None:
         self._clients.pop(client, None)
@@ -194,7 +232,3 @@ class PtyOutlet:
         if self._master >= 0:
             os.close(self._master)
             self._master = -1
-
-
-Outlet: TypeAlias = TcpOutlet | PtyOutlet
-"""One link's end on the board's side: what came, bytes to those who listen without ever waiting, and the hanging up."""

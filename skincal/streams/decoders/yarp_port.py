@@ -61,8 +61,8 @@ class PortBottleError(ValueError):
 
 
 def name_query(port: str) -> bytes:
-    """Return the line that asks a name server for a port, or for all of them where it is empty."""
-    return f"NAME_SERVER {'query ' + port if port else 'list'}\n".encode()
+    """Return the lines that ask a name server for a port, or for all of them where it is empty."""
+    return f"NAME_SERVER query {port}\n".encode() if port else b"CONNECT skincal\nd\nlist\n"
 
 
 def read_names(answer: bytes) -> dict[str, tuple[str, int]]:
