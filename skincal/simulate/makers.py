@@ -1,7 +1,7 @@
 """What makers' devices send, as bytes: the encoders of `--as`, and what each device answers to its host.
 
 Written from the formats' descriptions, as the decoders are, and sharing nothing with them, so that each checks the other.
-How the bytes leave is the affair of `outlets`.
+How the bytes leave is the affair of `maker_outlets`.
 """
 
 from __future__ import annotations

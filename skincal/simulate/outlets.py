@@ -1,173 +1,151 @@
-"""The ends of the links of makers' devices: TCP with a talk, UDP with its page, a pseudo-terminal that hears commands."""
+"""The ends of simulated links: TCP ports of this machine and pseudo-terminals."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import socket
-import struct
-from collections.abc import Callable
-from typing import TypeAlias
+from typing import Protocol
 
-from skincal.model.readings import Stream
-from skincal.simulate.makers import DeviceTalk, NameTalk, PageTalk, PlainTalk, RtdeTalk, XelaTalk, YarpTalk
-from skincal.simulate.serve import PtyOutlet, TcpOutlet
-
-RDT_RECORD = 36
+from skincal.model.errors import InputError
 
 
-class TalkOutlet(TcpOutlet):
-    """A TCP port where each host is talked to, and gets readings once it asked for them."""
+class Outlet(Protocol):
+    """One link's end on the board's side."""
 
-    def __init__(self, talk: Callable[[], DeviceTalk], form: str) -> None:
-        """Take who talks to a host, and the address around the port's number."""
-        super().__init__()
-        self._talk = talk
-        self._talks: dict[socket.socket, DeviceTalk] = {}
-        self.port: int = self._server.getsockname()[1]
-        self.address = form.format(self.port)
+    address: str
+    """What a host opens."""
 
     def poll(self) -> tuple[bool, bytes]:
-        """Talk to every host; what they said is nobody else's affair."""
-        super().poll()
-        self.write(b"")
-        for client, talk in list(self._talks.items()):
-            if talk.over and not self._clients.get(client):
-                self._drop(client)
-        return False, b""
+        """Return whether somebody came since the last call, and what was said to the board."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send to those who listen, without ever waiting."""
+        ...
+
+    def close(self) -> None:
+        """Hang up."""
+        ...
+
+
+PENDING_MAX = 1 << 20
+"""Bytes. A TCP client that is this far behind is let go: about 20 s of 1 kHz wrenches."""
+READ_SIZE = 4096
+
+
+class TcpOutlet:
+    """A port on this machine; every client gets the same bytes."""
+
+    def __init__(self) -> None:
+        # A port that is free, and for this machine alone.
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.setblocking(False)
+        self._clients: dict[socket.socket, bytearray] = {}
+        self.address = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def poll(self) -> tuple[bool, bytes]:
+        """Return whether somebody came since the last call, and what was sent to the board."""
+        came = False
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                client, _ = self._server.accept()
+                client.setblocking(False)
+                # At once: small blocks would wait until the other side has acknowledged the one before.
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._clients[client] = bytearray()
+                came = True
+        # Over a copy, since a client that is gone is dropped meanwhile.
+        return came, b"".join(self._read(client) for client in list(self._clients))
 
     def _read(self, client: socket.socket) -> bytes:
-        data = super()._read(client)
-        if data:
-            talk = self._talks.setdefault(client, self._talk())
-            self._clients[client] += talk.hear(data)
+        try:
+            data = client.recv(READ_SIZE)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
         return data
 
+    def write(self, data: bytes) -> None:
+        """Send to every client what its connection takes; keep the rest for the next time."""
+        for client, pending in list(self._clients.items()):
+            pending += self._share(client, data)
+            try:
+                sent = client.send(pending) if pending else 0
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                self._drop(client)
+                continue
+            del pending[:sent]
+            if len(pending) > PENDING_MAX:
+                self._drop(client)
+
     def _share(self, client: socket.socket, data: bytes) -> bytes:
-        talk = self._talks.setdefault(client, self._talk())
-        return talk.wrap(data) if data and talk.ready else b""
+        """Return what of `data` a client gets."""
+        del client
+        return data
 
     def _drop(self, client: socket.socket) -> None:
-        self._talks.pop(client, None)
-        super()._drop(client)
-
-
-class YarpOutlet(TalkOutlet):
-    """A port of a YARP network, and its part in the name server that all of them share."""
-
-    def __init__(self, stream: Stream, names: dict[str, int], server: TalkOutlet) -> None:
-        super().__init__(lambda: YarpTalk(self.port), "{}")
-        name = {Stream.WRENCH: "/icub/right_arm/analog:o", Stream.SKIN: "/icub/skin/right_forearm"}.get(
-            stream, "/icub/right_arm/state:o"
-        )
-        names[name] = self.port
-        self._names = server
-        self.address = f"yarp://127.0.0.1:{server.port}{name}"
-
-    def poll(self) -> tuple[bool, bytes]:
-        """See `TalkOutlet`."""
-        self._names.poll()
-        return super().poll()
+        self._clients.pop(client, None)
+        client.close()
 
     def close(self) -> None:
-        """See `TalkOutlet`."""
-        self._names.close()
-        super().close()
+        """Close the port and every client."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._server.close()
 
 
-class RdtOutlet:
-    """A Net F/T: UDP records to the last host that asked, and the page with the counts."""
+class PtyOutlet:
+    """A pseudo-terminal: a serial port without a cable. Linux and macOS only.
+
+    Raises
+    ------
+    InputError
+        This platform has none.
+    """
 
     def __init__(self) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self._socket.setblocking(False)
-        self._page = TalkOutlet(PageTalk, "{}")
-        self._host: tuple[str, int] | None = None
-        self.address = f"netft://127.0.0.1:{self._socket.getsockname()[1]}?page={self._page.port}"
+        if not hasattr(os, "openpty"):
+            raise InputError("this platform has no pseudo-terminals; serve over TCP instead (--tcp).")
+        import tty
+
+        self._master, slave = os.openpty()
+        self.address = os.ttyname(slave)
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        # Only the host keeps the slave open: so the kernel tells by a hang-up whether somebody listens.
+        os.close(slave)
+        self._poller = select.poll()
+        self._poller.register(self._master, select.POLLIN)
+        self._was_open = False
 
     def poll(self) -> tuple[bool, bytes]:
-        """Take requests: a second host steals the stream."""
-        self._page.poll()
-        # A host that has left is reported as an error of the next call; that is no affair of the sensor's.
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            while True:
-                data, host = self._socket.recvfrom(64)
-                if len(data) == 8 and data[:2] == b"\x12\x34":
-                    (command,) = struct.unpack_from(">H", data, 2)
-                    self._host = host if command == 2 else None
-        return False, b""
+        """Return whether the port was opened since the last call, and what was written to it."""
+        events = self._poller.poll(0)
+        state = events[0][1] if events else 0
+        open_now = not state & select.POLLHUP
+        came = open_now and not self._was_open
+        self._was_open = open_now
+        data = b""
+        if open_now and state & select.POLLIN:
+            with contextlib.suppress(BlockingIOError, OSError):
+                data = os.read(self._master, READ_SIZE)
+        return came, data
 
     def write(self, data: bytes) -> None:
-        """Send each record as a datagram."""
-        for at in range(0, len(data), RDT_RECORD):
-            if self._host is not None:
-                with contextlib.suppress(BlockingIOError, ConnectionError):
-                    self._socket.sendto(data[at : at + RDT_RECORD], self._host)
+        """Write what the port takes; the rest is lost, as in a serial port's overrun."""
+        if self._was_open:
+            with contextlib.suppress(BlockingIOError, OSError):
+                os.write(self._master, data)
 
     def close(self) -> None:
-        """Switch the sensor off."""
-        self._page.close()
-        self._socket.close()
-
-
-class RobotiqOutlet(PtyOutlet):
-    """An FT 300 at its adapter: silent until it is started."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.address = f"robotiq:{self.address}"
-        self._streams = False
-
-    def poll(self) -> tuple[bool, bytes]:
-        """Start and stop as told."""
-        _, said = super().poll()
-        if b"\xff" * 50 in said:
-            self._streams = False
-        elif said.endswith(bytes.fromhex("0910019A0001020200CDCA")):
-            super().write(bytes.fromhex("0910019A00012152"))
-            self._streams = True
-        return False, b""
-
-    def write(self, data: bytes) -> None:
-        """Send only what a started sensor does."""
-        if self._streams:
-            super().write(data)
-
-
-class SilentPtyOutlet(PtyOutlet):
-    """A serial device that hears nothing, or commands that change nothing here."""
-
-    def poll(self) -> tuple[bool, bytes]:
-        """See `PtyOutlet`."""
-        came, _ = super().poll()
-        return came, b""
-
-
-MakerOutlet: TypeAlias = TalkOutlet | RdtOutlet | RobotiqOutlet | SilentPtyOutlet
-
-
-class MakerOutlets:
-    """Opens the outlets of one rig's devices; ports of a YARP network share one name server."""
-
-    def __init__(self) -> None:
-        self._names: dict[str, int] = {}
-        self._server: TalkOutlet | None = None
-
-    def open(self, maker: str, stream: Stream, *, tcp: bool) -> MakerOutlet:
-        """Return the outlet of a maker's device; with `tcp` serial devices are behind a TCP port, too."""
-        if maker == "yarp":
-            if self._server is None:
-                self._server = TalkOutlet(lambda: NameTalk(self._names), "{}")
-            return YarpOutlet(stream, self._names, self._server)
-        if maker == "netft":
-            return RdtOutlet()
-        talks: dict[str, tuple[Callable[[], DeviceTalk], str]] = {
-            "rtde": (RtdeTalk, "rtde://127.0.0.1:{}"),
-            "xela": (XelaTalk, "xela://127.0.0.1:{}"),
-            "robotiq-text": (PlainTalk, "robotiq://127.0.0.1:{}"),
-        }
-        if maker in talks:
-            return TalkOutlet(*talks[maker])
-        if tcp:
-            return TalkOutlet(PlainTalk, "socket://127.0.0.1:{}")
-        return RobotiqOutlet() if maker == "robotiq" else SilentPtyOutlet()
+        """Pull the plug: who has the port open gets an error."""
+        if self._master >= 0:
+            os.close(self._master)
+            self._master = -1

@@ -15,9 +15,9 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import Clock, DeviceSettings, DeviceTimeline, LossyLink, SimulatedDevice
 from skincal.simulate.faults import RigErrors
+from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS, assign
 from skincal.simulate.operator import Auto, Habits
-from skincal.simulate.outlets import MakerOutlets
 from skincal.simulate.serve import Server
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec, Reader
