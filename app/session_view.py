@@ -40,9 +40,9 @@ from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
-from app.text.message import Message, REPORTING, report_words
 from app.text.demo_text import simulated_words
 from app.text.guidance_text import early_words
+from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
