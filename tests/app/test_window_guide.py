@@ -360,14 +360,14 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     assert changed(view, pixels(session_view.workspace.view)) == 0
     assert changed(on_map, pixels(session_view.workspace.map)) == 0
 
-    for method in (Method.SURFACE, Method.FREE, Method.MODULES):
+    for method in (Method.MODULES, Method.SURFACE, Method.FREE):
         assert session_view.state.guidance.method is method
         before, on_map = session_view.state.target, pixels(session_view.workspace.map)
         bench.key(Qt.Key.Key_N)
         assert session_view.state.target.channel != before.channel
         assert changed(on_map, pixels(session_view.workspace.map)) > 60
         bench.key(Qt.Key.Key_V)
-    assert session_view.state.guidance.method is Method.SURFACE
+    assert session_view.state.guidance.method is Method.MODULES
     assert session_view.state.target.channel != first.channel, "what was skipped stays skipped"
     again = session_view.state.guidance
     session_view.follow_again()
@@ -435,7 +435,7 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     assert (bench.window.width(), bench.window.height()) == (1280, 720)
     for longest in (
         approved("guide.away", taxel="24-11", degrees=28, neighbour="24-03"),
-        approved("guide.enough", done=84, count=84, target_mm=3),
+        approved("guide.enough", done=84, count=84),
     ):
         now.headline.setText(longest)
         assert not is_elided(now.headline)
