@@ -13,6 +13,7 @@ import numpy as np
 from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer
 
 from app.scene3d.camera import Sight, project
+from app.scene3d.estimates import EstimatesLayer
 from app.scene3d.names import box_around, make_readable, name_actor, put
 from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
@@ -37,6 +38,8 @@ LETTERS, GAP = 15, 8.0
 """Points, size of the name; pixels between it and the ring."""
 ALONG = np.linspace(0.2, 1.0, 6)
 """Where along the arrow it is looked whether words would cover it."""
+AROUND = 150.0
+"""Pixels around the ring in which the name makes room for balls."""
 BLACK, WHITE = np.zeros(3, np.uint8), np.full(3, 255, np.uint8)
 
 
@@ -45,13 +48,13 @@ class TargetLayer(Layer):
 
     name = "target"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene, estimates: EstimatesLayer) -> None:
         super().__init__()
         self.static = static
         self.label = name_actor(LETTERS, bold=True)
         self.boxes: tuple[FloatArray, ...] = ()
         """What ring, arrow and name cover of the picture."""
-        self._renderer = renderer
+        self._renderer, self._estimates = renderer, estimates
         self._names = ChannelNames(static.scene.skin.layout)
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
@@ -114,8 +117,16 @@ class TargetLayer(Layer):
         if self.label.GetInput():
             self.label.SetVisibility(True)
             make_readable(self.label, self.look, self.look.ink)
-            covered.append(put(self.label, self._renderer, middle[:2], radius + GAP, covered))
+            balls = self._balls(middle[:2])
+            covered.append(put(self.label, self._renderer, middle[:2], radius + GAP, [*covered, *balls]))
         return (box_around(middle[:2], radius + GAP / 2.0), *covered)
+
+    def _balls(self, middle: FloatArray) -> list[FloatArray]:
+        """Return what the balls around a place in the picture cover."""
+        shown = self._estimates
+        at = project(self._renderer, shown.places[shown.near])[:, :2]
+        size = shown.balls.actor.GetProperty().GetPointSize()
+        return [box_around(place, size / 2.0) for place in at[np.abs(at - middle).max(axis=1) < AROUND]]
 
 
 def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:
