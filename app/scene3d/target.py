@@ -59,7 +59,7 @@ class TargetLayer(Layer):
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
         self.cone = Segments(pixels=1.5)
-        self._key = b""
+        self._key: tuple[object, ...] = ()
         self._leeway = 0.0
         """rad, half angle of the cone."""
         self._target: Target | None = None
@@ -74,7 +74,10 @@ class TargetLayer(Layer):
         """Show the target of a moment; return whether anything changed."""
         target = state.target
         width = 0.0 if target is None else state.leeway
-        key = b"" if target is None else b"".join(each.tobytes() for each in (target.place, target.normal, target.push))
+        key: tuple[object, ...] = ()
+        if target is not None:
+            ways = (target.place, target.normal, target.push)
+            key = target.channel, target.landmark, *(way.tobytes() for way in ways)
         if (key, width) == (self._key, self._leeway):
             return False
         self._key, self._target, self._leeway = key, target, width
