@@ -78,7 +78,7 @@ def _rgb(colour: str) -> Colour:
 def _look(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> Look:
     """Return the look of a theme: its own window and methods, and what only the 3D view has."""
     tints = {Tint.FROM: ink, Tint.TO: to, Tint.LAYOUT: ink}
-    tints |= zip((Tint.FREE, Tint.SURFACE, Tint.MODULES), map(_rgb, of.methods), strict=True)
+    tints |= {Tint(name): _rgb(hue) for name, hue in of.methods.items()}
     return Look(_rgb(of.window), front, back, ink, faint, tints)
 
 
