@@ -51,7 +51,7 @@ class Wall:
         return ~(facing(self.sides, places, sight) < np.where(self.below, 0.0, OVER_EDGE))
 
     def before(self, places: FloatArray, sight: Sight, radius: float) -> FloatArray:
-        """Return the places, (n, 3), so far towards the camera that a ball there clears the near wall; none that is turned away."""
+        """Return places (n, 3) moved so far towards the camera that a ball there clears the near wall, if it faces it."""
         at_wall, at_plan = facing(self.normals, places, sight), facing(self.sides, places, sight)
         # Deep inside the nearest wall may be another than the one that is seen.
         slant = np.where(at_wall > GRAZING, at_wall, np.maximum(at_plan, GRAZING))
