@@ -100,6 +100,8 @@ def draw_window() -> None:
     course.grab("errors", 10.0)
     course.window.close()
     good = Photographed(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
+    # By the modules method it would be enough too soon.
+    good.view.show_method(Method.SURFACE)
     good.until_said("", "hold still", "aim", 25)
     good.grab("guide-contact")
     good.view.workspace.view.set_turning(False)
