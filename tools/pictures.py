@@ -114,6 +114,11 @@ def draw_window() -> None:
     good.window.messages.dismiss()
     good.grab("window")
     good.window.close()
+    _draw_wrong_rig()
+
+
+def _draw_wrong_rig() -> None:
+    """Write what is seen of a rig that is as wrong as the paper's."""
     wrong = Photographed(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
     # A window that draws falls behind on a busy machine, and the operator pokes what was asked for before.
     wrong.window.hide()

@@ -17,6 +17,7 @@ from app.panels.taxel_map import TaxelMap
 from app.panels.widgets import FittedLabel
 from app.scene3d.camera import PLAIN, Sight
 from app.scene3d.canvas import Canvas
+from app.scene3d.estimates import EstimatesLayer
 from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.target import CORE_LIFT, HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
@@ -37,7 +38,15 @@ TILT = float(np.radians(28.0))
 
 @pytest.fixture
 def layer():
-    return TargetLayer(StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist()))
+    from app.scene3d.offscreen import choose_offscreen
+
+    choose_offscreen()
+    from app.scene3d.offscreen import HiddenWindow
+
+    static = StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist())
+    window = HiddenWindow((640, 480))
+    yield TargetLayer(window.renderer, static, EstimatesLayer(static))
+    window.close()
 
 
 def moment(asked: Target | None, generation: int = 1) -> View3DState:
