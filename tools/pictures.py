@@ -1,7 +1,7 @@
 """Make every picture of README and `docs/` anew: `python -m tools.pictures`; words after it choose some (`window studies`).
 
-- `window`: opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show,
-  some ten minutes. Devices send in real time, so that these differ a little from run to run: look at each.
+- `window`, `rig`: open the window on seeded simulated sessions, on no display, and grab it where there is what a picture is to
+  show, some ten minutes. Devices send in real time, so that these differ a little from run to run: look at each.
 - `headless`: the 3D picture that is drawn without a display.
 - `studies`: the figures, from what the studies measured: `NAME.json` in the folder `--measured`. A study that lies not there is
   run now, which takes up to half an hour, and leaves its numbers there.
@@ -20,7 +20,7 @@ from importlib import import_module
 from pathlib import Path
 
 from PySide6.QtCore import QSettings
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QMessageBox
 
 from app.headless import POKES, SEED
 from app.scene3d.offscreen import picture
@@ -91,6 +91,14 @@ class Photographed:
             dialog.render(picture, self.window.rect().center() - dialog.rect().center())
         picture.save(str(PICTURES / f"{name}.png"))
 
+    def end(self) -> None:
+        """Close the window, and keep nothing."""
+        self.window.close()
+        question = QApplication.activeModalWidget()
+        if isinstance(question, QMessageBox):
+            drop = (each for each in question.buttons() if question.buttonRole(each) is QMessageBox.ButtonRole.DestructiveRole)
+            next(drop).click()
+
 
 def draw_window() -> None:
     """Write every picture of the window."""
@@ -98,7 +106,7 @@ def draw_window() -> None:
     simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
     course = Photographed(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
     course.grab("errors", 10.0)
-    course.window.close()
+    course.end()
     good = Photographed(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
     # By the modules method it would be enough too soon.
     good.view.show_method(Method.SURFACE)
@@ -113,11 +121,10 @@ def draw_window() -> None:
     good.until_said("accepted", "", "", 60)
     good.window.messages.dismiss()
     good.grab("window")
-    good.window.close()
-    _draw_wrong_rig()
+    good.end()
 
 
-def _draw_wrong_rig() -> None:
+def draw_rig() -> None:
     """Write what is seen of a rig that is as wrong as the paper's."""
     wrong = Photographed(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
     # A window that draws falls behind on a busy machine, and the operator pokes what was asked for before.
@@ -130,7 +137,7 @@ def _draw_wrong_rig() -> None:
     wrong.until(lambda: wrong.view.ends)
     wrong.view.ask_verdict(wrong.window)
     wrong.grab("guide-verdict", 1.0)
-    wrong.window.close()
+    wrong.end()
 
 
 def draw_headless() -> None:
@@ -166,12 +173,12 @@ def draw_figure(draw: Callable[[Figure], None], name: str) -> None:
 def main() -> None:
     """Write the pictures that are asked for."""
     parser = argparse.ArgumentParser(description="Make the pictures of README and docs anew.")
-    parser.add_argument("which", nargs="*", help="window, headless, studies; without any: all")
+    parser.add_argument("which", nargs="*", help="window, rig, headless, studies; without any: all")
     parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
     options = parser.parse_args()
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
     measured = options.measured.absolute()
-    makers = {"window": draw_window, "headless": draw_headless, "studies": lambda: draw_studies(measured)}
+    makers = {"window": draw_window, "rig": draw_rig, "headless": draw_headless, "studies": lambda: draw_studies(measured)}
     wanted = options.which or list(makers)
     if unknown := sorted(set(wanted) - set(makers)):
         parser.error(f"there is no {unknown[0]}; choose of {', '.join(makers)}")
