@@ -175,7 +175,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
-            ("report", may.verdict),
+            ("report", may.export),
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),

@@ -584,7 +584,7 @@ class SessionView(QObject):
 
     def _take_places(self, sets: tuple[PlaceSet, ...]) -> None:
         """Offer sets of places in the panel that compares; the first is chosen."""
-        for found in reversed(sets):
+        for found in sets:
             source = Source(PlaceOrigin.OTHER, name=found.name)
             self.workspace.compare.offer(source, found.places, choose=found is sets[0])
 
