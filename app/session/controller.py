@@ -15,10 +15,18 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, resume_pipeline
+from app.session.opening import (
+    OpenRequest,
+    begin_session,
+    find_scene,
+    find_truth_of,
+    link_specs,
+    resume_pipeline,
+    rig_again,
+)
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
-from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
+from app.text.message import STILL_SOLVING, Message, kept_old_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -58,6 +66,12 @@ SOLVE_S = 0.012
 several ticks, in which the window answers."""
 AT_ONCE = 200
 """Taxels that are solved before the next action is done: 0.1 s at most. While more wait, an action is refused."""
+
+
+PACES = (1, 2, 4)
+"""How many times as quick as a careful hand a simulated operator may be between pokes."""
+BRISK = 2
+"""Of the demo: a poke takes 1.5 s, and the modules method comes to its end in two minutes."""
 
 
 class TickSchedule:
@@ -130,6 +144,14 @@ class Controller(QObject):
     stored = Signal(str)
     """Where the recording is, in words."""
 
+    pace = 1
+    """Of a simulated operator, one of `PACES`."""
+    demo = False
+    simulated = False
+    """The rig is, or was, a simulated one."""
+    _again: tuple[str, ...] = ()
+    """Serves the simulated rig of a recorded session again."""
+
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._documents = documents
@@ -167,6 +189,7 @@ class Controller(QObject):
         self._release()
         self._set_running(Running.OPENING)
         self._storage = storage = Storage(request, self._documents)
+        self.demo, self.pace = request.demo, BRISK if request.demo else 1
         self._timer.start()
         if request.session is not None:
             folder, self._links = request.session, link_specs(request.addresses)
@@ -198,6 +221,7 @@ class Controller(QObject):
             reviewing.deleteLater()
         self._part = self._shown = None
         self._links, self._truth, self._sent, self._schedule = (), b"", "", TickSchedule()
+        self._again, self.simulated = (), False
         storage = self._storage
         if not self._end_recording() and storage is not None:
             self.compute(storage.finish)
@@ -251,11 +275,31 @@ class Controller(QObject):
 
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._links = links
+        self.simulated = True
         from skincal.simulate.operator import NoTarget
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
-        self._start_recording()
+        self.set_pace(self.pace)
+        if self._recording is None:
+            self._start_recording()
+            return
+        # The rig of a recorded session, served again.
+        self._recording.links = links
+        self._connect(self._recording)
+
+    def set_pace(self, pace: int) -> None:
+        """Have a simulated operator be so many times as quick between pokes; real devices are sent nothing."""
+        self.pace = pace
+        if self._server is not None:
+            self._server.tell(f"pace {pace}")
+        if self._recording is not None:
+            self.running_changed.emit(self.running)
+
+    @property
+    def served(self) -> bool:
+        """Whether a simulated rig is there, or can be served again."""
+        return self._server is not None or bool(self._again)
 
     def follow_guide(self, guidance: Guidance | None) -> None:
         """Let the pipeline know which landmark is asked for, and a simulated operator what to poke, where that changed.
@@ -304,8 +348,9 @@ class Controller(QObject):
                 dropped=lambda pipeline: pipeline.close(),
             )
 
-    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline]) -> None:
-        part, pipeline = found
+    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline, tuple[str, ...]]) -> None:
+        part, pipeline, self._again = found
+        self.simulated = bool(self._again)
         self._take_part(part, record=False)
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
 
@@ -404,8 +449,15 @@ class Controller(QObject):
         """Take the devices, in a new segment of the recording."""
         if self._recording is None or self.running is Running.STREAMING:
             return
+        if self._again and self._server is None:
+            # Its links follow.
+            self._start_server(self._again)
+            return
+        self._connect(self._recording)
+
+    def _connect(self, recording: Recording) -> None:
         try:
-            self._recording.go_on()
+            recording.go_on()
         except InputError as failure:
             self._say_failure(str(failure))
             return
@@ -442,21 +494,28 @@ class Controller(QObject):
             if not self.act(action):
                 return
 
-    def keep(self) -> None:
-        """Copy a temporary recording to where it stays."""
+    def keep(self, then: Callable[[], object] = lambda: None) -> None:
+        """Copy a temporary recording to where it stays, and go on with `then` once it lies there."""
+
+        def kept(folder: Path) -> None:
+            self.said.emit(Message(kept_words(folder)))
+            self._publish_storage()
+            then()
+
         if self._recording is not None and self.can_keep:
             # What is still buffered is in no file that could be copied.
             self._recording.pipeline.sync()
-            self._endings.submit(self._recording.storage.keep, self._kept, self._say_failure)
-
-    def _kept(self, folder: Path) -> None:
-        self.said.emit(Message(kept_words(folder)))
-        self._publish_storage()
+            self._endings.submit(self._recording.storage.keep, kept, self._say_failure)
 
     @property
     def can_keep(self) -> bool:
         """Whether the recording would go with the window."""
         return self._recording is not None and self._recording.storage.can_keep
+
+    @property
+    def would_lose(self) -> int:
+        """How many pokes would go with the window."""
+        return len(self._recording.pipeline.snapshot().pokes) if self._recording is not None and self.can_keep else 0
 
     def export(
         self,
@@ -490,7 +549,8 @@ class Controller(QObject):
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            return write_calibration(calibration, format_, path, method)
+            older = (kept_old_words(path),) if path.exists() else ()
+            return (*write_calibration(calibration, format_, path, method), *older)
 
         self.compute(write, done, failed)
 
@@ -557,11 +617,12 @@ class Controller(QObject):
 
         return load_part(find_scene(scene))
 
-    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
+    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline, tuple[str, ...]]:
         self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
-        return resume_pipeline(folder, links)
+        part, pipeline = resume_pipeline(folder, links)
+        return part, pipeline, () if links else rig_again(folder, pipeline.session.last_poke + 1)
 
     def _say_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))

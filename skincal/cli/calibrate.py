@@ -348,10 +348,11 @@ def export(
         lacks = "surface" if chosen is Method.SURFACE else "layout"
         known = " or ".join(method.value for method in calibration.estimates)
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
+    older = f"; the older file is kept as {out.name}.bak" if out.is_file() else ""
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}"]
+    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}{older}"]
     result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

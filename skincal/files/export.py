@@ -416,7 +416,7 @@ def write_calibration(
     method: Method,
     part: str | None = None,
 ) -> tuple[str, ...]:
-    """Write a calibration file; an older one is kept with `.bak` after its name.
+    """Write a calibration file; an older one is kept as `.bak`; see `write_atomically`.
 
     Parameters
     ----------

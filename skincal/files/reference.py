@@ -6,7 +6,7 @@ What is read: a `truth.json`, a calibration's JSON and CSV, which hold the place
 from __future__ import annotations
 
 import csv
-import json
+import io
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -18,10 +18,13 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.methods import leading_by
 from skincal.model.errors import InputError
+from skincal.model.given import DOCUMENT_MOST, parse_json, read_regular
 from skincal.taxels.differences import Repeatability, repeatability
 from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
+RIG_KEY = "rig"
+"""In a truth: `seed` and `errors` of the simulated rig, by which `simulate` makes the same one again."""
 """A simulated session has one beside its segments."""
 
 
@@ -180,9 +183,7 @@ def read_place_sets(path: Path) -> tuple[PlaceSet, ...]:
             return _json_sets(path)
         if path.suffix.lower() == ".csv":
             return _csv_sets(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
-    except (ValueError, KeyError, TypeError, AttributeError, csv.Error):
+    except (ValueError, KeyError, TypeError, OverflowError, AttributeError, csv.Error):
         raise InputError(
             f'{path}: not a reference; expected JSON with "taxels": [{{"channel", "position_m"}}], or JSON or CSV as '
             "`skincal export` writes them."
@@ -195,7 +196,7 @@ def read_place_sets(path: Path) -> tuple[PlaceSet, ...]:
 
 
 def _json_sets(path: Path) -> tuple[PlaceSet, ...]:
-    document: Any = json.loads(path.read_text(encoding="utf-8"))
+    document: Any = parse_json(read_regular(path, DOCUMENT_MOST))
     if "estimates" not in document:
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
         return (PlaceSet(path.name, str(document.get("link", "")), places),)
@@ -210,7 +211,7 @@ def _json_sets(path: Path) -> tuple[PlaceSet, ...]:
 def _csv_sets(path: Path) -> tuple[PlaceSet, ...]:
     """Return the sets of a calibration's CSV, which tells no predicted error but its largest part, the sd."""
     rows: list[_Row] = []
-    with path.open(encoding="utf-8", newline="") as file:
+    with io.StringIO(read_regular(path, DOCUMENT_MOST).decode("utf-8"), newline="") as file:
         for row in csv.DictReader(file):
             words = [row["x_m"], row["y_m"], row["z_m"]]
             place = [float(word) for word in words] if all(words) else None

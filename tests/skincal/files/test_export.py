@@ -1,7 +1,6 @@
 import csv
 import json
 import math
-import os
 import subprocess
 import sys
 import threading
@@ -223,15 +222,6 @@ def test_unknown_formats_and_methods_are_refused(part, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_old_file_is_kept_and_nothing_else_is_left(tmp_path):
-    path = tmp_path / "positions.txt"
-    for text in (b"one", b"two", b"three"):
-        write_atomically(path, text)
-    assert path.read_bytes() == b"three"
-    assert (tmp_path / "positions.txt.bak").read_bytes() == b"two"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["positions.txt", "positions.txt.bak"]
-
-
 def test_no_reader_ever_sees_a_half_file(tmp_path):
     path = tmp_path / "p.txt"
     texts = {b"a" * 200_000, b"b" * 300_000}
@@ -261,18 +251,6 @@ def test_a_missing_folder_and_a_folder_in_the_way_are_refused(tmp_path):
     (tmp_path / "taken").mkdir()
     with pytest.raises(InputError, match=approved_pattern("export.is_folder")):
         write_atomically(tmp_path / "taken", b"")
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")  # noqa: PTH110
-def test_a_full_disk_leaves_the_old_file_whole(tmp_path):
-    path = tmp_path / "p.txt"
-    write_atomically(path, b"old")
-    part_file = tmp_path / f".p.txt.{os.getpid()}.part"
-    part_file.symlink_to("/dev/full")
-    with pytest.raises(InputError, match="cannot be written"):
-        write_atomically(path, b"new" * 10_000)
-    assert path.read_bytes() == b"old"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["p.txt"]
 
 
 def test_export_imports_no_window():
