@@ -116,9 +116,10 @@ def draw_course(facts: SessionFacts) -> bytes:
         by_poke.yaxis.set_minor_formatter(_minor_tick)
         for axes in (by_poke, by_time, by_cost):
             axes.grid(visible=True)
-        by_poke.legend(title="mean; dotted: 95 % below", title_fontsize=8)
+        handles, names = by_poke.get_legend_handles_labels()
+        figure.legend(handles, [f"{name}: mean, dotted 95 % below" for name in names], loc="outside upper center", ncols=3)
 
-    return _drawn(draw, (11.0, 3.6), "svg")
+    return _drawn(draw, (11.0, 3.9), "svg")
 
 
 def error_name(facts: SessionFacts) -> str:
