@@ -19,9 +19,9 @@ from skincal.model.actions import AtLandmark
 from skincal.model.scene import Landmark, resource
 from skincal.reporting.drawings import side_frames
 from skincal.reporting.page import report_page, write_report
-from skincal.reporting.session_facts import SessionFacts, gather_facts
+from skincal.reporting.session_facts import SessionFacts, errors_of, gather_facts
 from skincal.rig.correction_fit import correct_rig
-from skincal.sentences import correction_sentence, frame_sentence
+from skincal.sentences import correction_sentence, frame_sentence, state_sentence
 from skincal.session.corrections import offered
 from skincal.session.error_history import MEAN, TAXELS
 from skincal.session.replay import load, resume
@@ -89,6 +89,8 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
     assert page.tags["img"] == 3
     for estimate in facts.estimates:
         assert f"{estimate.position[0] * 1e3:.2f}" in page.text
+    assert f"{len(facts.estimates)} taxels with a place" in page.text
+    assert "without a place" not in page.text
     for link in facts.links:
         assert link.name in page.text
     assert "force_min" in page.text
@@ -171,6 +173,16 @@ def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, pokes)
     assert [title for title in SECTIONS if title not in found.text] == []
     assert not re.search(r"\b(nan|inf)\b", found.text.lower())
     assert approved("report.no_landmarks") in found.text
+
+
+def test_taxels_without_a_place_are_told_by_their_reason(facts):
+    free = facts.snapshot.estimates[Method.FREE]
+    lost = [estimate for estimate in free if estimate.position is None]
+    found = Page(report_page(replace(facts, estimates=free, errors=errors_of(free, facts.truth)))).text
+    assert f"{len(lost)} taxels without a place" in found
+    for estimate in lost:
+        assert f"{estimate.state.value}: {state_sentence(estimate.reason)}" in found
+        assert str(estimate.channel) in found
 
 
 def test_landmarks_and_a_correction_in_use_are_told(tmp_path):
