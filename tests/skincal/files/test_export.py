@@ -16,6 +16,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
+from skincal.rig.correction import FRAME, Correction, UsedCorrection
 from skincal.sentences import state_sentence
 from skincal.taxels.result import Estimate, Method, Rival, State, StateReason
 from tests.approved import approved, approved_pattern
@@ -104,6 +105,19 @@ def test_json_has_no_nan_and_names_its_units(part):
     gains = [each["gain"] for each in document["estimates"]["surface"]]
     assert gains[0]["raw_per_N"] > 0
     assert gains[-1] == {"pokes": 0, "raw_per_N": None, "sd_raw_per_N": None}
+
+
+def test_gains_are_of_the_pokes_that_count_as_they_are_corrected(part):
+    calibration = make_calibration(part)
+    assert [contact.poke for contact in calibration.used_contacts] == [poke for poke in range(1, 61) if poke != 3]
+    plain = replace(calibration, excluded=()).gains(Method.SURFACE)
+    assert sum(gain.pokes for gain in plain) == sum(gain.pokes for gain in calibration.gains(Method.SURFACE)) + 1
+    # A sensor that reports half the force: there is twice as much of it for the same answers.
+    doubled = UsedCorrection(FRAME, Correction(2.0 * np.eye(6)), 0.01, 0.001, pokes=21)
+    for gain, other in zip(
+        calibration.gains(Method.SURFACE), replace(calibration, corrections=(doubled,)).gains(Method.SURFACE), strict=True
+    ):
+        assert other.mean == (None if gain.mean is None else pytest.approx(gain.mean / 2, rel=1e-12))
 
 
 def test_every_setting_has_a_unit():
