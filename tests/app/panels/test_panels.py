@@ -28,6 +28,7 @@ from app.theme import DARK, HUES, LIGHT, Choice, Colours
 from app.units import ChannelNames
 from app.window import Theme, qpalette
 from skincal.contacts.outcome import PressPhase, Reason
+from skincal.files.formats import ExportFormat
 from skincal.model.readings import LinkState, Stream
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
@@ -436,6 +437,9 @@ def test_a_message_begins_with_the_sign_of_its_kind(qtbot):
 def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot, tmp_path):
     dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
     assert dialog.path.text() == str(tmp_path / "part-free.txt")
+    assert [dialog.format.itemData(row) for row in range(dialog.format.count())] == list(ExportFormat)
+    dialog.format.setCurrentIndex(list(ExportFormat).index(ExportFormat.MJCF))
+    assert dialog.path.text() == str(tmp_path / "part-free.xml")
     dialog.format.setCurrentIndex(1)
     assert dialog.path.text() == str(tmp_path / "part.json")
     assert not dialog.method.isEnabled()
