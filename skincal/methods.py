@@ -86,7 +86,11 @@ def leading_method(estimates: Mapping[Method, Sequence[Estimate]]) -> Method | N
 
     None where no method knows a taxel.
     """
-    errors = {method: [found.rms for found in of if found.rms is not None] for method, of in estimates.items()}
+    return leading_by({method: [found.rms for found in of if found.rms is not None] for method, of in estimates.items()})
+
+
+def leading_by(errors: Mapping[Method, Sequence[float]]) -> Method | None:
+    """Return the leading method by the predicted errors, metres, of the taxels that each knows; see `leading_method`."""
     known = max(map(len, errors.values()), default=0)
     enough = {method: float(np.mean(rms)) for method, rms in errors.items() if rms and len(rms) >= LEADS_FROM * known}
     return min(enough, key=enough.__getitem__, default=None)
