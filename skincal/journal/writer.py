@@ -56,7 +56,7 @@ from skincal.streams.links import LinkSpec
 FLUSH_NS = 500_000_000
 """ns. What is buffered for so long is written: the most that a kill may cost."""
 SEGMENT_NS = 300_000_000_000
-"""ns. A segment that is so long is followed by another. While it is open the library holds its index, 2 kB a second; after a
+"""ns. A segment that is so long is followed by another. While it is open its writer holds its index, 2 kB a second; after a
 kill it is written anew, which takes 1 s for each minute at 1 kHz."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
 SCENE_FILE = "scene.toml"
