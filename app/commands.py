@@ -218,6 +218,7 @@ def key_words() -> str:
         "<tr><td><b>1 to 7</b></td><td>Tabs</td></tr>"
         "<tr><td><b>F7, F8, F9</b></td><td>Colours of the desktop, light, dark</td></tr>"
         "<tr><td><b>Arrows</b></td><td>On the map: the next taxel. In a list: the next row</td></tr>"
+        "<tr><td><b>+, -, 0</b></td><td>On the map: nearer, farther, all of it</td></tr>"
         "<tr><td><b>Tab</b></td><td>The next part of the window</td></tr>"
     )
     return f"<table>{rows}{more}</table>"

@@ -30,8 +30,9 @@ from app.panels.now_panel import NowPanel
 from app.panels.plot_panels import ErrorsPanel, ReadingsPanel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.rig_panel import RigPanel
-from app.panels.taxel_map import TaxelMap
+from app.panels.taxel_map import TaxelMap, turns_of
 from app.panels.widgets import FittedLabel, theme_colours
+from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
@@ -100,7 +101,7 @@ class Workspace(QWidget):
         self.progress = FittedLabel()
         self.errors = FittedLabel("muted")
         self.method_box = QComboBox()
-        self.map = TaxelMap(scene, part.channels, names)
+        self.map = TaxelMap(scene, part.channels, names, turns_of(StaticScene(scene, part.surface, part.laid, part.channels)))
         self.readings = ReadingsPanel()
         self.pokes = PokesPanel(names)
         self.inspect = InspectPanel(self.methods, names)

@@ -6,14 +6,17 @@ shape and words as well as by colour: accepted is blue with a tick, rejected is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from skincal.palette import BLUE, GREEN, METHODS, METHODS_ON_DARK, ORANGE, PINK, SKY, VERMILION, YELLOW
+
 if TYPE_CHECKING:
     from skincal.taxels.result import Method
 
-HUES = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7")
+HUES = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK)
 """Okabe and Ito 2008, without black: module i has hue i modulo 7."""
 
 
@@ -44,8 +47,8 @@ class Colours:
     warn: str
     axes: tuple[str, str, str]
     """Curves of x, y and z."""
-    methods: tuple[str, str, str]
-    """Curves of the free, the surface and the modules method, near Okabe and Ito's hues; each has its own symbol, too."""
+    methods: Mapping[str, str]
+    """Curves of each method, by its name in files; each has its own symbol, too."""
 
 
 DARK = Colours(
@@ -61,7 +64,7 @@ DARK = Colours(
     bad="#FF8A5C",
     warn="#E8B84A",
     axes=("#FF8A7A", "#6FD08C", "#6FB4FF"),
-    methods=("#56B4E9", "#E69F00", "#35C596"),
+    methods=METHODS_ON_DARK,
 )
 LIGHT = Colours(
     dark=False,
@@ -76,7 +79,7 @@ LIGHT = Colours(
     bad="#B03A06",
     warn="#7A5200",
     axes=("#C2321F", "#0F7433", "#1463C4"),
-    methods=("#0072B2", "#D55E00", "#00795A"),
+    methods=METHODS,
 )
 
 GAP = 8
@@ -89,5 +92,4 @@ RESULT_PT = 15
 
 def method_hue(colours: Colours, method: Method) -> str:
     """Return the hue of a method's curves."""
-    # By its own type: importing the enum would bring numpy into a window that is not on the screen yet.
-    return colours.methods[list(type(method)).index(method)]
+    return colours.methods[method.value]

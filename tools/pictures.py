@@ -1,30 +1,41 @@
-"""Make the pictures of the window in `docs/pictures` anew: `python -m tools.pictures`, some ten minutes.
+"""Make every picture of README and `docs/` anew: `python -m tools.pictures`; words after it choose some (`window studies`).
 
-Opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show. Devices
-send in real time, so that pictures of them differ a little from run to run: look at each.
+- `window`: opens the window on seeded simulated sessions, on no display, and grabs it where there is what a picture is to show,
+  some ten minutes. Devices send in real time, so that these differ a little from run to run: look at each.
+- `headless`: the 3D picture that is drawn without a display.
+- `studies`: the figures, from what the studies measured: `NAME.json` in the folder `--measured`. A study that lies not there is
+  run now, which takes up to half an hour, and leaves its numbers there.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QApplication
 
+from app.headless import POKES, SEED
+from app.scene3d.offscreen import picture
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player
 from app.theme import Choice
 from app.window import Theme, Window
+from skincal.methods import leading_method
 from skincal.model.scene import load_scene
-from skincal.session.part import load_scene_surface
+from skincal.session.part import load_part, load_scene_surface
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.virtual_session import simulate_session
+from skincal.studies import STUDIES
+from skincal.studies.figures import Figure, draw_unmodelled, write_figure
 from skincal.taxels.result import Method
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
@@ -56,14 +67,17 @@ class Photographed:
             QApplication.processEvents()
             time.sleep(0.001)
 
-    def until_said(self, headline: str, detail: str, pokes: int) -> None:
-        """Wait until the line below says that, in its two lines, after so many pokes."""
+    def until_said(self, result: str, headline: str, detail: str, pokes: int) -> None:
+        """Wait until the line below says that, in its three lines, after so many pokes."""
         now = self.view.workspace.now
 
         def said() -> bool:
             state = self.view.state
-            shown = state is not None and len(state.snapshot.pokes) >= pokes and state.behind_s < 0.2
-            return shown and now.headline.text().startswith(headline) and detail in now.detail.text()
+            if state is None or len(state.snapshot.pokes) < pokes or state.behind_s > 0.2:
+                return False
+            return all(words in line.text() for words, line in zip(
+                (result, headline, detail), (now.result, now.headline, now.detail), strict=True
+            ))  # fmt: skip
 
         self.until(said)
 
@@ -78,7 +92,7 @@ class Photographed:
         picture.save(str(PICTURES / f"{name}.png"))
 
 
-def main() -> None:
+def draw_window() -> None:
     """Write every picture of the window."""
     forearm = load_scene(find_scene(None))
     simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
@@ -86,15 +100,15 @@ def main() -> None:
     course.grab("errors", 10.0)
     course.window.close()
     good = Photographed(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
-    good.until_said("hold still", "aim", 25)
+    good.until_said("", "hold still", "aim", 25)
     good.grab("guide-contact")
     good.view.workspace.view.set_turning(False)
     good.view.workspace.view.reset_camera()
-    good.until_said("rejected", "", 30)
+    good.until_said("rejected", "", "", 30)
     good.grab("guide-rejected")
     good.view.workspace.show_tab("Readings")
     good.window.resize(1280, 800)
-    good.until_said("counted", "Next", 60)
+    good.until_said("accepted", "", "", 60)
     good.window.messages.dismiss()
     good.grab("window")
     good.window.close()
@@ -112,9 +126,57 @@ def main() -> None:
     wrong.window.close()
 
 
-if __name__ == "__main__":
+def draw_headless() -> None:
+    """Write what the first session without a display draws."""
+    part = load_part(find_scene(None))
+    pipeline = simulate_session(part.scene, part.surface, Path("headless"), POKES, SEED, RigErrors.noise())
+    snapshot = pipeline.snapshot()
+    method = leading_method(snapshot.estimates) or Method.FREE
+    picture(part.scene, part.surface, part.laid, snapshot, method, PICTURES / "headless.png")
+
+
+def draw_studies(measured: Path) -> None:
+    """Write the figures of all studies."""
+    measured.mkdir(parents=True, exist_ok=True)
+    for name, (module, _) in STUDIES.items():
+        study, path = import_module(f"skincal.studies.{module}"), measured / f"{name}.json"
+        if not path.is_file():
+            path.write_text(json.dumps(study.run(False, print), indent=1, allow_nan=False), encoding="utf-8")
+        result = json.loads(path.read_text(encoding="utf-8"))
+        draw_figure(lambda figure, study=study, result=result: study.draw(result, figure), name)
+        if name == "paper":
+            draw_figure(lambda figure, result=result: draw_unmodelled(result["unmodelled"], figure), "unmodelled")
+
+
+def draw_figure(draw: Callable[[Figure], None], name: str) -> None:
+    """Write a figure into the pictures."""
+    with tempfile.TemporaryDirectory() as folder:
+        for path in write_figure(draw, Path(folder), name):
+            if path.suffix == ".png":
+                (PICTURES / path.name).write_bytes(path.read_bytes())
+
+
+def main() -> None:
+    """Write the pictures that are asked for."""
+    parser = argparse.ArgumentParser(description="Make the pictures of README and docs anew.")
+    parser.add_argument("which", nargs="*", help="window, headless, studies; without any: all")
+    parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
+    options = parser.parse_args()
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    measured = options.measured.absolute()
+    makers = {"window": draw_window, "headless": draw_headless, "studies": lambda: draw_studies(measured)}
+    wanted = options.which or list(makers)
+    if unknown := sorted(set(wanted) - set(makers)):
+        parser.error(f"there is no {unknown[0]}; choose of {', '.join(makers)}")
     application = QApplication(sys.argv[:1])
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        main()
+        for name in wanted:
+            makers[name]()
+        os.chdir(PICTURES)
+    application.quit()
+
+
+# The studies' processes import this file.
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,8 @@
 """The map: all taxels at once, flat. Shape and fill say what is known of each, brightness what answers now, hue its module.
 
-A cylinder in 3D always hides half of itself; the map never does. A taxel lies where the layout's own plane has it, or in rows
-of channels where there is no layout. Its mark is hollow, a quarter, half or wholly filled, a full square once it is done, a
-cross where it is not used.
+A cylinder in 3D always hides half of itself; the map never does. A taxel lies where the layout's own plane has it, turned by
+quarters so that up on the map is up on the part as it is seen first, or in rows of channels where there is no layout. Its mark
+is hollow, a quarter, half or wholly filled, a full square once it is done, a cross where it is not used.
 
 Each kind of mark is drawn once, as a stamp, and put wherever it is needed: four thousand taxels cost a dozen milliseconds. The
 marks are put again only when the estimates change; a tick draws the few taxels that answer.
@@ -27,10 +27,13 @@ from PySide6.QtGui import (
     QPixmap,
     QPolygonF,
     QResizeEvent,
+    QWheelEvent,
 )
 from PySide6.QtWidgets import QSizePolicy, QToolTip
 
 from app.panels.widgets import Painted, mix, theme_colours
+from app.scene3d.camera import first_frame
+from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
@@ -43,7 +46,20 @@ from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 
 TURN_GAIN = 1.25
-"""The map is turned only where that makes it a quarter larger; a map that looks like the drawing is worth more else."""
+"""Where nobody knows how the skin lies on the part, the map is turned only if that makes it a quarter larger: a map that looks
+like the drawing is worth more else."""
+QUARTERS = tuple(np.round([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in np.arange(4) * np.pi / 2)
+"""(2, 2) float each: turns to the left by none, one, two and three quarters."""
+NOTCH = 120.0
+"""Qt's units of a notch of the wheel."""
+NEARER = 1.25
+"""Factor of one notch, or key."""
+LARGEST = 16.0
+"""Pixels. Radius of a mark up to which the map comes nearer."""
+NAME_PX = 13
+"""Pixels, height of the target's name: as tall as the window's own type, read from an arm's length."""
+PLATE = 0.85
+"""Opacity of what lies below it."""
 SMALL = 3.0
 """Pixels. Below this radius a quarter looks like a half; strength says the state, beside the shape."""
 _FILLED: dict[Mark, int] = {Mark.BLIND: 90, Mark.ROUGH: 180}
@@ -58,6 +74,8 @@ SHARE_OF_SPACING = 0.30
 """Radius of a mark in spacings: neighbours do not touch, and an answer shows around it."""
 NUMBER_SHARE = 0.42
 """Height of a module's number in heights of the module."""
+NUMBER_INK = 0.35
+"""Share of the text's colour in it: read where no taxel is, and in nobody's way."""
 NUMBER_LEAST = 9
 """Pixels. A smaller number cannot be read and is left out."""
 WEDGE_SHARE, WEDGE_LEAST = 0.85, 4.5
@@ -73,6 +91,7 @@ _ARROWS: dict[int, tuple[float, float]] = {
     Qt.Key.Key_Up: (0, -1),
     Qt.Key.Key_Down: (0, 1),
 }
+_ZOOMS: dict[int, float] = {Qt.Key.Key_Plus: NEARER, Qt.Key.Key_Equal: NEARER, Qt.Key.Key_Minus: 1 / NEARER, Qt.Key.Key_0: 0.0}
 _SHORT = {
     Mark.UNSEEN: "unseen",
     Mark.BLIND: "blind",
@@ -97,54 +116,100 @@ class MapPlan:
     """(v, 2) float a module."""
     labels: tuple[str, ...]
     """One a module."""
+    turns: int | None
+    """Quarters to the left by which up becomes up on the part; None where that is not known."""
+
+    @property
+    def bounds(self) -> FloatArray:
+        """(2, 2) float: lowest and highest x and y, with a margin."""
+        points = np.concatenate([self.places, *self.outlines])
+        return np.stack([points.min(axis=0) - self.spacing, points.max(axis=0) + self.spacing])
 
 
-def plan_map(layout: Layout | None, channels: IntArray) -> MapPlan:
+def turns_of(static: StaticScene) -> int | None:
+    """Return by how many quarters to the left a layout is turned as its skin is seen first; None where it is not laid."""
+    layout, known = static.scene.skin.layout, np.flatnonzero(np.isfinite(static.places[:, 0]))
+    if layout is None or len(known) < 3:
+        return None
+    _, axes = first_frame(static.extent, static.facing)
+    seen = known[static.normals[known] @ axes[2] > 0.0]
+    rows = known if len(seen) < 3 else seen
+    flat = layout.places[static.channels[rows]]
+    slopes = np.linalg.lstsq(flat - flat.mean(axis=0), static.places[rows] - static.places[rows].mean(axis=0), rcond=None)[0]
+    # How x and y of the layout run in the picture: right and up, (2, 2), which a turn resembles as its trace with it is large.
+    drawn = axes[:2] @ slopes.T
+    return int(np.argmax([np.sum(quarter * drawn) for quarter in QUARTERS]))
+
+
+def plan_map(layout: Layout | None, channels: IntArray, turns: int | None = None) -> MapPlan:
     """Place the channels of a skin on a flat map.
 
     Parameters
     ----------
     layout : None where the scene has none; then channels stand in rows, first at the top left
     channels : (n,) channels that are taxels
+    turns : see `MapPlan`; without a layout there are none
     """
     if layout is None:
         # Wider than high, as is the place of the map.
         columns = max(1, math.ceil(math.sqrt(len(channels) * 1.6)))
         row, column = np.divmod(np.arange(len(channels)), columns)
-        return MapPlan(channels, np.stack([column, -row], axis=1).astype(float), 1.0, (), ())
+        return MapPlan(channels, np.stack([column, -row], axis=1).astype(float), 1.0, (), (), 0)
     return MapPlan(
         channels=channels,
         places=layout.places[channels],
         spacing=layout.spacing,
         outlines=tuple(module.outline for module in layout.modules),
         labels=tuple(str(module.id) for module in layout.modules),
+        turns=turns,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """From the plan to pixels: one scale for both axes, y down, a quarter turn where that shows more."""
+    """From the plan to pixels: quarters to the left, one scale for both axes, y down."""
 
     scale: float = 1.0
     shift: tuple[float, float] = (0.0, 0.0)
-    turned: bool = False
+    turns: int = 0
 
     def pixels(self, points: FloatArray) -> FloatArray:
         """Return (n, 2) pixels of (n, 2) points of the plan."""
-        own = points[:, ::-1] if self.turned else points * (1.0, -1.0)
-        return own * self.scale + self.shift
+        return points @ QUARTERS[self.turns].T * (self.scale, -self.scale) + self.shift
+
+    def points(self, pixels: FloatArray) -> FloatArray:
+        """Return (n, 2) points of the plan of (n, 2) pixels."""
+        return (pixels - self.shift) / (self.scale, -self.scale) @ QUARTERS[self.turns]
 
 
 def fit(plan: MapPlan, room: QRectF) -> Fit:
     """Return how a plan fills a room, in the middle and with its proportions kept."""
-    points = np.concatenate([plan.places, *plan.outlines])
-    low, high = points.min(axis=0) - plan.spacing, points.max(axis=0) + plan.spacing
+    low, high = plan.bounds
     across, up = np.maximum(high - low, 1e-9)
     plain = min(room.width() / across, room.height() / up)
     turned = min(room.width() / up, room.height() / across)
-    made = Fit(turned, turned=True) if turned > TURN_GAIN * plain else Fit(plain)
-    x, y = made.pixels((low + high)[None] / 2)[0].tolist()
+    turns = plan.turns
+    if turns is None:
+        turns = 3 if turned > TURN_GAIN * plain else 0
+    return centred(Fit(turned if turns % 2 else plain, turns=turns), (low + high) / 2, room)
+
+
+def centred(made: Fit, middle: FloatArray, room: QRectF) -> Fit:
+    """Return a fit moved such that a point of the plan, (2,), is in the middle of a room."""
+    x, y = replace(made, shift=(0.0, 0.0)).pixels(middle[None])[0].tolist()
     return replace(made, shift=(room.center().x() - x, room.center().y() - y))
+
+
+def nearer(plan: MapPlan, room: QRectF, zoom: float, middle: FloatArray) -> Fit:
+    """Return a fit `zoom` times as large, with a point of the plan, (2,), as near to the middle as leaves no room empty."""
+    whole = fit(plan, room)
+    made = centred(replace(whole, scale=whole.scale * zoom), middle, room)
+    ends = made.pixels(plan.bounds)
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    start, end = np.array([room.left(), room.top()]), np.array([room.right(), room.bottom()])
+    # Where it is smaller than the room it stands in the middle.
+    aside = np.where(high - low < end - start, (start + end - low - high) / 2, np.clip(0.0, end - high, start - low))
+    return replace(made, shift=(made.shift[0] + float(aside[0]), made.shift[1] + float(aside[1])))
 
 
 def draw_mark(painter: QPainter, centre: QPointF, radius: float, mark: Mark, hue: QColor, crossed: QColor) -> None:
@@ -232,9 +297,12 @@ class TaxelMap(Painted):
 
     taxel_clicked = Signal(int)
 
-    def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames) -> None:
+    def __init__(self, scene: Scene, channels: IntArray, names: ChannelNames, turns: int | None = None) -> None:
         super().__init__()
-        self._plan: MapPlan = plan_map(scene.skin.layout, channels)
+        self._plan: MapPlan = plan_map(scene.skin.layout, channels, turns)
+        self._zoom, self._dragged = 1.0, QPointF()
+        self._middle: FloatArray = self._plan.bounds.mean(axis=0)
+        """(2,) float, of the plan: what is looked at, where the map is zoomed."""
         self._settings = scene.contacts
         self._width = scene.skin.channels
         self._names = names
@@ -261,7 +329,8 @@ class TaxelMap(Painted):
         self.setAccessibleName("map of the taxels")
         self.setWhatsThis(
             "Every taxel at its place in the maker's flat drawing. The fill says what is known, the halo how strongly "
-            "it answers now, the white ring which to poke next. Click one to select it, or use the arrow keys."
+            "it answers now, the white ring which to poke next. Click one to select it, or use the arrow keys. The wheel or + "
+            "and - come nearer, a drag moves the map, 0 shows all of it."
         )
 
     def sizeHint(self) -> QSize:
@@ -285,7 +354,9 @@ class TaxelMap(Painted):
             self.update()
         target = None if state.target is None else state.target.channel
         if (state.selected, target) != (self._selected, self._target):
+            wanted = target if target != self._target else state.selected
             self._selected, self._target = state.selected, target
+            self._bring(wanted)
             self.update()
         if len(state.live.skin) == self._width:
             self._answers = state.live.skin
@@ -310,21 +381,71 @@ class TaxelMap(Painted):
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Fit the plan into the new size."""
         super().resizeEvent(event)
+        self._refit()
+
+    def _room(self) -> QRectF:
         width, height = self.width() - 2 * MARGIN_PX, self.height() - LEGEND_PX - 2 * MARGIN_PX
-        self._fit = fit(self._plan, QRectF(MARGIN_PX, MARGIN_PX, max(10, width), max(10, height)))
+        return QRectF(MARGIN_PX, MARGIN_PX, max(10, width), max(10, height))
+
+    def _refit(self) -> None:
+        room = self._room()
+        self._fit = nearer(self._plan, room, self._zoom, self._middle)
+        self._middle = self._plan_at(room.center())
         self._places = self._fit.pixels(self._plan.places)
         self._base = self._states = QPixmap()
+        self.update()
+
+    def _plan_at(self, point: QPointF) -> FloatArray:
+        """Return (2,) the point of the plan that is drawn at a point of the widget."""
+        return self._fit.points(np.array([[point.x(), point.y()]]))[0]
+
+    def zoom(self, factor: float, point: QPointF) -> None:
+        """Come nearer by a factor, up to `LARGEST`, or go away until all is seen; a point of the widget stays where it is."""
+        scale = self._plan.spacing * SHARE_OF_SPACING * self._fit.scale / self._zoom
+        zoom = min(max(1.0, self._zoom * factor), max(1.0, LARGEST / scale))
+        kept = self._plan_at(point)
+        self._middle = kept + (self._plan_at(self._room().center()) - kept) * self._zoom / zoom
+        self._zoom = zoom
+        self._refit()
+
+    def _bring(self, channel: int | None) -> None:
+        """Move a zoomed map so that a channel is seen."""
+        rows = np.flatnonzero(self._plan.channels == channel)
+        if self._zoom > 1.0 and len(rows) and not self._room().contains(self.place_of(int(self._plan.channels[rows[0]]))):
+            self._middle = self._plan.places[rows[0]]
+            self._refit()
+
+    def _looked_at(self) -> QPointF:
+        """Return where keys come nearer to: the selected taxel, else the target, else the middle."""
+        there = [c for c in (self._selected, self._target) if c is not None and c in self._plan.channels]
+        return self.place_of(there[0]) if there else self._room().center()
+
+    def wheelEvent(self, event: QWheelEvent) -> None:
+        """Come nearer to what is under the pointer, or go away."""
+        self.zoom(NEARER ** (event.angleDelta().y() / NOTCH), event.position())
+        event.accept()
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Move a zoomed map along."""
+        if event.buttons() & Qt.MouseButton.LeftButton and self._zoom > 1.0:
+            self._middle = self._plan_at(self._room().center() - (event.position() - self._dragged))
+            self._dragged = event.position()
+            self._refit()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Select the taxel under the pointer."""
         self.setFocus(Qt.FocusReason.MouseFocusReason)
+        self._dragged = event.position()
         channel = self.channel_at(event.position())
         if channel is not None and event.button() is Qt.MouseButton.LeftButton:
             self.taxel_clicked.emit(channel)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Move the selection to the next taxel in the arrow's direction."""
+        """Move the selection to the next taxel in the arrow's direction; come nearer, or go away."""
         step = _ARROWS.get(event.key())
+        if event.key() in _ZOOMS:
+            self.zoom(_ZOOMS[event.key()], self._looked_at())
+            return
         if step is None:
             super().keyPressEvent(event)
             return
@@ -374,8 +495,11 @@ class TaxelMap(Painted):
         if self._states.isNull():
             self._states = self._drawn(self._draw_states, colours)
         painter.drawPixmap(0, 0, self._base)
+        painter.setClipRect(self._above_legend())
         self._draw_answers(painter, QColor(colours.text))
+        painter.setClipping(False)
         painter.drawPixmap(0, 0, self._states)
+        painter.setClipRect(self._above_legend())
         painter.setBrush(Qt.BrushStyle.NoBrush)
         if self._selected is not None and self._selected in self._plan.channels:
             self._ring(painter, self._selected, self._radius() * 1.75, ((4.0, colours.panel), (2.0, colours.text)))
@@ -383,6 +507,27 @@ class TaxelMap(Painted):
             # White in black, outside the ring of a selected one.
             radius = max(TARGET_LEAST, self._radius() * TARGET_SHARE)
             self._ring(painter, self._target, radius, ((6.5, "black"), (2.5, "white")))
+            self._draw_name(painter, self._target, radius, colours)
+
+    def _above_legend(self) -> QRectF:
+        return QRectF(0, 0, self.width(), self.height() - LEGEND_PX)
+
+    def _draw_name(self, painter: QPainter, channel: int, radius: float, colours: Colours) -> None:
+        """Write a taxel's name beside its ring: right of it, or left where the map ends."""
+        font = self.font()
+        font.setBold(True)
+        font.setPixelSize(NAME_PX)
+        painter.setFont(font)
+        words, at = self._names.short(channel), self.place_of(channel)
+        width, height = painter.fontMetrics().horizontalAdvance(words) + 6, painter.fontMetrics().height()
+        away = radius + 5.0
+        left = at.x() + away if at.x() + away + width <= self.width() else at.x() - away - width
+        top = min(max(0.0, at.y() - height / 2), self._above_legend().bottom() - height)
+        plate, area = QColor(colours.panel), QRectF(left, top, width, height)
+        plate.setAlphaF(PLATE)
+        painter.fillRect(area, plate)
+        painter.setPen(QColor(colours.text))
+        painter.drawText(area, Qt.AlignmentFlag.AlignCenter, words)
 
     def _ring(self, painter: QPainter, channel: int, radius: float, pens: Sequence[tuple[float, str]]) -> None:
         for width, colour in pens:
@@ -397,10 +542,11 @@ class TaxelMap(Painted):
         return picture
 
     def _draw_modules(self, painter: QPainter, colours: Colours) -> None:
-        panel = colours.panel
-        looks = [(QPen(mix(hue, panel, 0.45), 1.2), mix(panel, hue, 0.07), mix(panel, hue, 0.2)) for hue in HUES]
+        panel, ink = colours.panel, mix(colours.panel, colours.text, NUMBER_INK)
+        looks = [(QPen(mix(hue, panel, 0.45), 1.2), mix(panel, hue, 0.07)) for hue in HUES]
+        painter.setClipRect(self._above_legend())
         for index, outline in enumerate(self._plan.outlines):
-            pen, brush, ink = looks[index % len(HUES)]
+            pen, brush = looks[index % len(HUES)]
             corners = self._fit.pixels(outline).tolist()
             painter.setPen(pen)
             painter.setBrush(brush)
@@ -436,12 +582,14 @@ class TaxelMap(Painted):
         values = self._marks[self._plan.channels].tolist()
         radius, text, panel = self._radius(), QColor(colours.text), QColor(colours.panel)
         stamps = Stamps(radius, self.devicePixelRatioF(), QColor(colours.muted))
+        painter.setClipRect(self._above_legend())
         for value, hue, (x, y) in zip(values, self._hues, (self._places - stamps.reach).tolist(), strict=True):
             painter.drawPixmap(QPointF(x, y), stamps.get(value, hue or colours.muted))
         # A wedge at the upper right of each taxel that may as well lie elsewhere.
         away = 0.9 * radius
         for x, y in self._places[np.isin(self._plan.channels, list(self._rivals))].tolist():
             draw_wedge(painter, QPointF(x + away, y - away), max(WEDGE_LEAST, WEDGE_SHARE * radius), text, panel)
+        painter.setClipping(False)
         self._draw_legend(painter, text, panel, QColor(colours.muted))
 
     def _draw_legend(self, painter: QPainter, text: QColor, panel: QColor, muted: QColor) -> None:

@@ -164,7 +164,7 @@ def fit(camera: vtkCamera, points: FloatArray, facing: FloatArray | None, aspect
     aspect : width over height of the picture
     least : metres, half the height of the picture at least
     """
-    centre, axes = _frame(points, facing)
+    centre, axes = first_frame(points, facing)
     seen = (points - centre) @ axes.T if len(points) else np.zeros((1, 3))
     slope = np.tan(np.radians(VIEW_ANGLE / 2))
     distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * MARGIN / slope + seen[:, 2]
@@ -172,8 +172,8 @@ def fit(camera: vtkCamera, points: FloatArray, facing: FloatArray | None, aspect
     place(camera, Stand(axes, centre, max(float(distances.max()), least / slope)))
 
 
-def _frame(points: FloatArray, facing: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return the middle of the points, and the camera's right, up and back as rows, unit."""
+def first_frame(points: FloatArray, facing: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return the middle of the points, and right, up and back, as rows, unit, of the camera that `fit` places."""
     if len(points) < 3:
         return points.mean(axis=0) if len(points) else np.zeros(3), np.eye(3)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2

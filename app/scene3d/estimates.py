@@ -17,8 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkRenderer
 
-from app.scene3d.camera import Sight
+from app.scene3d.camera import Sight, project
+from app.scene3d.names import boxes_around
 from app.scene3d.scene_state import BALL, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
 from app.scene3d.shapes import Balls, Dots, Layer, Segments, crosses, heads, rings
 from app.scene3d.wall import Walls, facing
@@ -144,6 +146,11 @@ class EstimatesLayer(Layer):
         self._show_alternative(state, estimates)
         self.draw()
         return True
+
+    def boxes(self, renderer: vtkRenderer) -> FloatArray:
+        """Return what the balls cover of the picture, (n, 4) float; see `names`."""
+        at = project(renderer, self.places[self.near])[:, :2]
+        return boxes_around(at[np.isfinite(at[:, 0])], self.balls.actor.GetProperty().GetPointSize() / 2.0)
 
     def _show_alternative(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
         """Draw a line from the selected taxel to its rival, or along which a blind one lies."""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer
 
 from app.scene3d.camera import project
-from app.scene3d.names import box_around, make_readable, name_actor, put
+from app.scene3d.estimates import EstimatesLayer
+from app.scene3d.names import boxes_around, make_readable, name_actor, put
 from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, closed, tangents
 from app.scene3d.target import TargetLayer
@@ -45,7 +46,7 @@ class LandmarksLayer(Layer):
 
     name = "landmarks"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene, target: TargetLayer) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene, target: TargetLayer, estimates: EstimatesLayer) -> None:
         super().__init__()
         self.marks = Segments(pixels=2.0)
         self.names = [name_actor(LETTERS) for _ in range(MOST_NAMES)]
@@ -55,7 +56,7 @@ class LandmarksLayer(Layer):
         """(n, 3) float, metres: where the landmarks are."""
         self._surface = static.surface
         self._renderer = renderer
-        self._target = target
+        self._target, self._estimates = target, estimates
         self._taken = target.boxes
         """What the names made room for."""
         self._landmarks: tuple[Landmark, ...] = ()
@@ -111,13 +112,13 @@ class LandmarksLayer(Layer):
         at = project(self._renderer, self.places)
         # So, and not `>`: the depth of what lies behind the camera is NaN.
         seen = near & (np.abs(at[:, 2]) <= 1.0)
-        taken = [*self._taken, *(box_around(place[:2], radius) for place in at[seen])]
+        taken = np.concatenate([self._taken, boxes_around(at[seen, :2], radius), self._estimates.boxes(self._renderer)])
         for row, actor in enumerate(self.names[: self.named]):
             actor.SetVisibility(bool(seen[row]))
             poked = self._landmarks[row].name in self._poked
             make_readable(actor, self.look, _pale(self.look) if poked else self.look.ink)
             if seen[row]:
-                taken.append(put(actor, self._renderer, at[row, :2], radius + GAP, taken))
+                taken = np.concatenate([taken, put(actor, self._renderer, at[row, :2], radius + GAP, taken)[None]])
 
     def _put_names(self) -> None:
         """Write the names beside the diamonds, where there are few."""

@@ -5,8 +5,6 @@ Places are pixels from the lower left; a box is left, low, right, top.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
 
@@ -38,42 +36,39 @@ def make_readable(text: Text, look: Look, ink: Colour | ColourArray) -> None:
     style.SetBackgroundOpacity(PLATE)
 
 
-def put(actor: vtkTextActor, renderer: vtkRenderer, at: FloatArray, beside: float, taken: Sequence[FloatArray]) -> FloatArray:
+def put(actor: vtkTextActor, renderer: vtkRenderer, at: FloatArray, beside: float, taken: FloatArray) -> FloatArray:
     """Put words beside a place, right of it or wherever is room, and return their box, (4,) float.
 
     Parameters
     ----------
     at : (2,) float
     beside : from the place to the words
-    taken : boxes, (4,) each, that the words had better not cover
+    taken : (n, 4) boxes that the words had better not cover
     """
-    boxes = [box_around(at + way, half) for way, half in _ways(actor, renderer, beside)]
-    width, height = renderer.GetSize()
-    whole = np.array([0.0, 0.0, width, height])
-    costs = [sum(_shared(box, each) for each in taken) + (_area(box) - _shared(box, whole)) for box in boxes]
+    ways, half = _ways(actor, renderer, beside)
+    boxes = boxes_around(at + ways, half)
+    whole = np.array([[0.0, 0.0, *renderer.GetSize()]])
+    costs = _shared(boxes, taken).sum(axis=1) + float(np.prod(2.0 * half)) - _shared(boxes, whole)[:, 0]
     # The first of those that are as free.
-    box = boxes[int(np.argmin(np.round(costs)))]
+    box = boxes[np.argmin(np.round(costs))]
     actor.SetPosition((box[0] + box[2]) / 2.0, (box[1] + box[3]) / 2.0)
     return box
 
 
-def _ways(actor: vtkTextActor, renderer: vtkRenderer, beside: float) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the ways from a place to the middle of the words, and half their size, in the order in which they are tried."""
+def _ways(actor: vtkTextActor, renderer: vtkRenderer, beside: float) -> tuple[FloatArray, FloatArray]:
+    """Return the ways from a place to the words' middle, (8, 2), in the order in which they are tried, and half their size."""
     letters = actor.GetTextProperty().GetFontSize() * renderer.GetRenderWindow().GetDPI() / POINTS
     half = np.array([WIDTH * len(actor.GetInput()), HEIGHT]) * letters / 2.0
     right, up = np.array([beside + half[0], 0.0]), np.array([0.0, beside + half[1]])
-    return [(way, half) for way in (right, -right, up, -up, right + up, right - up, up - right, -up - right)]
+    return np.stack([right, -right, up, -up, right + up, right - up, up - right, -up - right]), half
 
 
-def box_around(middle: FloatArray, half: FloatArray | float) -> FloatArray:
-    """Return the box (4,) about a place, (2,), with half its size."""
-    return np.concatenate([middle - half, middle + half])
+def boxes_around(middles: FloatArray, half: FloatArray | float) -> FloatArray:
+    """Return the boxes (n, 4) about places, (n, 2), with half their size."""
+    return np.concatenate([middles - half, middles + half], axis=1)
 
 
-def _shared(one: FloatArray, other: FloatArray) -> float:
-    sides = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
-    return float(np.prod(np.maximum(sides, 0.0)))
-
-
-def _area(box: FloatArray) -> float:
-    return float(np.prod(box[2:] - box[:2]))
+def _shared(some: FloatArray, others: FloatArray) -> FloatArray:
+    """Return (n, m) float: the area that each of n boxes shares with each of m others."""
+    sides = np.minimum(some[:, None, 2:], others[:, 2:]) - np.maximum(some[:, None, :2], others[:, :2])
+    return np.prod(np.maximum(sides, 0.0), axis=-1)

@@ -76,8 +76,8 @@ LIFT = 4e-4
 """m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""
 TOWARD_CORNER = 0.8
 """Share of the way from a module's middle to its first corner: its number stands where no taxel is."""
-NUMBER_LIFT = 15e-3
-"""m. So far towards the camera numbers are drawn: before the balls beside them, and before the curved part."""
+NUMBER_LIFT = 2e-3
+"""m. So far towards the camera numbers are drawn: before the curved part, and behind the balls beside them."""
 TURNED = 0.3
 """Cosine. Numbers of modules that are turned further from the camera would stand in each other's way at the part's edge."""
 MOST_NUMBERS = 40
@@ -115,7 +115,7 @@ class ModulesLayer(Layer):
             make_readable(number.text, look, look.ink)
 
     def draw(self) -> None:
-        """Keep the numbers before the balls, and leave out those of modules that are turned away."""
+        """Keep the numbers before the part, and leave out those of modules that are turned away."""
         if self.sight is None:
             return
         for number in self.numbers:

@@ -78,7 +78,7 @@ def _rgb(colour: str) -> Colour:
 def _look(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> Look:
     """Return the look of a theme: its own window and methods, and what only the 3D view has."""
     tints = {Tint.FROM: ink, Tint.TO: to, Tint.LAYOUT: ink}
-    tints |= zip((Tint.FREE, Tint.SURFACE, Tint.MODULES), map(_rgb, of.methods), strict=True)
+    tints |= {Tint(name): _rgb(hue) for name, hue in of.methods.items()}
     return Look(_rgb(of.window), front, back, ink, faint, tints)
 
 
@@ -180,7 +180,9 @@ class View3DState:
 class StaticScene:
     """The part of a scene that does not change during a session; `channels` are in the order of the snapshot's estimates."""
 
-    def __init__(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
+    def __init__(
+        self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int] | IntArray
+    ) -> None:
         self.scene = scene
         self.surface = surface
         self.laid = laid

@@ -121,8 +121,8 @@ class Stage:
         self.moved = False
         """The operator moved the camera: it is theirs from then on."""
         self.estimates = EstimatesLayer(static)
-        self.target, self.compare = TargetLayer(renderer, static), CompareLayer(static)
-        self.landmarks = LandmarksLayer(renderer, static, self.target)
+        self.target, self.compare = TargetLayer(renderer, static, self.estimates), CompareLayer(static)
+        self.landmarks = LandmarksLayer(renderer, static, self.target, self.estimates)
         self.layers = self._build(static)
         self._hidden: frozenset[str] = frozenset()
         self.hide(self._hidden)

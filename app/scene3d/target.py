@@ -13,7 +13,8 @@ import numpy as np
 from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer
 
 from app.scene3d.camera import Sight, project
-from app.scene3d.names import box_around, make_readable, name_actor, put
+from app.scene3d.estimates import EstimatesLayer
+from app.scene3d.names import boxes_around, make_readable, name_actor, put
 from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
 from app.units import ChannelNames
@@ -37,6 +38,7 @@ LETTERS, GAP = 15, 8.0
 """Points, size of the name; pixels between it and the ring."""
 ALONG = np.linspace(0.2, 1.0, 6)
 """Where along the arrow it is looked whether words would cover it."""
+NOTHING: FloatArray = np.empty((0, 4))
 BLACK, WHITE = np.zeros(3, np.uint8), np.full(3, 255, np.uint8)
 
 
@@ -45,18 +47,18 @@ class TargetLayer(Layer):
 
     name = "target"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene, estimates: EstimatesLayer) -> None:
         super().__init__()
         self.static = static
         self.label = name_actor(LETTERS, bold=True)
-        self.boxes: tuple[FloatArray, ...] = ()
-        """What ring, arrow and name cover of the picture."""
-        self._renderer = renderer
+        self.boxes: FloatArray = NOTHING
+        """(n, 4) float: what ring, arrow and name cover of the picture; see `names`."""
+        self._renderer, self._estimates = renderer, estimates
         self._names = ChannelNames(static.scene.skin.layout)
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
         self.cone = Segments(pixels=1.5)
-        self._key = b""
+        self._key: tuple[object, ...] = ()
         self._leeway = 0.0
         """rad, half angle of the cone."""
         self._target: Target | None = None
@@ -71,7 +73,10 @@ class TargetLayer(Layer):
         """Show the target of a moment; return whether anything changed."""
         target = state.target
         width = 0.0 if target is None else state.leeway
-        key = b"" if target is None else b"".join(each.tobytes() for each in (target.place, target.normal, target.push))
+        key: tuple[object, ...] = ()
+        if target is not None:
+            ways = (target.place, target.normal, target.push)
+            key = target.channel, target.landmark, *(way.tobytes() for way in ways)
         if (key, width) == (self._key, self._leeway):
             return False
         self._key, self._target, self._leeway = key, target, width
@@ -101,21 +106,23 @@ class TargetLayer(Layer):
         # Between ink and what is not to be in the way; black and white are seen in every theme.
         self.cone.join(soft, ((np.array(self.look.ink, float) + self.look.faint) / 2.0).astype(np.uint8))
         self.label.SetVisibility(False)
-        self.boxes = () if target is None or sight is None else self._place_name(target, sight, scale)
+        self.boxes = NOTHING if target is None or sight is None else self._place_name(target, sight, scale)
 
-    def _place_name(self, target: Target, sight: Sight, scale: float) -> tuple[FloatArray, ...]:
+    def _place_name(self, target: Target, sight: Sight, scale: float) -> FloatArray:
         """Put the name beside the ring, where the arrow is not; return what all of it covers."""
         way = ALONG[:, None] * (-scale * TOOL * target.push)
         middle, *shaft = project(self._renderer, np.concatenate([self._at[None], self._at + way]))
         if not (abs(middle[2]) <= 1.0 and float(target.normal @ (sight.place - self._at)) > 0.0):
-            return ()
+            return NOTHING
         radius = scale * RING * sight.scale
-        covered = [box_around(at[:2], GAP) for at in shaft if np.isfinite(at).all()]
+        ring, along = boxes_around(middle[None, :2], radius + GAP / 2.0), boxes_around(np.array(shaft)[:, :2], GAP)
+        covered = np.concatenate([ring, along[np.isfinite(along[:, 0])]])
         if self.label.GetInput():
             self.label.SetVisibility(True)
             make_readable(self.label, self.look, self.look.ink)
-            covered.append(put(self.label, self._renderer, middle[:2], radius + GAP, covered))
-        return (box_around(middle[:2], radius + GAP / 2.0), *covered)
+            taken = np.concatenate([covered, self._estimates.boxes(self._renderer)])
+            covered = np.concatenate([covered, put(self.label, self._renderer, middle[:2], radius + GAP, taken)[None]])
+        return covered
 
 
 def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:

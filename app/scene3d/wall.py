@@ -51,12 +51,13 @@ class Wall:
         return ~(facing(self.sides, places, sight) < np.where(self.below, 0.0, OVER_EDGE))
 
     def before(self, places: FloatArray, sight: Sight, radius: float) -> FloatArray:
-        """Return the places, (n, 3), those below the skin so far towards the camera that a ball there clears the near wall."""
+        """Return places (n, 3) moved so far towards the camera that a ball there clears the near wall, if it faces it."""
         at_wall, at_plan = facing(self.normals, places, sight), facing(self.sides, places, sight)
         # Deep inside the nearest wall may be another than the one that is seen.
         slant = np.where(at_wall > GRAZING, at_wall, np.maximum(at_plan, GRAZING))
         depths = np.where(at_wall > GRAZING, self.depths, self.depths_of_plan)
-        by = np.where(self.below, (np.maximum(depths, 0.0) + radius) / slant, 0.0)
+        covered = (self.depths > -radius) & (at_plan > 0.0)
+        by = np.where(covered, (np.maximum(depths, -radius) + radius) / slant, 0.0)
         return sight.lift(places, by[:, None])
 
 

@@ -1,6 +1,6 @@
 """The pictures of a report, for paper and screen: the part from four sides, the map, and how the error fell.
 
-Colours are those of the studies' figures. What a colour says is written beside it, too.
+Colours are those of the window and of the studies' figures. What a colour says is written beside it, too.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface
 from skincal.model.skin import Layout
+from skincal.palette import BLACK, METHODS
 from skincal.reporting.session_facts import SessionFacts
 from skincal.session.error_history import MEAN, P95
-from skincal.studies.figures import BLACK, GREY, METHOD_COLOURS, STYLE
+from skincal.studies.figures import GREY, STYLE
 from skincal.taxels.result import Method, State
 
 Figure: TypeAlias = Any
@@ -134,7 +135,7 @@ def error_name(facts: SessionFacts) -> str:
 
 
 def _draw_course(axes: Axes, x: FloatArray | IntArray, spreads: FloatArray, method: Method) -> None:
-    look = {"color": METHOD_COLOURS[method.value], "linewidth": 1.4}
+    look = {"color": METHODS[method.value], "linewidth": 1.4}
     axes.plot(x, spreads[:, 0, MEAN] * 1e3, label=method.value, **look)
     axes.plot(x, spreads[:, 0, P95] * 1e3, linestyle=":", **look)
 
@@ -149,7 +150,7 @@ def _draw_costs(axes: Axes, facts: SessionFacts) -> None:
         spreads = facts.series.spreads.get(each.method)
         if spreads is not None and np.isfinite(spreads[-1, 0, MEAN]):
             at = each.solve_s * 1e3, spreads[-1, 0, MEAN] * 1e3
-            axes.plot(*at, marker="o", markersize=8, color=METHOD_COLOURS[each.method.value])
+            axes.plot(*at, marker="o", markersize=8, color=METHODS[each.method.value])
             axes.annotate(each.method.value, at, xytext=(7, 5), textcoords="offset points", fontsize=8.5)
     axes.set_xscale("log")
     axes.margins(x=0.4)

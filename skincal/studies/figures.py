@@ -1,7 +1,6 @@
 """The studies' figures: the only place of the core that draws, without a window.
 
-Colours are those of Okabe and Ito (2008), which people with any colour vision tell apart; what matters is said in words
-or by a mark's shape as well.
+Colours are those of the window (`palette`); what matters is said in words or by a mark's shape as well.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 from skincal.model.errors import InputError
-from skincal.studies.measuring import time_words
+from skincal.palette import BLACK, BLUE, GREEN, METHODS, ORANGE, PINK, SKY, VERMILION
 
 Figure: TypeAlias = Any
 """matplotlib.figure.Figure, whose type hints are too loose for strict checks."""
@@ -20,8 +19,6 @@ Axes: TypeAlias = Any
 """matplotlib.axes.Axes."""
 Measured: TypeAlias = Mapping[str, Any]
 
-BLACK, ORANGE, SKY, GREEN, YELLOW = "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442"
-BLUE, VERMILION, PINK = "#0072B2", "#D55E00", "#CC79A7"
 GREY = "#767676"
 """For what stands aside; 4.5 : 1 against white."""
 DOTS_PER_INCH = 130
@@ -214,7 +211,6 @@ def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> N
 
 # ---- paper ----
 
-METHOD_COLOURS = {"free": BLUE, "surface": VERMILION, "modules": GREEN}
 CORRECTED_WORDS = "modules, rig corrected by 21 landmark pokes"
 
 
@@ -239,7 +235,7 @@ def draw_paper(result: dict[str, Any], figure: Figure) -> None:
 
 def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]], label: str) -> None:
     """Draw bars of each method beside each other; without deviations their height is written above them."""
-    for offset, (method, colour) in enumerate(METHOD_COLOURS.items()):
+    for offset, (method, colour) in enumerate(METHODS.items()):
         places = [place + (offset - 1) * 0.26 for place in range(len(names))]
         sds = [row["sd"] for row in rows[method] if "sd" in row]
         error = {"yerr": sds, "error_kw": {"ecolor": GREY, "elinewidth": 1.0}} if sds else {}
@@ -259,7 +255,7 @@ def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
     rows = {method: [poses[pose] for pose in minutes] for method, poses in result["per_pose_mm"].items()}
     _method_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows, OF_TAXELS)
     for place, (method, (low, high)) in zip((6.75, 6.95), result["published"]["per_pose_mean_mm"].items(), strict=True):
-        axes.plot([place, place], [low, high], color=METHOD_COLOURS[method], linewidth=5.0, solid_capstyle="butt")
+        axes.plot([place, place], [low, high], color=METHODS[method], linewidth=5.0, solid_capstyle="butt")
     axes.text(6.85, -0.02, "paper's\nrange", transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8.5)
     axes.set_title("Each arm pose alone (figure 4)")
     axes.set_ylim(top=24.0)
@@ -270,14 +266,14 @@ def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
     names = [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)]
     _method_bars(axes, names, result["averaged_mm"], OF_TAXELS)
     for method, value in result["published"]["averaged_mean_mm"].items():
-        axes.axhline(value, color=METHOD_COLOURS[method], linestyle="--", linewidth=1.2, label=f"paper, {method} {value}")
+        axes.axhline(value, color=METHODS[method], linestyle="--", linewidth=1.2, label=f"paper, {method} {value}")
     axes.set(xlabel="arm poses averaged one after another", title="Averaged (figure 5)")
     axes.legend(loc="upper right")
 
 
 def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
     some: list[Measured] = [{"landmark_pokes": 0, "mean_mm": result["mean_mm"]}, *result["landmarks"]]
-    rows = {method: [{"mean": row["mean_mm"][method]} for row in some] for method in METHOD_COLOURS}
+    rows = {method: [{"mean": row["mean_mm"][method]} for row in some] for method in METHODS}
     _method_bars(axes, [f"{row['landmark_pokes']} landmark pokes" for row in some], rows, "mean error (mm), all poses pooled")
     axes.set_title("The rig corrected from pokes at landmarks")
     axes.legend()
@@ -285,7 +281,7 @@ def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
 
 def _draw_good(axes: Axes, result: dict[str, Any]) -> None:
     course = result["course_mm"]
-    _lines(axes, course["pokes"], {method: (course["pokes"], course[method]) for method in METHOD_COLOURS}, least=0.2)
+    _lines(axes, course["pokes"], {method: (course["pokes"], course[method]) for method in METHODS}, least=0.2)
     times = ", ".join(f"{method} {milliseconds:.0f} ms" for method, milliseconds in result["runtime_ms"].items())
     title = f"A rig that is only noisy\nsolving {result['pokes']:,} pokes: {times}"
     axes.set(xlabel="pokes in one arm pose, unguided", title=title)
@@ -298,6 +294,13 @@ def _draw_times(axes: Axes, errors: Mapping[str, Sequence[float | None]], times:
     _lines(axes, ticks, {name: (seconds[name], course) for name, course in errors.items()})
     axes.set_xlabel("processor time (s) of all solves until then, each poke solved as it comes")
     axes.set_title("The same against processor time")
+
+
+def draw_unmodelled(rows: Sequence[Measured], figure: Figure) -> None:
+    """Draw what is made of rigs that are wrong as nobody models it, alone."""
+    figure.set_size_inches(13.0, 5.0)
+    errors, shares = figure.subplots(1, 2, sharey=True)
+    _draw_unmodelled(errors, shares, rows)
 
 
 UNMODELLED_LOOKS = {21: (BLUE, "o"), 70: (VERMILION, "s")}
@@ -344,8 +347,8 @@ def _lines(
     for name, course in courses.items():
         points = [(at, error) for at, error in zip(*course, strict=True) if at is not None and error is not None]
         own = (
-            {"color": METHOD_COLOURS[name], "label": name}
-            if name in METHOD_COLOURS
+            {"color": METHODS[name], "label": name}
+            if name in METHODS
             else {"color": BLACK, "label": CORRECTED_WORDS, "linestyle": "--"}
         )
         axes.plot([at for at, _ in points], [error for _, error in points], marker="o", **own)
@@ -369,21 +372,23 @@ class MarkLook(NamedTuple):
 
 
 LOOKS: dict[str, MarkLook] = {
-    "surface": MarkLook("*", BLUE, "surface, as shipped", "surface, as shipped"),
-    "free": MarkLook("*", VERMILION, "free, as shipped", "free, as shipped"),
-    "brute": MarkLook("s", SKY, "every triangle, closed form", "surface: every triangle, closed form"),
-    "facing": MarkLook("p", SKY, "those that are pushed", "surface: every triangle that is pushed, closed form"),
-    "compiled": MarkLook("X", SKY, "pushed ones, compiled", "surface: every triangle that is pushed, compiled"),
-    "bounded": MarkLook("D", SKY, "every triangle's bound first", "surface: every triangle's bound, then closed form"),
-    "quadprog": MarkLook("o", ORANGE, "the paper's way: quadprog", "surface: each triangle by quadprog"),
+    "surface": MarkLook("*", METHODS["surface"], "surface, as shipped", "surface, as shipped"),
+    "free": MarkLook("*", METHODS["free"], "free, as shipped", "free, as shipped"),
+    "brute": MarkLook("s", ORANGE, "every triangle, closed form", "surface: every triangle, closed form"),
+    "facing": MarkLook("p", ORANGE, "those that are pushed", "surface: every triangle that is pushed, closed form"),
+    "compiled": MarkLook("X", ORANGE, "pushed ones, compiled", "surface: every triangle that is pushed, compiled"),
+    "bounded": MarkLook("D", ORANGE, "every triangle's bound first", "surface: every triangle's bound, then closed form"),
+    "quadprog": MarkLook("o", PINK, "the paper's way: quadprog", "surface: each triangle by quadprog"),
     "slsqp": MarkLook("o", BLACK, "the paper's way: SLSQP", "surface: each triangle by SLSQP"),
-    "modules": MarkLook("*", GREEN, "modules, as shipped", "modules, as shipped"),
-    "modules-general": MarkLook("d", GREEN, "modules, scipy's Levenberg-Marquardt", "modules: scipy's Levenberg-Marquardt"),
-    "modules-per-pose": MarkLook("^", GREEN, "modules, poses averaged", "modules: each pose alone, averaged"),
-    "surface-per-pose": MarkLook("^", BLUE, "surface, poses averaged", "surface: each pose alone, averaged"),
-    "free-per-pose": MarkLook("^", VERMILION, "free, poses averaged", "free: each pose alone, averaged"),
-    "lstsq": MarkLook("v", ORANGE, "numpy lstsq", "free: numpy's lstsq for each taxel"),
-    "normal": MarkLook("P", PINK, "normal equations", "free: normal equations"),
+    "modules": MarkLook("*", METHODS["modules"], "modules, as shipped", "modules, as shipped"),
+    "modules-general": MarkLook(
+        "d", METHODS["modules"], "modules, scipy's Levenberg-Marquardt", "modules: scipy's Levenberg-Marquardt"
+    ),
+    "modules-per-pose": MarkLook("^", METHODS["modules"], "modules, poses averaged", "modules: each pose alone, averaged"),
+    "surface-per-pose": MarkLook("^", METHODS["surface"], "surface, poses averaged", "surface: each pose alone, averaged"),
+    "free-per-pose": MarkLook("^", METHODS["free"], "free, poses averaged", "free: each pose alone, averaged"),
+    "lstsq": MarkLook("v", SKY, "numpy lstsq", "free: numpy's lstsq for each taxel"),
+    "normal": MarkLook("P", SKY, "normal equations", "free: normal equations"),
 }
 """By the method's name in JSON."""
 PARTS = {"icub-forearm": "forearm", "whole-body": "whole body"}
@@ -392,7 +397,10 @@ KEY = (
     "Stars: as shipped. Hollow: extrapolated from a sample. Bars: quartiles. Below, dashed lines are the forearm's, "
     "whole lines the whole body's."
 )
-TIMES_MS = (0.1, 1.0, 10.0, 100.0, 1e3, 1e4, 6e4, 6e5, 3.6e6, 3.6e7, 3.6e8)
+UNITS_MS = {"\N{MICRO SIGN}s": (1e-3, 1e3), "ms": (1.0, 1e3), "s": (1e3, 60.0), "min": (6e4, 60.0), "h": (3.6e6, 1e4)}
+"""Milliseconds in each unit of time, and how many of it make one of the next."""
+TICKS_MOST = 8
+"""Ticks of an axis of time; where there would be more, only tens of a unit have one."""
 
 
 def draw_runtime(result: dict[str, Any], rows: Sequence[Measured], figure: Figure) -> None:
@@ -417,7 +425,7 @@ def _error_against_time(axes: Axes, rows: Sequence[Measured]) -> None:
             markersize=16 if mark == "*" else 8, markerfacecolor="white" if row["extrapolated_from"] is not None else colour,
         )  # fmt: skip
     times = [row["time_ms"]["median"] for row in rows]
-    _log(axes, {at: time_words(at) for at in TIMES_MS if min(times) / 5 <= at <= max(times) * 5})
+    _log(axes, time_ticks(min(times) / 5, max(times) * 5))
     axes.yaxis.set_minor_formatter(_minor_tick)
     axes.yaxis.set_major_formatter("{x:g}")
     part = PARTS.get(rows[0]["part"], rows[0]["part"])
@@ -437,6 +445,18 @@ def _minor_tick(value: float, _: int) -> str:
     return f"{value:g}" if f"{value:.0e}"[0] in "25" else ""
 
 
+def time_ticks(low: float, high: float) -> dict[float, str]:
+    """Return round times between two, milliseconds, each with its words: `1 min`, `20 ms`."""
+    every = {
+        count * size: (count, f"{count} {unit}")
+        for unit, (size, most) in UNITS_MS.items()
+        for count in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+        if count < most and low <= count * size <= high
+    }
+    few = len(every) <= TICKS_MOST
+    return {time: words for time, (count, words) in every.items() if few or count in (1, 10, 100, 1000)}
+
+
 def _growth(axes: Axes, points: Sequence[Measured], name: str, words: str) -> None:
     series: dict[tuple[str, str], list[Measured]] = {}
     for point in points:
@@ -450,11 +470,10 @@ def _growth(axes: Axes, points: Sequence[Measured], name: str, words: str) -> No
                 linewidth=1.4, capsize=2, linestyle="--" if part == "icub-forearm" else "-",
             )  # fmt: skip
     _log(axes)
+    low, high = axes.get_ylim()
+    ticks = time_ticks(1e-3 * low, 1e-3 * high)
+    axes.set_yticks([1e3 * time for time in ticks], list(ticks.values()))
+    axes.set_yticks([], minor=True)
     axes.xaxis.set_major_formatter("{x:,.0f}")
-    axes.yaxis.set_major_formatter(_cost_tick)
     axes.set(xlabel=words, ylabel="time per taxel")
     axes.set_title(f"Cost of a taxel against {words}", fontsize=10)
-
-
-def _cost_tick(value: float, _: int) -> str:
-    return f"{value:g} us" if value < 1e3 else time_words(value / 1e3)

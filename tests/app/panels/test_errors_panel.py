@@ -183,7 +183,7 @@ def panel(qtbot, course):
 def line_of(widget, method: int = 0) -> int:
     """How many pixels have a method's hue, or nearly."""
     seen = pixels(widget)[..., :3].astype(int)
-    hue = QColor(DARK.methods[method]).getRgb()[:3]
+    hue = QColor(list(DARK.methods.values())[method]).getRgb()[:3]
     return int((np.abs(seen - hue).sum(axis=2) < 40).sum())
 
 

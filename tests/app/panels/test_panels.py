@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QObject, QPoint, QRectF, Qt, QTimer
-from PySide6.QtGui import QColor, QImage
+from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QRectF, Qt, QTimer
+from PySide6.QtGui import QColor, QImage, QMouseEvent, QWheelEvent
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QApplication, QWidget
 
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog, shipped_scenes
@@ -19,8 +19,10 @@ from app.panels.plot_panels import PlotPanel, ReadingsPanel
 from app.panels.plots import CurvesPanel
 from app.panels.pokes_panel import HEADINGS, PokesPanel
 from app.panels.rig_panel import ArmPanel
-from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map
+from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map, turns_of
 from app.panels.widgets import Painted, theme_colours
+from app.scene3d.camera import first_frame
+from app.scene3d.scene_state import StaticScene
 from app.session_view import RIGHT_PX
 from app.state.policies import Mark
 from app.text.message import Message
@@ -30,6 +32,8 @@ from app.window import Theme, qpalette
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.files.formats import ExportFormat
 from skincal.model.readings import LinkState, Stream
+from skincal.model.scene import resource
+from skincal.session.part import load_part
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import (
@@ -265,6 +269,57 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
     assert taxels.place_of(moved.args[0]).x() < taxels.place_of(3).x()
     with qtbot.assertNotEmitted(taxels.taxel_clicked):
         QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=QPoint(1, 1))
+
+
+@pytest.mark.parametrize("name", ["flat-patch", "icub-forearm"])
+def test_the_map_lies_as_the_part_is_seen_first(name):
+    part = load_part(resource(f"scenes/{name}/scene.toml"))
+    static = StaticScene(part.scene, part.surface, part.laid, part.channels)
+    _, (right, up, back) = first_frame(static.extent, static.facing)
+    plan = plan_map(part.scene.skin.layout, part.channels, turns_of(static))
+    drawn = fit(plan, QRectF(0, 0, 300, 300)).pixels(plan.places) * (1.0, -1.0)
+    seen = static.normals @ back > 0.3
+    on_part = (static.places @ np.stack([right, up]).T)[seen]
+    for way in range(2):
+        assert np.corrcoef(drawn[seen, way], on_part[:, way])[0, 1] > 0.7
+
+
+def test_the_map_comes_nearer_by_wheel_and_keys_moves_along_and_comes_back(qtbot, taxels):
+    def places():
+        return np.array([taxels.place_of(int(c)).toTuple() for c in PLAN.channels])
+
+    def turn_wheel(at, notches):
+        none, plain, phase = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase
+        event = QWheelEvent(at, at, QPoint(), QPoint(0, 120 * notches), none, plain, phase, False)
+        QApplication.sendEvent(taxels, event)
+
+    whole, first = places(), pixels(taxels)
+    under = taxels.place_of(9)
+    turn_wheel(under, 3)
+    grown = np.linalg.norm(places()[9] - places()[12]) / np.linalg.norm(whole[9] - whole[12])
+    assert grown == pytest.approx(1.25**3)
+    assert abs(places()[9, 0] - under.x()) < 1e-6, "it stays under the pointer"
+    with qtbot.assertNotEmitted(taxels.taxel_clicked):
+        before, start = places(), QPoint(2, 2)
+        QTest.mousePress(taxels, Qt.MouseButton.LeftButton, pos=start)
+        drag = QMouseEvent(
+            QEvent.Type.MouseMove, QPointF(9, 2), QPointF(9, 2), Qt.MouseButton.NoButton, Qt.MouseButton.LeftButton,
+            Qt.KeyboardModifier.NoModifier,
+        )  # fmt: skip
+        QApplication.sendEvent(taxels, drag)
+        QTest.mouseRelease(taxels, Qt.MouseButton.LeftButton, pos=start)
+    np.testing.assert_allclose((places() - before)[:, 0], 7.0)
+    QTest.keyClick(taxels, Qt.Key.Key_0)
+    np.testing.assert_allclose(places(), whole)
+    assert changed(first, pixels(taxels)) == 0
+    for _ in range(12):
+        QTest.keyClick(taxels, Qt.Key.Key_Plus)
+    outside = [c for c in range(24) if not taxels.rect().contains(taxels.place_of(c).toPoint())]
+    taxels.show_state(frame(selected=outside[0]))
+    assert taxels.rect().contains(taxels.place_of(outside[0]).toPoint()), "what is selected comes into the picture"
+    for _ in range(20):
+        QTest.keyClick(taxels, Qt.Key.Key_Minus)
+    np.testing.assert_allclose(places(), whole)
 
 
 def test_a_skin_without_a_layout_has_a_map_of_all_its_channels(qtbot):

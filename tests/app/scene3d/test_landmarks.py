@@ -123,6 +123,48 @@ def test_names_stand_beside_few_landmarks_and_many_have_none(view):
     np.testing.assert_array_equal(pixels(view), with_names)
 
 
+def luminance(colours: np.ndarray) -> np.ndarray:
+    """Relative, by WCAG 2."""
+    share = colours / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+@pytest.mark.parametrize("dark", [True, False])
+def test_names_are_read_upon_the_part_and_beside_it_poked_or_not(view, dark):
+    view.set_dark(dark)
+    aside = Landmark("outside", np.array([0.055, 0.0, 0.0]), UP)
+    show(view, session(1, (HEAD, CORNER, aside), {1: "head"}, ("low",)))
+    picture = pixels(view)
+    for actor in stage_of(view).landmarks.names[:3]:
+        x, low = actor.GetPosition()
+        words = around(picture, (x, view.height() - low), 6).reshape(-1, 3)
+        dim, bright = np.sort(luminance(words))[[3, -4]]
+        assert (bright + 0.05) / (dim + 0.05) >= 4.5, actor.GetInput()
+
+
+@pytest.mark.parametrize("push", [(0.0, 0.0, -1.0), (-0.6, 0.0, -0.8), (0.6, 0.0, -0.8), (0.0, 0.6, -0.8)])
+def test_names_keep_clear_of_ring_and_arrow_and_the_target_of_its_own(view, push):
+    stage_of(view).turner.wanted = False
+    close = replace(HEAD, name="close", place=HEAD.place + np.array([0.004, 0.0, 0.0]))
+    for landmark, channel in (("head", None), ("", 3)):
+        wanted = Target(channel, HEAD.place, UP, np.array(push), 0.0, np.inf, 0.0, landmark=landmark)
+        show(view, session(1, (HEAD, CORNER, close)), wanted)
+        settle()
+        stage = stage_of(view)
+        assert bool(stage.target.label.GetVisibility()) is (channel is not None)
+        words = [*stage.landmarks.names[:3], *([stage.target.label] if channel is not None else [])]
+        at = np.array([actor.GetPosition() for actor in words])
+        ring, *shaft = stage.target.boxes[:7]
+        for middle in at:
+            for covered in (ring, *shaft):
+                assert not ((covered[:2] < middle) & (middle < covered[2:])).all()
+        apart = np.abs(at[:, None] - at) + 100.0 * np.eye(len(at))[..., None]
+        assert (apart.max(axis=-1) > 12.0).all(), "nor do they stand on each other"
+        if channel is not None:
+            assert stage.target.label.GetInput() == "10-03"
+
+
 def test_what_lies_behind_the_part_is_left_out_until_the_part_is_turned(view):
     below = Landmark("below", np.array([0.0, 0.0, -0.02]), -UP)
     show(view, session(1, ()))

@@ -13,12 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from app import theme
 from app.scene3d import offscreen
 from app.scene3d.camera import PLAIN, Sight
-from app.scene3d.scene_state import HUES, LIGHT, StaticScene, module_hues, shade
+from app.scene3d.scene_state import HUES, LIGHT, StaticScene, Tint, module_hues, shade
 from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Layout, Module
+from skincal.studies.figures import LOOKS
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, estimate, laid, layout, scene
 
@@ -163,6 +165,13 @@ def test_seven_modules_have_seven_hues_and_the_eighth_repeats_the_first():
     np.testing.assert_array_equal(hues[7], hues[0])
 
 
+def test_a_method_has_one_colour_in_window_3d_view_and_figures():
+    for method in Method:
+        hue = theme.LIGHT.methods[method.value]
+        assert LOOKS[method.value].colour == hue
+        assert "#{:02X}{:02X}{:02X}".format(*LIGHT.tints[Tint(method.value)]) == hue
+
+
 def test_importing_the_view_loads_no_drawing_library():
     script = (
         "import sys, app.scene3d.view, app.headless\n"
@@ -178,6 +187,7 @@ from pathlib import Path
 sys.path[:0] = {path!r}
 from tests.app.scene3d_support import box, estimate, laid, layout, scene, snapshot
 from app.scene3d.offscreen import picture
+from skincal.studies.figures import LOOKS
 from skincal.taxels.result import Method
 plan = layout()
 session = snapshot(1, {{3: estimate(3, (-0.018, 0.02, 0.01))}})

@@ -190,3 +190,44 @@ def test_a_device_that_was_silent_for_longer_than_the_window_is_dated_on(pause, 
     for k in range(1, 200):
         made = clock.map(later + k * 0.02, 10.0 + later + k * 0.02)
     assert made == pytest.approx(10.0 + later + 199 * 0.02, abs=1e-6)
+
+
+STEPS = st.sampled_from([1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.1, 0.3, -0.002, -0.3, -0.7, 0.9, 5.0])
+"""s, from one device stamp to the next: mostly the pace, now and then a pause, a small step back, or a clock that jumps."""
+DELAYS = st.sampled_from([0.0, 1e-4, 2e-3, 0.016, 0.2, 0.45, 1.5])
+
+
+@given(st.lists(st.tuples(st.lists(STEPS, min_size=1, max_size=40), DELAYS), min_size=1, max_size=25))
+def test_readings_that_arrive_together_are_mapped_as_one_by_one_to_the_last_bit(batches):
+    """Whatever the clock did before, and whatever it does within a batch, `map_steady` takes a part that `map` need not."""
+    together, alone = HullClock(), HullClock()
+    device, arrival = 7.0, 1000.0
+    steady = 0
+    for steps, delay in batches:
+        stamps = (device + np.cumsum(steps)).tolist()
+        arrival += max(sum(steps), 1e-3) + delay
+        expected = [alone.map(stamp, arrival) for stamp in stamps]
+        made: list[float] = []
+        while len(made) < len(stamps):
+            some = together.map_steady(stamps[len(made) :], arrival)
+            steady += len(some)
+            made += some or [together.map(stamps[len(made)], arrival)]
+        assert made == expected
+        device = stamps[-1]
+    assert vars(together) == vars(alone), "and what comes after finds the same clock"
+
+
+def test_a_steady_stream_is_mapped_together_but_for_the_ends_of_buckets():
+    rng, clock, alone = np.random.default_rng(5), HullClock(), 0
+    device = 3.0 + np.arange(20_000) * 1e-3
+    for batch in np.split(device, 1250):
+        arrival = 500.0 + batch[-1] + rng.exponential(2e-3)
+        stamps = batch.tolist()
+        while stamps:
+            made = clock.map_steady(stamps, arrival)
+            if not made:
+                clock.map(stamps[0], arrival)
+                alone += 1
+            stamps = stamps[len(made) or 1 :]
+    # One a bucket of a quarter of a second.
+    assert alone <= 20.0 / 0.25 + 2

@@ -15,7 +15,7 @@ from skincal.methods import estimate_from, estimate_taxels
 from skincal.simulate.benches import SHAPES, Bench
 from skincal.studies import alternatives, runtime
 from skincal.studies.alternatives import closest_in_triangles
-from skincal.studies.figures import write_figure
+from skincal.studies.figures import time_ticks, write_figure
 from skincal.studies.measuring import at_rest, quartiles, time_words, timed
 from skincal.studies.runtime import main_rows, positions_of, runtime_bars, summary, touching
 from skincal.taxels.contact_table import ContactTable
@@ -270,6 +270,22 @@ def test_a_spread_is_a_median_with_its_quartiles():
 )
 def test_a_time_is_told_in_the_unit_that_suits_it(ms, words):
     assert time_words(ms) == words
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.07, 0.4, ["100 \N{MICRO SIGN}s", "200 \N{MICRO SIGN}s"]),
+        (30.0, 2e4, ["100 ms", "1 s", "10 s"]),
+        (4e4, 4e7, ["1 min", "10 min", "1 h", "10 h"]),
+        (0.9, 7e4, ["1 ms", "10 ms", "100 ms", "1 s", "10 s", "1 min"]),
+        (6e6, 4e7, ["2 h", "5 h", "10 h"]),
+    ],
+)
+def test_ticks_of_time_are_round_and_few(low, high, words):
+    ticks = time_ticks(low, high)
+    assert list(ticks.values()) == words
+    assert all(low <= time <= high for time in ticks)
 
 
 def test_a_poke_of_the_live_study_touches_seven_taxels_of_one_neighbourhood():
