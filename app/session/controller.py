@@ -303,8 +303,19 @@ class Controller(QObject):
         guidance : what is asked for from now on; None where nobody guides
         """
         self._ask_landmark("" if guidance is None or guidance.landmark is None else guidance.landmark.landmark.name)
+        self._begin_closing(guidance)
         if self._server is not None:
             self.ask(operator_target(guidance, self.running))
+
+    def _begin_closing(self, guidance: Guidance | None) -> None:
+        """Record that some of the first places are asked for once more, when the first of them is."""
+        recording = self._recording
+        if recording is None or self.running is not Running.STREAMING or guidance is None or guidance.closing is None:
+            return
+        if recording.pipeline.session.closing_after is None:
+            from skincal.model.actions import BeginClosing
+
+            recording.pipeline.act(BeginClosing(), time.monotonic_ns())
 
     def _ask_landmark(self, name: str) -> None:
         recording = self._recording

@@ -108,6 +108,11 @@ class AskLandmark:
 
 
 @dataclass(frozen=True, slots=True)
+class BeginClosing:
+    """Ask for some of the first places once more: pokes from now on show whether anything moved (`skincal.rig.closing`)."""
+
+
+@dataclass(frozen=True, slots=True)
 class Correct:
     """Use a correction of what the rig reports, in place of one of its kind; the numbers travel with it, SI units."""
 
@@ -153,6 +158,7 @@ Action: TypeAlias = (
     | FoundAtLandmark
     | MissedLandmark
     | AskLandmark
+    | BeginClosing
     | Correct
     | Uncorrect
 )
@@ -179,6 +185,7 @@ _KINDS: dict[str, type[Action]] = {
     "found_at_landmark": FoundAtLandmark,
     "missed_landmark": MissedLandmark,
     "ask_landmark": AskLandmark,
+    "begin_closing": BeginClosing,
     "correct": Correct,
     "uncorrect": Uncorrect,
 }
