@@ -187,7 +187,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
 def _closing_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
     """Return whether anything moved since the session began, where that was checked."""
     from skincal.sentences import closing_sentence
-    from skincal.session.closing import closing_of
+    from skincal.session.closing_pokes import closing_of
 
     closing = closing_of(snapshot, scene.noise)
     return [] if closing is None else [closing_sentence(closing)]

@@ -24,7 +24,7 @@ from skincal.rig.closing import FEWEST, PLACES
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
-from skincal.session.closing import at_landmarks, at_taxels, closing_of, first_names
+from skincal.session.closing_pokes import at_landmarks, at_taxels, closing_of, first_names
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot

@@ -335,7 +335,7 @@ class Session:
     def calibration(self) -> Calibration:
         """Return what the calibration files are written from."""
         from skincal.files.calibration import Calibration
-        from skincal.session.closing import closing_of
+        from skincal.session.closing_pokes import closing_of
 
         snapshot = self.snapshot()
         estimates = snapshot.estimates

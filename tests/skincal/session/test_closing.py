@@ -15,7 +15,7 @@ from skincal.journal.writer import create_session
 from skincal.model.actions import BeginClosing, FoundAtLandmark, from_json, to_json
 from skincal.rig.closing import ClosingPlaces, closing_check
 from skincal.sentences import closing_sentence
-from skincal.session.closing import at_taxels, closing_of
+from skincal.session.closing_pokes import at_taxels, closing_of
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.pipeline import Pipeline
