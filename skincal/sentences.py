@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from skincal.model.actions import MissedLandmark
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -92,6 +93,11 @@ def closing_sentence(closing: Closing) -> str:
         return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
     return f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and poke again."
+
+
+def missed_words(missed: MissedLandmark) -> str:
+    """Return how far a poke passed the landmark that was asked for: `"passes wrist, top at 52 mm, at most 34 mm"`."""
+    return f"passes {missed.name} at {missed.miss * 1e3:.0f} mm, at most {missed.limit * 1e3:.0f} mm"
 
 
 def misfit_sentence(misfit: Misfit) -> str:

@@ -188,6 +188,19 @@ def test_a_poke_that_passes_the_landmark_too_far_is_a_rejection_with_its_number(
     assert snapshot.can_undo == approved("landmark.undo_poke", poke=3, name="head"), "it is no step of its own"
 
 
+def test_record_says_how_far_it_passed(scene, capsys):
+    items, orders = far_and_near(scene, (POINT, FAR, POINT))
+    queued = queue.SimpleQueue()
+    queued.put(OrderLine(orders[0].host_ns, json.dumps(to_json(orders[0].action)).encode()))
+    for item in items:
+        queued.put(item)
+    pipeline = Pipeline(scene, LINKS, None)
+    _loop(pipeline, queued, {}, (None, None), threading.Event())
+    (missed,) = pipeline.snapshot().missed_landmarks.values()
+    said = approved("landmark.missed", name="head", seen=f"{missed.miss * 1e3:.0f}", most=f"{missed.limit * 1e3:.0f}")
+    assert f"poke 2: {said}\n" in capsys.readouterr().err
+
+
 def test_the_operator_knows_better(scene):
     pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (POINT, FAR)))
     pipeline.act(AtLandmark(2, "head"), 10**18)
