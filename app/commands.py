@@ -41,8 +41,9 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
         ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
-        ("reference", "Compare with...", "Ctrl+R", "Show the error against a truth.json or an iCub position file"),
+        ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),
         ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
+        ("report", "Report...", "Ctrl+Shift+E", "Write what the session came to as one file for the browser and for paper"),
         ("picture", "Save 3D picture...", "Ctrl+P", "Write the 3D view as it stands"),
         ("pace", "Pace of the simulated operator", "Shift+P", "Once, twice or four times as quick as a careful hand"),
         ("quit", "Quit", "Ctrl+Q", "Everything recorded is on the disk already"),
@@ -83,13 +84,23 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("none", "Select nothing", "Esc", "Dismiss the message, or the selection"),
         ("full", "Full screen", "F11", ""),
     ),
+    "Layers": (
+        ("modules", "Plan of the skin", "Ctrl+1", "Outlines, numbers and places as the layout has them"),
+        ("estimates", "Estimates", "Ctrl+2", "A ball for each taxel, with a hole where it lies below the skin"),
+        ("axes", "Force axes", "Ctrl+3", "Of the poke in progress, and of the selected taxel's pokes"),
+        ("uncertainty", "Ellipses", "Ctrl+4", "Where the worst taxel and the selected one may lie, at 95 %"),
+        ("landmarks", "Landmarks", "Ctrl+5", "Known points of the part, with their names"),
+        ("cone", "Cone of the target", "Ctrl+6", "How far a push may be off the arrow"),
+    ),
     "Help": (
         ("what", "What is this?", "F1", "Then click what you want explained"),
         ("keys", "Keys", "F2", "Every key in one list"),
     ),
 }
 """For each menu: name, text, keys and hint of each entry."""
-_CHECKABLE = ("difference", "guide", "sounds", "speech", "turn", "full")
+LAYERS = tuple(name for name, *_ in _MENUS["Layers"])
+"""What the 3D view can leave out, by the names that it knows."""
+_CHECKABLE = ("difference", "guide", "sounds", "speech", "turn", "full", *LAYERS)
 COMMANDS = tuple(
     Command(name, menu, text.replace("...", "\N{HORIZONTAL ELLIPSIS}"), tuple(keys.split()), hint, name in _CHECKABLE)
     for menu, entries in _MENUS.items()
@@ -185,6 +196,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
+            ("report", may.verdict),
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),

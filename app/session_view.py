@@ -18,7 +18,7 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, Qt, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from app.commands import Commands
+from app.commands import LAYERS, Commands
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
@@ -35,20 +35,21 @@ from app.panels.widgets import FittedLabel, theme_colours
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
+from app.state.place_sets import PlaceOrigin, Source
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
 from app.text.guidance_text import early_words
-from app.text.message import Message
+from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
-from app.text.rig_text import corrected_words, offer_news, offer_text
-from app.text.verdict_text import rig_state
+from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.theme import GAP
 from app.units import ChannelNames
 from skincal.files.calibration import landmark_check
+from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Redo, Restore, Revive, SetPose, Uncorrect, Undo
@@ -62,9 +63,10 @@ from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference
+    from skincal.files.reference import PlaceSet, Reference
     from skincal.modules.health import LayoutMend
 
+KINDS_OF_PLACES = "Known places (*.json *.csv *.txt *.ini);;All files (*)"
 VERDICT_MS = 3000
 """The demo's line says *enough* for so long before the verdict comes by itself."""
 LATE_S = 0.3
@@ -296,6 +298,8 @@ class SessionView(QObject):
         workspace.method_chosen.connect(self.show_method)
         workspace.inspect.poke_wanted.connect(self.select_poke)
         workspace.compare.layout_wanted.connect(self.ask_layout)
+        workspace.compare.file_wanted.connect(self.ask_places)
+        workspace.compare.session_wanted.connect(self.ask_session_places)
         workspace.tabs.currentChanged.connect(self._tab_opened)
         workspace.error_course.source_chosen.connect(self.follow_again)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
@@ -474,6 +478,11 @@ class SessionView(QObject):
         """Turn the camera to the target between pokes, or do not."""
         self.workspace.view.set_turning(self._commands.actions["turn"].isChecked())
 
+    def show_layers(self) -> None:
+        """Show the layers of the 3D view that are wanted."""
+        hidden = (name for name in LAYERS if not self._commands.actions[name].isChecked())
+        self.workspace.view.hide_layers(frozenset(hidden))
+
     def skip_target(self) -> None:
         """Ask for another target."""
         self.guide.skip()
@@ -581,6 +590,7 @@ class SessionView(QObject):
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)
         dialog.taxel_wanted.connect(self.select_taxel)
         dialog.export_wanted.connect(lambda: self.ask_export(parent))
+        dialog.report_wanted.connect(lambda: self.ask_report(parent))
         dialog.open()
 
     def ask_export(self, parent: QWidget) -> None:
@@ -601,6 +611,34 @@ class SessionView(QObject):
         dialog.write_requested.connect(write)
         dialog.open()
 
+    def ask_report(self, parent: QWidget) -> None:
+        """Ask for a file, write the session's report there, and say where it is or why it is not."""
+        name = str(self._folder() / f"{self.workspace.part.scene.name}-report.html")
+        chosen, _ = QFileDialog.getSaveFileName(parent, "Write the report", name, "Report (*.html)")
+        if chosen:
+            path = Path(chosen) if Path(chosen).suffix else Path(chosen).with_suffix(".html")
+            self.said.emit(Message(REPORTING, found=True))
+            done: Callable[[str], None] = lambda verdict: self.said.emit(Message(report_words(path, verdict)))  # noqa: E731
+            self._controller.report(path, self.method, done, self._say_failure)
+
+    def ask_places(self) -> None:
+        """Ask for a file of places, and compare with it."""
+        path, _ = QFileDialog.getOpenFileName(self.workspace, "Compare with a file", str(self._folder()), KINDS_OF_PLACES)
+        if path:
+            self._controller.find_places(Path(path), self._take_places)
+
+    def ask_session_places(self) -> None:
+        """Ask for the folder of another session, and compare with it."""
+        path = QFileDialog.getExistingDirectory(self.workspace, "Compare with a session", str(self._folder()))
+        if path:
+            self._controller.find_places(Path(path), self._take_places)
+
+    def _take_places(self, sets: tuple[PlaceSet, ...]) -> None:
+        """Offer sets of places in the panel that compares; the first is chosen."""
+        for found in reversed(sets):
+            source = Source(PlaceOrigin.OTHER, name=found.name)
+            self.workspace.compare.offer(source, found.places, choose=found is sets[0])
+
     def _early_words(self) -> tuple[str, ...]:
         """Return that it is not enough yet, where it is not: a file says nothing of what was not poked."""
         guidance = self._guidance
@@ -610,8 +648,7 @@ class SessionView(QObject):
 
     def ask_reference(self, parent: QWidget) -> None:
         """Ask for a file with known places of the taxels, and show the error against it."""
-        kinds = "Known places (*.json *.txt *.ini);;All files (*)"
-        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(self._folder()), kinds)
+        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(self._folder()), KINDS_OF_PLACES)
         if path:
             self.compare_with(Path(path))
 
@@ -653,6 +690,10 @@ class SessionView(QObject):
     def offer(self, reference: Reference) -> None:
         """Compare estimates with it, where the panel of errors is open."""
         self.course.offer(reference)
+        source = (
+            Source(PlaceOrigin.TRUTH) if reference.origin is Origin.TRUTH else Source(PlaceOrigin.OTHER, name=reference.name)
+        )
+        self.workspace.compare.offer(source, reference.places)
         self.workspace.error_course.show_sources()
         self.follow_again()
 
@@ -688,6 +729,9 @@ class SessionView(QObject):
         self._commands.actions["guide"].setChecked(self.guide.wanted)
         self._commands.actions["turn"].setChecked(bool(settings.value("window/turn", True, type=bool)))
         self.show_turning()
+        for name in LAYERS:
+            self._commands.actions[name].setChecked(bool(settings.value(f"layers/{name}", True, type=bool)))
+        self.show_layers()
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
         self._follow()
@@ -701,6 +745,8 @@ class SessionView(QObject):
         self.workspace.error_course.save(settings)
         settings.setValue("window/guide", self.guide.wanted)
         settings.setValue("window/turn", self._commands.actions["turn"].isChecked())
+        for name in LAYERS:
+            settings.setValue(f"layers/{name}", self._commands.actions[name].isChecked())
         settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
 
     def close(self) -> None:

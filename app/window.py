@@ -26,7 +26,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.commands import Commands, key_words
+from app.commands import LAYERS, Commands, key_words
 from app.dialogs.pedals import Pedals
 from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
@@ -165,6 +165,7 @@ class Window(QMainWindow):
             "open": self.ask_session,
             "keep": self.controller.keep,
             "export": self._of_session(lambda view: view.ask_export(self)),
+            "report": self._of_session(lambda view: view.ask_report(self)),
             "reference": self._of_session(lambda view: view.ask_reference(self)),
             "picture": self._of_session(lambda view: view.ask_picture(self)),
             "pace": self._change_pace,
@@ -187,6 +188,7 @@ class Window(QMainWindow):
             "sounds": self._switch_sounds,
             "speech": self._switch_sounds,
             "turn": self._of_session(lambda view: view.show_turning()),
+            **dict.fromkeys(LAYERS, self._of_session(lambda view: view.show_layers())),
             "camera": self._of_session(lambda view: view.workspace.view.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,

@@ -26,15 +26,15 @@ from app.session.opening import (
 )
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
-from app.text.message import STILL_SOLVING, Message, kept_old_words, kept_words, refused_words
+from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from app.workers.processes import ProcessService, ReviewClient
+    from app.workers.processes import JobService, ProcessService, ReviewClient
     from skincal.files.calibration import LandmarkCheck
-    from skincal.files.reference import Reference
+    from skincal.files.reference import PlaceSet, Reference
     from skincal.guide.guidance import Guidance
     from skincal.model.actions import Action
     from skincal.session.part import Part
@@ -160,6 +160,8 @@ class Controller(QObject):
         """Copies recordings that are kept, and ends them, in that order; each is waited for, also as the window closes."""
         self._processes: ProcessService | None = None
         """Made with the first review."""
+        self._jobs: JobService | None = None
+        """Made with the first job."""
         self._news = False
         """The background brought something that is not shown yet."""
         self._server: DeviceProcess | None = None
@@ -208,6 +210,8 @@ class Controller(QObject):
     def _release(self) -> None:
         """Let go of what is open; its end takes too long for the window and happens in the background."""
         self._threads.renew()
+        if self._jobs is not None:
+            self._jobs.renew()
         server, self._server = self._server, None
         if server is not None:
             server.release()
@@ -249,6 +253,8 @@ class Controller(QObject):
             self._reviewing = None
         if self._processes is not None:
             self._processes.close()
+        if self._jobs is not None:
+            self._jobs.close()
         self._threads.close()
         if not ended and storage is not None:
             storage.finish()
@@ -554,10 +560,41 @@ class Controller(QObject):
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            older = (kept_old_words(path),) if path.exists() else ()
-            return (*write_calibration(calibration, format_, path, method), *older)
+            return write_calibration(calibration, format_, path, method)
 
         self.compute(write, done, failed)
+
+    def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:
+        """Write the report of what is recorded, in a process of its own.
+
+        Parameters
+        ----------
+        done : gets the verdict
+        failed : gets why there is no report
+        """
+        if self._recording is None:
+            return
+        from app.workers.processes import report_job
+
+        # What is still buffered is in no file that could be read.
+        self._recording.pipeline.sync()
+        self._start_job(report_job, (self._recording.storage.folder, path, method), done, failed)
+
+    def find_places(self, path: Path, done: Callable[[tuple[PlaceSet, ...]], None]) -> None:
+        """Read the places in a file or another session, in a process of its own, and hand them to `done`."""
+        from app.workers.processes import places_job
+
+        if self._part is not None:
+            scene, channels = self._part.scene, self._part.channels.tolist()
+            self._start_job(places_job, (path, scene.link, channels), done, self._say_failure)
+
+    def _start_job(
+        self, job: Callable[..., Any], arguments: tuple[Any, ...], done: Callable[[Any], None], failed: Callable[[str], None]
+    ) -> None:
+        from app.workers.processes import JobService
+
+        self._jobs = self._jobs or JobService(self)
+        self._jobs.submit(job, arguments, done, failed)
 
     def compute(
         self,

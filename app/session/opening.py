@@ -5,7 +5,6 @@ No Qt. What takes long runs beside the window; the imports stand inside the func
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,9 +69,9 @@ def server_command(scene: Path | None) -> tuple[str, ...]:
     Its operator pokes what the window asks for (`DeviceProcess.tell`).
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
-    # -P: nothing that lies in the working folder is imported.
-    simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
-    return (*simulate, "--scene", name, "--json")
+    # A frozen program takes the commands itself. -P: nothing that lies in the working folder is imported.
+    program = () if getattr(sys, "frozen", False) else ("-P", "-m", "skincal.cli")
+    return (sys.executable, *program, "simulate", "--serve", "--tcp", "--operator", "guided", "--scene", name, "--json")
 
 
 def rig_again(folder: Path, run: int) -> tuple[str, ...]:
@@ -84,11 +83,12 @@ def rig_again(folder: Path, run: int) -> tuple[str, ...]:
     """
     from skincal.files.reference import RIG_KEY, TRUTH_NAME
     from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
+    from skincal.model.given import DOCUMENT_MOST, parse_json, read_regular
 
     try:
-        rig = json.loads((folder / TRUTH_NAME).read_text(encoding="utf-8"))[RIG_KEY]
+        rig = parse_json(read_regular(folder / TRUTH_NAME, DOCUMENT_MOST))[RIG_KEY]
         seed, errors = int(rig["seed"]), str(rig["errors"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (InputError, ValueError, KeyError, TypeError):
         return ()
     if seed < 0 or errors not in ("none", "noise", "paper"):
         return ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+REPORTING = "The report is being written; it is said when it is there."
 STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
 
 
@@ -31,9 +32,9 @@ def kept_words(folder: Path) -> str:
     return f"This session is kept in {folder}; what is recorded from now on is added when the window closes."
 
 
-def kept_old_words(path: Path) -> str:
-    """Return what is said where a file took the place of an older one."""
-    return f"The file that was there before is kept as {path.name}.bak."
+def report_words(path: Path, verdict: str) -> str:
+    """Return where a report is, and its verdict."""
+    return f"The report is in {path}. {verdict}"
 
 
 def keep_question(pokes: int) -> tuple[str, str]:

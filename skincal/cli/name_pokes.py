@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -13,6 +14,7 @@ from typer.core import TyperCommand
 
 from skincal.cli.calibrate import Json, SessionArgument
 from skincal.model.errors import InputError, plural
+from skincal.model.given import TEXT_MOST, read_regular
 
 if TYPE_CHECKING:
     from skincal.contacts.outcome import Outcome
@@ -146,9 +148,9 @@ def _number(text: str, where: str) -> int:
 def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
     """Return what each row of a file says."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = [(number, [field.strip() for field in row]) for number, row in enumerate(csv.reader(file), 1) if any(row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        file = StringIO(read_regular(path, TEXT_MOST).decode("utf-8-sig"), newline="")
+        lines = [(number, [field.strip() for field in row]) for number, row in enumerate(csv.reader(file), 1) if any(row)]
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read ({error}); expected a CSV file.") from None
     header = lines[0][1] if lines else []
     if header not in HEADERS:

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.knowledge import offset_square, row_precision
 from skincal.guide.poke_history import PokeAxis
 from skincal.mesh.search import nearest_to_rows
 from skincal.mesh.surface import Surface, near_pairs
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import across
+from skincal.taxels.noise import offset_square, row_precision
 
 AZIMUTHS = 8
 """Directions around the normal that are tried."""

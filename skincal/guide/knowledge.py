@@ -20,6 +20,7 @@ from skincal.mesh.lay import LaidSkin
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Layout
 from skincal.taxels.contact_table import Evidence, across
+from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import Estimate
 
 
@@ -147,40 +148,15 @@ def _last_own(evidence: Evidence) -> IntArray:
     return last
 
 
-def offset_square(weights: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Return (n,) how far contacts of weight k are beside their taxel in each direction, m^2 (`contacts.h`)."""
-    return noise.contact**2 - noise.reach**2 * np.log(weights)
-
-
 def information(
     pairs: FloatArray, lever: FloatArray, forces: FloatArray, offsets: FloatArray, noise: NoiseSettings
 ) -> FloatArray:
     """Return (n, 3, 3) what each contact says of its taxel's place, E' D^-1 E, 1/m^2.
 
-    D is a contact's noise in its two rows (`sensor_noise` of `contacts.h`), its offset taken in both.
-
-    Parameters
-    ----------
-    pairs : (n, 2, 3) float: e_1 and e_2 across the push
-    lever : (n, 3) float, metres, from the sensor's origin to the taxel
-    forces : (n,) float, N
-    offsets : (n,) float, m^2: `offset_square`
+    Parameters and D are those of `row_precision`.
     """
     inverse = row_precision(pairs, lever, forces, offsets, noise)
     return pairs.transpose(0, 2, 1) @ inverse @ pairs
-
-
-def row_precision(
-    pairs: FloatArray, lever: FloatArray, forces: FloatArray, offsets: FloatArray, noise: NoiseSettings
-) -> FloatArray:
-    """Return (n, 2, 2) D^-1, 1/m^2; else as `information`."""
-    relative = noise.force / forces
-    even = (noise.moment / forces) ** 2 + relative**2 * np.sum(lever * lever, axis=1) + offsets
-    along = (pairs @ lever[:, :, None])[:, :, 0]
-    less = relative[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
-    # (even I - l l')^-1 = (I + l l'/(even - l'l)) / even.
-    rest = even - np.sum(less * less, axis=1)
-    return (np.eye(2) + less[:, :, None] * less[:, None] / rest[:, None, None]) / even[:, None, None]
 
 
 def diversity(evidence: Evidence) -> FloatArray:

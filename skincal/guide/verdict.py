@@ -27,7 +27,6 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
-from skincal.guide.knowledge import offset_square, row_precision
 from skincal.guide.progress import GuideSettings, Need, Why, worked
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_squares
@@ -36,6 +35,7 @@ from skincal.modules.pose_fit import fit_poked
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
+from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.taxels.solve import Solution, solve

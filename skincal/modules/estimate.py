@@ -26,17 +26,20 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
+from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import NO_RANK, Fitted, Touches, fit_poked, whitened
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
-from skincal.taxels.shared_errors import Pulls, SharedRows, with_shared
+from skincal.taxels.shared_errors import Pulls, SharedRows, variance_factors, with_shared
 
 MOVING_MAX = 2e-4
 """m: a pose whose search still takes longer steps after its last is not known. Over an edge of a mesh it goes to and fro by
 micrometres; without a surface, from few pokes, by up to centimetres."""
 UNDETERMINED = 1e-6
 """Share of a direction that pokes do not determine above which a pad's place moves with it; below it is rounding."""
+ON_SURFACE = 3
+"""Unknowns of a module that is laid on a surface, from which it may lie apart."""
 OTHERS = 2
 """Other pokes of its module that a poke needs: one predicts nothing of how a module is turned."""
 
@@ -167,17 +170,24 @@ def _carried(
     misses = fitted.trust[order, None] * np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
     pokes = evidence.pokes[at]
     ordered = Pulls(begins, pokes, evidence.poses[at], pairs, misses, pulls, held, rows.normals[order])
+    squares = np.sum(rows.misses[order] ** 2, axis=1)
+    factors = variance_factors(squares, fitted.trust[order], begins, slopes.shape[2])
     added, gradients = ordered.covariances(noise.skin), fitted.pads.gradients
+    errors = None if shared is None else shared(pokes, places, pairs)
     moves: FloatArray | None = None
-    if shared is not None:
-        moves, of_poses = ordered.moves(shared, places)
+    if errors is not None:
+        moves, of_poses = ordered.moves(*errors)
         added = added + of_poses
     pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
     known = [estimate for estimate in estimates if estimate.position is not None]
     pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)
     of, gradient = fitted.of[pads], gradients[pads]
     more = gradient @ added[of] @ gradient.transpose(0, 2, 1)
-    found = with_shared(known, more, None if moves is None else gradient @ moves[of]) if known else []
+    if gradients.shape[2] == ON_SURFACE:
+        beside = off_surface_variances(ordered, rows, order, fitted.trust[order], factors, noise.skin, errors)[of, None, None]
+        outward = fitted.pads.normals[pads]
+        more = more + beside * outward[:, :, None] * outward[:, None]
+    found = with_shared(known, factors[of], more, None if moves is None else gradient @ moves[of]) if known else []
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 

@@ -26,6 +26,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable, Evidence, across
+from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import Estimate, Method
 
 SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -38,6 +39,24 @@ SLOW = 30
 """Pokes that share what changes slowly, about a minute of work: drift of the sensor, an arm that creeps."""
 NEAR = SLOW // 2
 """Pokes at most this far from each other say how much of that there is."""
+
+
+def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, unknowns: int) -> FloatArray:
+    """Return (g,) how many times larger the variances of g groups of pokes are than the scene's noise has them, at least 1.
+
+    The mean square of a group's misses, in standard deviations, less its standard error by the scene's noise: where few pokes
+    tell, little is seen.
+
+    Parameters
+    ----------
+    squares : (m,) float: squared misses of pokes, two numbers each, in standard deviations
+    trust : (m,) float, 0 to 1, of the pokes
+    starts : (g,) where each group begins
+    unknowns : of each group
+    """
+    found, count = np.add.reduceat(trust * squares, starts), 2.0 * np.add.reduceat(trust, starts)
+    free = np.maximum(count - unknowns, 1.0)
+    return np.maximum(found / free - np.sqrt(2.0 / free), 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,14 +94,11 @@ class Pulls:
         inverse = self.inverse()
         return inverse @ added @ inverse
 
-    def moves(self, shared: SharedRows, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def moves(self, alike: FloatArray, of_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (g, d, n) how errors that all pokes share move the unknowns, and (g, d, d) the covariance by those of poses.
 
-        Parameters
-        ----------
-        places : (m, 3) float, metres, link frame: what the pokes touch
+        `alike` (m, 2, n) and `of_pose` (m, 2, k) are what `SharedRows` gives of the pokes.
         """
-        alike, of_pose = shared(self.pokes, places, self.pairs)
         of, inverse = self._of(), self.inverse()
         _, first, pose = np.unique(of * (self.poses.max() + 1) + self.poses, return_index=True, return_inverse=True)
         # By group, then by the first poke in the pose: the poses' numbers are those of a table that knows more of them.
@@ -156,10 +172,20 @@ def carried(
         inside = inside + biases @ biases.transpose(0, 2, 1)
     moves: FloatArray | None = None
     if shared is not None:
-        alike, of_poses = ordered.moves(shared, places)
+        alike, of_poses = ordered.moves(*shared(ordered.pokes, places, ordered.pairs))
         moves, inside = outward @ alike, inside + of_poses
-    found = {estimate.channel: estimate for estimate in with_shared(known, outward @ inside @ free, moves)}
+    factors = _factors(evidence, trust, np.array([estimate.position for estimate in known])[of], noise, free.shape[1])
+    found = {estimate.channel: estimate for estimate in with_shared(known, factors, outward @ inside @ free, moves)}
     return [found.get(estimate.channel, estimate) for estimate in estimates]
+
+
+def _factors(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: NoiseSettings, unknowns: int) -> FloatArray:
+    """Return (t,) the `variance_factors` of taxels whose answers' are at `places` (n, 3), metres."""
+    pairs, lever, offsets = evidence.pairs, places - evidence.sensors, offset_square(evidence.weights, noise)
+    precision = row_precision(pairs, lever, evidence.forces, offsets, noise)
+    off = np.sum(pairs * (evidence.nearest - places)[:, None], axis=2)
+    squares = np.sum(off * np.sum(precision * off[:, None], axis=2), axis=1)
+    return variance_factors(squares, trust, evidence.starts[:-1], unknowns)
 
 
 def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
@@ -172,15 +198,19 @@ def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
     return trust
 
 
-def with_shared(estimates: Sequence[Estimate], added: FloatArray, moves: FloatArray | None) -> list[Estimate]:
+def with_shared(
+    estimates: Sequence[Estimate], factors: FloatArray, added: FloatArray, moves: FloatArray | None
+) -> list[Estimate]:
     """Return n estimates that have a position with more covariance.
 
     Parameters
     ----------
+    factors : (n,) by how much their own variances are larger
     added : (n, 3, 3) float, m^2
     moves : (n, 3, k) float, metres: how errors that all taxels share move them; None without any
     """
-    covariances = np.array([estimate.covariance for estimate in estimates]).reshape(-1, 3, 3) + added
+    covariances = np.array([estimate.covariance for estimate in estimates]).reshape(-1, 3, 3)
+    covariances = factors[:, None, None] * covariances + added
     if moves is not None:
         covariances = covariances + moves @ moves.transpose(0, 2, 1)
     values, axes = np.linalg.eigh(covariances)

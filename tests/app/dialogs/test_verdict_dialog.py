@@ -14,18 +14,18 @@ from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest
 from app.state.policies import Offer
-from app.text.verdict_text import (
+from app.text.rig_text import rig_state
+from skincal.guide.progress import Need, Why
+from skincal.guide.verdict import Check, Left, Verdict
+from skincal.guide.verdict_words import (
     check_words,
     done_words,
     figures,
     landmark_words,
     left_words,
     predicted_words,
-    rig_state,
     sentence,
 )
-from skincal.guide.progress import Need, Why
-from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from skincal.guide import candidates
-from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed, diversity, offset_square
+from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed, diversity
 from skincal.guide.progress import Facts, GuideSettings, Need, needs
 from skincal.mesh.surface import near_pairs
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.noise import offset_square
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 from skincal.taxels.solve import solve
 from tests.skincal.taxels.test_solve_uncertainty import pokes, sensor_pose

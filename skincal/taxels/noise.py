@@ -1,0 +1,34 @@
+"""The noise of a poke's two rows, as the scene says: where its axis passes the taxel that answered (`contacts.h`)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.scene import NoiseSettings
+
+
+def offset_square(weights: FloatArray, noise: NoiseSettings) -> FloatArray:
+    """Return (n,) how far contacts of weight k are beside their taxel in each direction, m^2 (`contacts.h`)."""
+    return noise.contact**2 - noise.reach**2 * np.log(weights)
+
+
+def row_precision(
+    pairs: FloatArray, lever: FloatArray, forces: FloatArray, offsets: FloatArray, noise: NoiseSettings
+) -> FloatArray:
+    """Return (n, 2, 2) D^-1, 1/m^2, with D a contact's noise in its two rows (`sensor_noise` there), its offset taken in both.
+
+    Parameters
+    ----------
+    pairs : (n, 2, 3) float: e_1 and e_2 across the push
+    lever : (n, 3) float, metres, from the sensor's origin to the taxel
+    forces : (n,) float, N
+    offsets : (n,) float, m^2: `offset_square`
+    """
+    relative = noise.force / forces
+    even = (noise.moment / forces) ** 2 + relative**2 * np.sum(lever * lever, axis=1) + offsets
+    along = (pairs @ lever[:, :, None])[:, :, 0]
+    less = relative[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    # (even I - l l')^-1 = (I + l l'/(even - l'l)) / even.
+    rest = even - np.sum(less * less, axis=1)
+    return (np.eye(2) + less[:, :, None] * less[:, None] / rest[:, None, None]) / even[:, None, None]
