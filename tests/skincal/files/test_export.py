@@ -177,7 +177,7 @@ def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
     assert said[0] == "free: " + approved("export.no_position", count=2, all=34, states="1 unseen, 1 blind")
     assert said[1].startswith(approved("export.last_row_dropped", channel=47))
     assert len(said) == 2
-    assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "p.txt", Method.FREE)[1:] == ()
+    assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "q.txt", Method.FREE)[1:] == ()
     assert (tmp_path / "p.txt").read_text().startswith("name               r_forearm\n")
 
 
