@@ -97,6 +97,8 @@ def closing_sentence(closing: Closing) -> str:
 
 def missed_words(missed: MissedLandmark) -> str:
     """Return how far a poke passed the landmark that was asked for: `"passes wrist, top at 52 mm, at most 34 mm"`."""
+    if missed.behind:
+        return f"pushes at another side than that of {missed.name}"
     return f"passes {missed.name} at {missed.miss * 1e3:.0f} mm, at most {missed.limit * 1e3:.0f} mm"
 
 

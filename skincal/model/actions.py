@@ -98,6 +98,8 @@ class MissedLandmark:
     """m, how far its axis passes the landmark..."""
     limit: float
     """m, ...and how far it may."""
+    behind: bool = False
+    """It pushed from another side of the part than the one on which the landmark is, however near its axis passes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +191,7 @@ _KINDS: dict[str, type[Action]] = {
     "correct": Correct,
     "uncorrect": Uncorrect,
 }
-_TYPES = {"str": str, "int": int, "float": float}
+_TYPES = {"str": str, "int": int, "float": float, "bool": bool}
 _LISTS = {f"tuple[{name}, ...]": kind for name, kind in _TYPES.items()}
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 
