@@ -37,11 +37,6 @@ def report_words(path: Path, verdict: str) -> str:
     return f"The report is in {path}. {verdict}"
 
 
-def kept_old_words(path: Path) -> str:
-    """Return what is said where a file took the place of an older one."""
-    return f"The file that was there before is kept as {path.name}.bak."
-
-
 def keep_question(pokes: int) -> tuple[str, str]:
     """Return what is asked before a temporary recording of so many pokes goes, and what follows from the answer."""
     number = f"{pokes} poke{'' if pokes == 1 else 's'}"

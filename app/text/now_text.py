@@ -34,7 +34,6 @@ from app.text.outcomes import (
     counted_words,
     landed_words,
     link_detail,
-    missed_words,
     peak_channel,
     verdict_detail,
     verdict_words,
@@ -43,6 +42,7 @@ from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
+from skincal.sentences import missed_words
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import Deed, DeedKind
 

@@ -19,11 +19,13 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
     from skincal.geometry import FloatArray
+    from skincal.model.scene import Scene
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
+    from skincal.session.snapshot import Snapshot
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Replay = Annotated[
@@ -108,7 +110,7 @@ def solve(
     leads = report.leading_name(snapshot.estimates)
     text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *module_lines]
+    text += [*rig_lines, *_closing_lines(snapshot, pipeline.session.scene), *module_lines]
     text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -172,6 +174,15 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
     layout = {"used": used, "changes": changes, "left": left_sentences(mend), "written": written}
     lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.module_model, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
+
+
+def _closing_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
+    """Return whether anything moved since the session began, where that was checked."""
+    from skincal.sentences import closing_sentence
+    from skincal.session.closing_pokes import closing_of
+
+    closing = closing_of(snapshot, scene.noise)
+    return [] if closing is None else [closing_sentence(closing)]
 
 
 def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
@@ -348,11 +359,10 @@ def export(
         lacks = "surface" if chosen is Method.SURFACE else "layout"
         known = " or ".join(method.value for method in calibration.estimates)
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
-    older = f"; the older file is kept as {out.name}.bak" if out.is_file() else ""
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}{older}"]
+    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}"]
     result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

@@ -306,8 +306,10 @@ class Silence:
 def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
     """Print each poke's outcome once it is final; return how many were printed."""
     from skincal.contacts.outcome import Contact
+    from skincal.sentences import missed_words
 
-    records = pipeline.snapshot().pokes
+    snapshot = pipeline.snapshot()
+    records = snapshot.pokes
     while reported < len(records) and records[reported].outcome.final:
         outcome = records[reported].outcome
         if isinstance(outcome, Contact):
@@ -315,6 +317,8 @@ def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
         else:
             numbers = f"{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}".rstrip()
             typer.echo(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
+        if outcome.poke in snapshot.missed_landmarks:
+            typer.echo(f"poke {outcome.poke}: {missed_words(snapshot.missed_landmarks[outcome.poke])}", err=True)
         reported += 1
     return reported
 

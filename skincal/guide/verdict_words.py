@@ -5,7 +5,9 @@ from __future__ import annotations
 from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
+from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
+from skincal.sentences import closing_sentence
 from skincal.taxels.result import Method
 
 
@@ -27,6 +29,8 @@ def sentence(verdict: Verdict) -> str:
 
 def _agreement(verdict: Verdict) -> str:
     check, landmarks = verdict.check, verdict.landmarks
+    if verdict.closing is not None and verdict.closing.moved:
+        return ", but something has moved since the start"
     if not check.believed:
         return ", but the held-out pokes speak against it"
     if landmarks is not None and not landmarks.agrees:
@@ -47,6 +51,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Needs", done_words(verdict.method, verdict.wanted)),
         ("Check", check_words(verdict)),
         ("Landmarks", landmark_words(verdict.landmarks)),
+        ("Closing", closing_words(verdict.closing)),
         ("Predicted", predicted_words(verdict)),
         ("Work", f"{plural(verdict.pokes, 'poke')} in {_minutes(verdict.seconds)}"),
     )
@@ -88,6 +93,13 @@ def landmark_words(landmarks: LandmarkAgreement | None) -> str:
     if landmarks.agrees:
         return words
     return f"{words}: the errors are larger than predicted. Look at the landmarks' places and at the rig."
+
+
+def closing_words(closing: Closing | None) -> str:
+    """Return whether anything moved since the start."""
+    return (
+        "not checked: at the end some of the first places are poked once more" if closing is None else closing_sentence(closing)
+    )
 
 
 def predicted_words(verdict: Verdict) -> str:

@@ -191,7 +191,7 @@ def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
     assert said[0] == "free: " + approved("export.no_position", count=2, all=34, states="1 unseen, 1 blind")
     assert said[1].startswith(approved("export.last_row_dropped", channel=47))
     assert len(said) == 2
-    assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "p.txt", Method.FREE)[1:] == ()
+    assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "q.txt", Method.FREE)[1:] == ()
     assert (tmp_path / "p.txt").read_text().startswith("name               r_forearm\n")
 
 
@@ -271,3 +271,12 @@ def test_export_imports_no_window():
     code = "import skincal.files.export, sys; print([m for m in sys.modules if m.startswith(('PySide6', 'vtk', 'pyvista'))])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tmp_path):
+    calibration = make_calibration(part)
+    path = tmp_path / "p.csv"
+    assert not any("is kept as" in said for said in write_calibration(calibration, "csv", path, Method.FREE))
+    for number in ("", "-2"):
+        said = write_calibration(calibration, "csv", path, Method.FREE)
+        assert said[-1] == approved("export.older", name="p.csv", kept=f"p.csv.bak{number}")
