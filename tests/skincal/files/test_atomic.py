@@ -26,7 +26,7 @@ def test_no_link_device_or_pipe_is_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     before = names(tmp_path)
     for name in ("link", "dangling", "null", "pipe"):
-        with pytest.raises(InputError, match="is a link|is a device or a pipe"):
+        with pytest.raises(InputError, match=r"is a link|is a device or a pipe"):
             write_atomically(tmp_path / name, b"new")
     assert letter.read_text() == "dear"
     assert stat.S_ISFIFO((tmp_path / "pipe").lstat().st_mode)
