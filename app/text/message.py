@@ -24,7 +24,10 @@ class Message:
 
 def refused_words(failure: str) -> str:
     """Return what is said where the disk takes nothing more, for the reason `failure`."""
-    return f"{failure} Recording is paused; what was recorded until now is safe."
+    return (
+        f"{failure} Recording is paused, and what is not on the disk is in memory only: export the calibration now, "
+        "then open the session again to record on."
+    )
 
 
 def kept_words(folder: Path) -> str:

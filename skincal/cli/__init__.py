@@ -114,6 +114,11 @@ def _other_failure(error: Exception) -> int:
     # Who reads the output has seen enough, such as `head`.
     if isinstance(error, BrokenPipeError):
         return 0
+    # A name that is too long, a folder without rights: the system's word is the reason.
+    if isinstance(error, OSError) and error.filename is not None:
+        sentence = InputError(f"{error.filename}: cannot be used ({error.strerror}); check the path and its rights.")
+        typer.echo(f"skincal: {sentence}", err=True)
+        return 2
     traceback.print_exception(error, file=sys.stderr)
     typer.echo(f"skincal: {error!r} is a fault of skincal, not of your input; please report it with the lines above.", err=True)
     return 1
