@@ -38,10 +38,7 @@ FILE_PREFIX = "file:"
 SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
-KNOWN = (
-    "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device such as netft://HOST or yarp:/PORT "
-    "(skincal devices lists them)"
-)
+KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md)"
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
