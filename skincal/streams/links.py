@@ -30,6 +30,7 @@ from urllib.parse import urlsplit
 from skincal.model.errors import InputError
 from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.streams.decoders.detect import AUTO
 from skincal.streams.device_address import parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
@@ -145,7 +146,19 @@ def open_link(spec: LinkSpec) -> Link:
         return open_device(spec.address, spec.carries, Ports(TcpLink, SerialLink))
     if address.kind is LinkKind.FILE:
         return PlaybackLink(Path(address.place), spec, address.number)
-    return SerialLink(address.place, address.number)
+    port = SerialLink(address.place, address.number)
+    if address.place != spec.address or spec.format != AUTO:
+        return port
+    from skincal.streams.baud_search import SearchingLink
+
+    return SearchingLink(port, spec.carries)
+
+
+def serial_ports() -> list[tuple[str, str]]:
+    """Return name and description of each serial port of this machine that has a device."""
+    from serial.tools import list_ports
+
+    return [(port.device, port.description or "") for port in list_ports.comports() if port.description != "n/a"]
 
 
 def split_baud(address: str) -> tuple[str, int]:
@@ -207,6 +220,15 @@ class SerialLink:
             self._port.write(data)
         except self._errors as error:
             raise LinkFailure(FailureKind.VANISHED, f"{self._name} takes no bytes: {error}.") from error
+
+    def set_baud(self, baud: int) -> None:
+        """Go on at another rate; what the system refuses is left as it is."""
+        try:
+            self._port.baudrate = baud
+        except ValueError:
+            return
+        except self._errors as error:
+            raise LinkFailure(FailureKind.VANISHED, _vanished(self._name)) from error
 
     def close(self) -> None:
         """See `Link`."""
