@@ -46,11 +46,12 @@ def _options(
 @cache
 def _register() -> None:
     """Add the commands, once; a function, so that each module is imported after `app` exists."""
-    from skincal.cli import calibrate, compare, name_pokes, record, simulate, study, write_report
+    from skincal.cli import calibrate, compare, listen, name_pokes, record, simulate, study, write_report
 
     calibrate.add_to(app)
     compare.add_to(app)
     write_report.add_to(app)
+    listen.add_to(app)
     name_pokes.add_to(app)
     record.add_to(app)
     simulate.add_to(app)

@@ -32,6 +32,7 @@ from urllib.parse import urlsplit
 from skincal.model.errors import InputError
 from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.streams.decoders.detect import AUTO
 from skincal.streams.device_address import parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
@@ -40,10 +41,7 @@ FILE_PREFIX = "file:"
 SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
-KNOWN = (
-    "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device such as netft://HOST or yarp:/PORT "
-    "(skincal devices lists them)"
-)
+KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md)"
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
@@ -158,7 +156,19 @@ def open_link(spec: LinkSpec) -> Link:
         return open_device(spec.address, spec.carries, Ports(TcpLink, SerialLink))
     if address.kind is LinkKind.FILE:
         return PlaybackLink(Path(address.place), spec, address.number)
-    return SerialLink(address.place, address.number)
+    port = SerialLink(address.place, address.number)
+    if address.place != spec.address or spec.format != AUTO:
+        return port
+    from skincal.streams.baud_search import SearchingLink
+
+    return SearchingLink(port, spec.carries)
+
+
+def serial_ports() -> list[tuple[str, str]]:
+    """Return name and description of each serial port of this machine that has a device."""
+    from serial.tools import list_ports
+
+    return [(port.device, port.description or "") for port in list_ports.comports() if port.description != "n/a"]
 
 
 def split_baud(address: str) -> tuple[str, int]:
@@ -220,6 +230,15 @@ class SerialLink:
             self._port.write(data)
         except self._errors as error:
             raise LinkFailure(FailureKind.VANISHED, f"{self._name} takes no bytes: {error}.") from error
+
+    def set_baud(self, baud: int) -> None:
+        """Go on at another rate; what the system refuses is left as it is."""
+        try:
+            self._port.baudrate = baud
+        except ValueError:
+            return
+        except self._errors as error:
+            raise LinkFailure(FailureKind.VANISHED, _vanished(self._name)) from error
 
     def close(self) -> None:
         """See `Link`."""
