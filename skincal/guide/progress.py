@@ -35,6 +35,10 @@ class GuideSettings:
 
     wanted: float = 0.003
     """m, predicted rms error at which a taxel may be done: a little over half of the 5 mm between taxels."""
+    module_wanted: float = 0.0015
+    """m, by the modules method: a module's pokes are few, so its taxels are wrong together, and one in twenty by twice this."""
+    module_patience: int = 24
+    """Pokes of its module after which a taxel is given up that is not done, by the modules method."""
     module_pokes: int = 4
     """Pokes of a module's own, by the modules method: three places fix where it lies and how it is turned, and one is spare."""
     own_pokes: int = 3
@@ -113,12 +117,27 @@ class Tried:
     """rad, the most that a push may lean now."""
 
 
+def own_error(estimate: Estimate) -> float:
+    """Return the predicted rms error that more pokes on the skin make smaller, metres; infinite where nothing is known.
+
+    Without what all taxels share, and without the part along the normal of a surface, which is the mesh's.
+    """
+    if estimate.rms is None or estimate.covariance is None:
+        return float("inf")
+    rest = estimate.rms**2
+    if estimate.moved is not None:
+        rest -= float(np.sum(estimate.moved**2))
+    if estimate.triangle is not None and estimate.normal is not None:
+        rest -= float(estimate.normal @ estimate.covariance @ estimate.normal)
+    return float(np.sqrt(max(rest, 0.0)))
+
+
 def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings) -> tuple[Need, ...]:
     """Return what a taxel still needs by a method; nothing where it is done or dead."""
     if estimate.state is State.DEAD:
         return ()
     if method is Method.MODULES:
-        few, wide = facts.own < settings.module_pokes, estimate.rms is None or estimate.rms > settings.wanted
+        few, wide = facts.own < settings.module_pokes, not own_error(estimate) <= settings.module_wanted
         return tuple(need for need, is_missing in ((Need.POKES, few), (Need.ACCURACY, wide)) if is_missing)
     missing = {
         Need.POKES: facts.own < settings.own_pokes,
