@@ -26,7 +26,9 @@ def sentence(verdict: Verdict) -> str:
         return "No taxel is used." if verdict.left else "No taxel has answered yet."
     if verdict.done == verdict.used:
         used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
-        done = f"All {count(verdict.used, used + 'taxel')} are done, predicted to {millimetres(verdict.wanted, 0)}"
+        done = f"All {count(verdict.used, used + 'taxel')} are done, predicted to {1e3 * verdict.wanted:g} mm"
+        if verdict.method is Method.MODULES:
+            done = f"{done} among each other"
     else:
         done = f"{verdict.done} of {count(verdict.used, 'taxel')} are done"
     early = "" if verdict.enough else "Not enough yet: "
@@ -63,9 +65,9 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 def done_words(method: Method, wanted: float) -> str:
     """Return what makes a taxel done, `wanted` in metres: `"a predicted error of 3 mm or less, and 4 pokes on its module"`."""
     settings = GuideSettings()
-    error = f"a predicted error of {millimetres(wanted, 0)} or less"
+    error = f"a predicted error of {1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
-        return f"{error}, and {settings.module_pokes} pokes on its module"
+        return f"{error} beside what all taxels share, and {settings.module_pokes} pokes on its module"
     sides = "tilted to several sides and " if method is Method.FREE else ""
     return f"{error}, {settings.own_pokes} pokes of its own {sides}evenly around it, and the last hardly moved it"
 
