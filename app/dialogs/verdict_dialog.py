@@ -17,10 +17,11 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.widgets import embolden, plain_buttons, quiet
-from app.text.verdict_text import figures, left_words, sentence
+from app.text.verdict_text import figures, left_words
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
 from skincal.guide.verdict import Verdict
+from skincal.guide.verdict_sentence import verdict_sentence
 
 HEADINGS = ("Taxel", "Why it is not done")
 
@@ -47,7 +48,7 @@ class VerdictDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Verdict")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self.sentence = QLabel(sentence(verdict))
+        self.sentence = QLabel(verdict_sentence(verdict))
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")

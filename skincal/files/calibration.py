@@ -62,6 +62,8 @@ class Calibration:
     """Pokes at known points of the part, as the rig reported them; those whose poke is in `excluded` did not count."""
     landmark_check: LandmarkCheck | None = None
     """What they say about a correction of the rig, used or not; None where none was searched for."""
+    verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])
+    """By method what was checked and what could not be, in a sentence without its full stop; none where nobody asked."""
 
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
