@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from skincal.methods import estimate_taxels
 from skincal.mesh.surface import make_surface
+from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
