@@ -188,11 +188,15 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
     return (first, *doubted)
 
 
-def unchecked_sentence(off: float) -> str:
-    """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square."""
+def unchecked_sentence(off: float, landmark_pokes: int) -> str:
+    """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square.
+
+    `landmark_pokes` is how many were made, which `off` knows of.
+    """
+    tell = f"{landmark_pokes} pokes at landmarks leave that open." if landmark_pokes else "Pokes at landmarks tell."
     return (
         f"The rig's own errors are not in the predicted ones: an ordinary rig's move the taxels by about {off * 1e3:.1f} mm, "
-        "most of it alike. Pokes at landmarks tell."
+        f"most of it alike. {tell}"
     )
 
 

@@ -300,6 +300,6 @@ def _no_data(at: ViewState) -> Now:
 def modules_enough_words() -> str:
     """Return what is said once the modules method needs no more, while another is shown."""
     settings = GuideSettings()
-    pokes, wanted = settings.module_pokes, 1e3 * settings.wanted
+    pokes, wanted = settings.module_pokes, 1e3 * settings.module_wanted
     words = f"By the modules method it is enough: {pokes} pokes on every module, predicted errors of at most {wanted:g} mm."
     return f"{words} The box above the map, or V, shows that method; then F leads to the file."

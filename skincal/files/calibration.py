@@ -66,6 +66,8 @@ class Calibration:
     """What they say about a correction of the rig, used or not; None where none was searched for."""
     closing: Closing | None = None
     """Whether anything moved since the session began; None where that was not checked."""
+    verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])
+    """By method what was checked and what could not be, in a sentence without its full stop; none where nobody asked."""
 
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.

@@ -303,7 +303,7 @@ def verdict_of(
     return Verdict(
         method=guidance.method,
         enough=guidance.enough and bool(used),
-        wanted=settings.wanted,
+        wanted=settings.wanted_by(guidance.method),
         done=len(used) - sum(taxel.why is not Why.DEAD for taxel in left),
         used=len(used),
         left=left,

@@ -11,7 +11,7 @@ from skincal.sentences import closing_sentence
 from skincal.taxels.result import Method
 
 
-def sentence(verdict: Verdict) -> str:
+def verdict_sentence(verdict: Verdict) -> str:
     """Return what the session has come to: `"All 84 taxels are done, predicted to 3 mm, and the held-out pokes agree."`.
 
     Taxels that are predicted to so much and not done, because they need something else, are not counted.
@@ -20,7 +20,9 @@ def sentence(verdict: Verdict) -> str:
         return "No taxel is used." if verdict.left else "No taxel has answered yet."
     if verdict.done == verdict.used:
         used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
-        done = f"All {plural(verdict.used, used + 'taxel')} are done, predicted to {_mm(verdict.wanted, 0)}"
+        done = f"All {plural(verdict.used, used + 'taxel')} are done, predicted to {1e3 * verdict.wanted:g} mm"
+        if verdict.method is Method.MODULES:
+            done = f"{done} among each other"
     else:
         done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done"
     early = "" if verdict.enough else "Not enough yet: "
@@ -60,9 +62,9 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 def done_words(method: Method, wanted: float) -> str:
     """Return what makes a taxel done, `wanted` in metres: `"a predicted error of 3 mm or less, and 4 pokes on its module"`."""
     settings = GuideSettings()
-    error = f"a predicted error of {_mm(wanted, 0)} or less"
+    error = f"a predicted error of {1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
-        return f"{error}, and {settings.module_pokes} pokes on its module"
+        return f"{error} beside what all taxels share, and {settings.module_pokes} pokes on its module"
     sides = "tilted to several sides and " if method is Method.FREE else ""
     return f"{error}, {settings.own_pokes} pokes of its own {sides}evenly around it, and the last hardly moved it"
 

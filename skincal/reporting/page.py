@@ -17,7 +17,7 @@ from typing import Any
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
 from skincal.guide.progress import GuideSettings
-from skincal.guide.verdict_words import check_words, figures, landmark_words, left_words, sentence
+from skincal.guide.verdict_words import check_words, figures, landmark_words, left_words, verdict_sentence
 from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
@@ -93,7 +93,7 @@ def write_report(folder: Path, path: Path, method: Method | None = None) -> str:
     """
     facts = gather_facts(folder, method)
     write_atomically(path, report_page(facts).encode("utf-8"))
-    return sentence(facts.verdict)
+    return verdict_sentence(facts.verdict)
 
 
 def report_page(facts: SessionFacts) -> str:
@@ -117,7 +117,7 @@ def report_page(facts: SessionFacts) -> str:
         link=scene.link,
         method=facts.method.value,
         version=facts.versions["skincal"],
-        verdict=sentence(facts.verdict),
+        verdict=verdict_sentence(facts.verdict),
         enough=facts.verdict.enough and not facts.verdict.doubted,
         sections=tuple(_sections(facts)),
     )
@@ -311,7 +311,8 @@ def _rig(facts: SessionFacts) -> ReportSection:
     said = [] if facts.frame is None else [frame_sentence(facts.frame)]
     said += [correction_sentence(each) for each in used.values()]
     said += [] if facts.rig is None else rig_sentences(facts.rig)[1 if RIG in used else 0 :]
-    said += [] if facts.verdict.unchecked is None else [unchecked_sentence(facts.verdict.unchecked)]
+    poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
+    said += [] if off is None else [unchecked_sentence(off, poked)]
     rows = [
         (mark.name, *(_bare(float(each)) for each in mark.place), str(len(facts.misses[mark.name])), _misses(facts, mark.name))
         for mark in facts.snapshot.landmarks

@@ -87,18 +87,22 @@ class SessionGuide:
             if self._followed is None or self._followed[1] is not method or self._guidance is not self._skin_guidance:
                 # Meanwhile another target was shown, or none.
                 guide.forget_target()
-            self._skin_guidance = guide.update(
-                _contacts(snapshot),
-                {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
-                evidence,
-                {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
-                self.landmarks.rig_moves(snapshot),
-            )
+            self._skin_guidance = self.of_skin(snapshot, method, evidence)
             self._followed = revision, method
         assert self._skin_guidance is not None
         before = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
         self._guidance = self.closing.after_skin(before, snapshot, self.landmarks.normal)
         return self._guidance
+
+    def of_skin(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
+        """Return what to poke next on the skin, whatever landmarks there are; as `follow`, worked out anew."""
+        return self._guide_of(method).update(
+            _contacts(snapshot),
+            {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
+            evidence,
+            {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
+            self.landmarks.rig_moves(snapshot),
+        )
 
     def verdict(
         self,

@@ -24,7 +24,7 @@ from skincal.guide.verdict_words import (
     landmark_words,
     left_words,
     predicted_words,
-    sentence,
+    verdict_sentence,
 )
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
@@ -87,7 +87,7 @@ def verdict(
     ],
 )
 def test_one_sentence_says_what_the_session_has_come_to(what, said):
-    assert sentence(what) == said
+    assert verdict_sentence(what) == said
 
 
 def test_the_figures_are_those_of_the_verdict():
@@ -113,7 +113,7 @@ def test_the_figures_are_those_of_the_verdict():
 def test_what_moved_meanwhile_goes_before_all_else():
     moved = Closing(ClosingPlaces.LANDMARKS, ("a", "b"), 0.009, 0.006, 0.001)
     said = verdict(closing=moved)
-    assert sentence(said) == approved("closing.in_verdict", count=24, target_mm=3)
+    assert verdict_sentence(said) == approved("closing.in_verdict", count=24, target_mm=3)
     assert said.doubted
     assert dict(figures(said))["Closing"].startswith(approved("closing.moved_begin", what="the sensor or the arm", shift="9.0"))
     assert not verdict(closing=replace(moved, chance=0.3)).doubted

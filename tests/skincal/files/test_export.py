@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from skincal.files.atomic import write_atomically
-from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, write_calibration
+from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, ply_text, write_calibration
+from skincal.files.icub import icub_text
 from skincal.mesh.load import load_surface
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
@@ -280,3 +281,12 @@ def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tm
     for number in ("", "-2"):
         said = write_calibration(calibration, "csv", path, Method.FREE)
         assert said[-1] == approved("export.older", name="p.csv", kept=f"p.csv.bak{number}")
+
+
+def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
+    words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it"
+    calibration = replace(make_calibration(part), verdicts={Method.SURFACE: words})
+    assert json.loads(json_text(calibration))["verdicts"] == {"surface": words}
+    assert f"comment {words}" in ply_text(calibration, Method.SURFACE).splitlines()
+    assert f"# {words}" in icub_text(calibration, Method.SURFACE).splitlines()
+    assert words not in ply_text(calibration, Method.FREE)

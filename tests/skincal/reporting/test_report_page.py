@@ -14,7 +14,7 @@ import pytest
 
 from skincal.cli import main
 from skincal.files.reference import error_summary, read_reference
-from skincal.guide.verdict_words import figures, landmark_words, sentence
+from skincal.guide.verdict_words import figures, landmark_words, verdict_sentence
 from skincal.model.actions import AtLandmark
 from skincal.model.scene import Landmark, resource
 from skincal.reporting.drawings import side_frames
@@ -79,7 +79,7 @@ def test_the_numbers_are_those_of_the_core(facts, page):
     assert facts.series.spreads[Method.MODULES][-1, 0, MEAN] == pytest.approx(lead.mean, rel=1e-12)
     assert facts.series.missing == 0
     assert all(words in page.text for _, words in figures(facts.verdict))
-    assert sentence(facts.verdict) in page.text
+    assert verdict_sentence(facts.verdict) in page.text
     assert all(each.solve_s > 0 for each in facts.methods)
 
 
