@@ -280,7 +280,8 @@ class Controller(QObject):
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
-        self.set_pace(self.pace)
+        if self.pace != 1:
+            self.set_pace(self.pace)
         if self._recording is None:
             self._start_recording()
             return
