@@ -585,5 +585,8 @@ def read_lines(segment: Path) -> Lines | None:
         kept.append(document)
         last_key = key
     documents = tuple(document[: -len(_END)] for document in kept + totals)
-    items = int(body.split(b",")[0].removesuffix(_END))
+    try:
+        items = int(body.split(b",")[0].removesuffix(_END))
+    except ValueError:
+        raise InputError(f"{path}: a line begins with no count of items; {_PLAY}.") from None
     return Lines(documents, items, body.endswith(_CLOSED + _END), checksum, size, len(data) - size) if data else None
