@@ -42,11 +42,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         sys.stderr.write(f"skincal: {error}\n")
         return 2
+    except OSError as error:  # a name that is too long, a folder without rights
+        if error.filename is None:
+            raise
+        sys.stderr.write(f"skincal: {InputError(f'{error.filename}: cannot be used ({error.strerror}); check the path.')}\n")
+        return 2
 
 
 def _run(options: argparse.Namespace) -> int:
     """Open the window; where there is no display and no device was named, run the simulated session without it."""
     _check_session(options)
+    devices = [f"--{name}" for name in ("wrench", "skin", "joints") if getattr(options, name)]
+    if options.headless and devices:
+        raise InputError(
+            f"--headless was given together with {' and '.join(devices)}; it pokes a simulated rig alone: "
+            "`skincal record` records devices without a window."
+        )
     named = options.wrench or options.skin or options.joints or options.session
     no_window = "" if named else no_display()
     if options.headless or no_window:

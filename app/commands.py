@@ -52,7 +52,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("space", "Pause", "Space", "Do the obvious thing: pause, go on, or show the verdict once it is enough"),
         ("pause", "Pause", "P", "Pause or go on, whatever the guide says"),
         ("another", "Another target", "N", "Ask for another poke; a side that is skipped twice is left out"),
-        ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin; N skips one landmark"),
+        ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin, or end the closing check; N skips one"),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
         ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
         ("redo", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Bring again what was taken back last"),
@@ -196,7 +196,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
-            ("report", may.verdict),
+            ("report", may.export),
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),

@@ -51,7 +51,7 @@ from app.theme import GAP
 from app.units import ChannelNames
 from skincal.files.calibration import landmark_check
 from skincal.files.reference import Origin
-from skincal.guide.guidance import Guidance, GuidePhase, leeway
+from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Redo, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.model.errors import InputError
@@ -490,8 +490,8 @@ class SessionView(QObject):
         self.follow_again()
 
     def skip_landmarks(self) -> None:
-        """Ask for no landmarks in this arm pose."""
-        self.guide.landmarks.skip(all_of_pose=True)
+        """Ask for no landmarks in this arm pose, or end the closing check."""
+        self.guide.skip_landmarks()
         self.follow_again()
 
     def recolour(self) -> None:
@@ -636,14 +636,14 @@ class SessionView(QObject):
 
     def _take_places(self, sets: tuple[PlaceSet, ...]) -> None:
         """Offer sets of places in the panel that compares; the first is chosen."""
-        for found in reversed(sets):
+        for found in sets:
             source = Source(PlaceOrigin.OTHER, name=found.name)
             self.workspace.compare.offer(source, found.places, choose=found is sets[0])
 
     def _early_words(self) -> tuple[str, ...]:
         """Return that it is not enough yet, where it is not: a file says nothing of what was not poked."""
         guidance = self._guidance
-        if self.state is None or guidance is None or guidance.phase is GuidePhase.ENOUGH:
+        if self.state is None or guidance is None or guidance.enough:
             return ()
         return (early_words(guidance, self.state.snapshot.dead),)
 

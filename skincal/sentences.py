@@ -10,7 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from skincal.model.actions import MissedLandmark
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
+from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
 from skincal.rig.correction_fit import DOUBTED, FEWEST, FEWEST_POINTS, RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis
@@ -81,6 +83,23 @@ def state_sentence(reason: StateReason | None) -> str:
 
 def _coarse(metres: float) -> str:
     return f"{metres * 1e3:.0f} mm" if metres < 1.0 else "over 1 m"
+
+
+def closing_sentence(closing: Closing) -> str:
+    """Return whether anything moved between a session's first pokes and those made once more at its end."""
+    moved, limit = f"{closing.shift * 1e3:.1f} mm", f"{closing.limit * 1e3:.1f} mm"
+    where = f"{len(closing.names)} {closing.at.value} that were poked once more"
+    if not closing.moved:
+        return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
+    what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
+    return f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and poke again."
+
+
+def missed_words(missed: MissedLandmark) -> str:
+    """Return how far a poke passed the landmark that was asked for: `"passes wrist, top at 52 mm, at most 34 mm"`."""
+    if missed.behind:
+        return f"pushes at another side than that of {missed.name}"
+    return f"passes {missed.name} at {missed.miss * 1e3:.0f} mm, at most {missed.limit * 1e3:.0f} mm"
 
 
 def misfit_sentence(misfit: Misfit) -> str:
@@ -169,11 +188,15 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
     return (first, *doubted)
 
 
-def unchecked_sentence(off: float) -> str:
-    """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square."""
+def unchecked_sentence(off: float, landmark_pokes: int) -> str:
+    """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square.
+
+    `landmark_pokes` is how many were made, which `off` knows of.
+    """
+    tell = f"{landmark_pokes} pokes at landmarks leave that open." if landmark_pokes else "Pokes at landmarks tell."
     return (
         f"The rig's own errors are not in the predicted ones: an ordinary rig's move the taxels by about {off * 1e3:.1f} mm, "
-        "most of it alike. Pokes at landmarks tell."
+        f"most of it alike. {tell}"
     )
 
 

@@ -287,6 +287,16 @@ def test_linear_algebra_takes_one_thread_unless_the_environment_says_otherwise(m
     assert set(done.stdout.split()) <= {wanted or "1"}
 
 
+@pytest.mark.skipif(os.cpu_count() == 1, reason="one core: there is nothing to see")
+def test_processes_beside_the_studies_take_one_thread_each() -> None:
+    environment = {name: value for name, value in os.environ.items() if not name.endswith(("NUM_THREADS", "MAXIMUM_THREADS"))}
+    inside = THREADS.format(module="skincal")
+    script = f"from skincal.studies.measuring import processes\nprocesses().submit(exec, {inside!r}, {{}}).result()\n"
+    done = run("-c", script, environment=environment)
+    assert done.returncode == 0, done.stderr
+    assert set(done.stdout.split()) <= {"1"}
+
+
 def test_qt_survives_more_void_calls_than_none_has_references() -> None:
     """A broken PySide6 loses one reference to None a call; it starts with some 5,000 (docs/decisions/dependencies.md)."""
     script = (

@@ -37,7 +37,11 @@ PROGRAM = FOLDER / ("skincal.exe" if os.name == "nt" else "skincal")
 
 WHOLE = ("app", "skincal")
 """Packages of which every module is taken along: many are imported where they are needed, by name."""
-DATA = {"resources": "skincal/resources", "skincal/solver/solver.wasm": "skincal/solver"}
+DATA = {
+    "resources": "skincal/resources",
+    "skincal/solver/solver.wasm": "skincal/solver",
+    "skincal/reporting/report.html.jinja": "skincal/reporting",
+}
 UNUSED = (
     "tkinter", "_tkinter", "IPython", "pytest", "_pytest", "hypothesis", "PIL.ImageQt", "PySide6.QtNetwork", "PySide6.QtQml",
     "PySide6.QtQuick", "PySide6.QtSql", "PySide6.QtTest", "matplotlib.backends.backend_qtagg", "trimesh", "quadprog",

@@ -20,7 +20,7 @@ from importlib import import_module
 from pathlib import Path
 
 from PySide6.QtCore import QSettings
-from PySide6.QtWidgets import QApplication, QMessageBox
+from PySide6.QtWidgets import QApplication
 
 from app.headless import POKES, SEED
 from app.scene3d.offscreen import picture
@@ -67,17 +67,14 @@ class Photographed:
             QApplication.processEvents()
             time.sleep(0.001)
 
-    def until_said(self, result: str, headline: str, detail: str, pokes: int) -> None:
-        """Wait until the line below says that, in its three lines, after so many pokes."""
+    def until_said(self, words: str, detail: str, pokes: int) -> None:
+        """Wait until the line below says that, of the last poke or of what to do, and below it, after so many pokes."""
         now = self.view.workspace.now
 
         def said() -> bool:
             state = self.view.state
-            if state is None or len(state.snapshot.pokes) < pokes or state.behind_s > 0.2:
-                return False
-            return all(words in line.text() for words, line in zip(
-                (result, headline, detail), (now.result, now.headline, now.detail), strict=True
-            ))  # fmt: skip
+            shown = state is not None and len(state.snapshot.pokes) >= pokes and state.behind_s < 0.2
+            return shown and words in f"{now.result.text()} {now.headline.text()}" and detail in now.detail.text()
 
         self.until(said)
 
@@ -91,14 +88,6 @@ class Photographed:
             dialog.render(picture, self.window.rect().center() - dialog.rect().center())
         picture.save(str(PICTURES / f"{name}.png"))
 
-    def end(self) -> None:
-        """Close the window, and keep nothing."""
-        self.window.close()
-        question = QApplication.activeModalWidget()
-        if isinstance(question, QMessageBox):
-            drop = (each for each in question.buttons() if question.buttonRole(each) is QMessageBox.ButtonRole.DestructiveRole)
-            next(drop).click()
-
 
 def draw_window() -> None:
     """Write every picture of the window."""
@@ -106,22 +95,22 @@ def draw_window() -> None:
     simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
     course = Photographed(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
     course.grab("errors", 10.0)
-    course.end()
+    course.window.leave()
     good = Photographed(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
-    # By the modules method it would be enough too soon.
+    # By the modules method it would be enough before the last of these.
     good.view.show_method(Method.SURFACE)
-    good.until_said("", "hold still", "aim", 25)
+    good.until_said("hold still", "aim", 25)
     good.grab("guide-contact")
     good.view.workspace.view.set_turning(False)
     good.view.workspace.view.reset_camera()
-    good.until_said("rejected", "", "", 30)
+    good.until_said("rejected", "", 30)
     good.grab("guide-rejected")
     good.view.workspace.show_tab("Readings")
     good.window.resize(1280, 800)
-    good.until_said("accepted", "", "", 60)
+    good.until_said("counted", "", 60)
     good.window.messages.dismiss()
     good.grab("window")
-    good.end()
+    good.window.leave()
 
 
 def draw_rig() -> None:
@@ -137,7 +126,7 @@ def draw_rig() -> None:
     wrong.until(lambda: wrong.view.ends)
     wrong.view.ask_verdict(wrong.window)
     wrong.grab("guide-verdict", 1.0)
-    wrong.end()
+    wrong.window.leave()
 
 
 def draw_headless() -> None:

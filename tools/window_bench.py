@@ -269,7 +269,7 @@ def measure(seconds: float, scene: Path | None) -> dict[str, Any]:
 
     def end(measured: Measure) -> None:
         results.update(measured.result())
-        measured.window.close()
+        measured.window.leave()
         application.quit()
 
     QTimer.singleShot(0, attach)

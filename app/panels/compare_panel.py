@@ -160,6 +160,8 @@ class ComparePanel(QScrollArea):
         for widget in (self.modules, self.spacing):
             widget.setVisible(self._layout is not None)
         self.setWidget(inner)
+        # What is found is saved by Tab and Enter.
+        self.setTabOrder(self.scale, self.save)
 
     def _connect(self) -> None:
         for box in self.boxes:

@@ -28,6 +28,8 @@ from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, rea
 from app.theme import GAP
 from app.units import DASH, ChannelNames, degrees, in_millimetres, number
 from skincal.contacts.outcome import Contact, Rejection
+from skincal.model.actions import MissedLandmark
+from skincal.sentences import missed_words
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Estimate
 
@@ -53,11 +55,13 @@ class PokeTable(QAbstractTableModel):
         self._estimates: Mapping[int, Estimate] = {}
         self._doubting: Mapping[int, Sequence[Estimate]] = {}
         self._at_landmarks: Mapping[int, str] = {}
+        self._missed: Mapping[int, MissedLandmark] = {}
 
     def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
         """Show another snapshot's pokes; the view learns of what changed alone."""
         records = snapshot.pokes
         self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
+        self._missed = snapshot.missed_landmarks
         self._doubting = doubting(estimates.values())
         old, added = self._records, len(records) - len(self._records)
         # Pokes come at the end alone; anything else, as after an undo, is another list.
@@ -126,7 +130,9 @@ class PokeTable(QAbstractTableModel):
     def _hint(self, record: PokeRecord) -> str:
         outcome = record.outcome
         if isinstance(outcome, Rejection):
-            name = self._at_landmarks.get(outcome.poke)
+            name, missed = self._at_landmarks.get(outcome.poke), self._missed.get(outcome.poke)
+            if missed is not None:
+                return missed_words(missed)
             return reason_words(outcome) if name is None else f"at the landmark {name}; {outcome.reason.value}, and none need"
         answered = ", ".join(self._names.short(int(c)) for c in outcome.channels)
         pose = f"\narm pose {outcome.pose}" if outcome.pose else ""
@@ -141,6 +147,8 @@ class PokeTable(QAbstractTableModel):
             return str(outcome.poke)
         if column == 1 and not record.excluded and outcome.poke in self._at_landmarks:
             return f"\N{WHITE DIAMOND} {self._at_landmarks[outcome.poke]}"
+        if column == 1 and isinstance(outcome, Rejection) and outcome.poke in self._missed:
+            return f"\N{BALLOT X} beside {self._missed[outcome.poke].name}"
         if column == 1:
             return _outcome_text(record, doubt_mark(outcome.poke, self._doubting.get(outcome.poke, ()), self._names))
         if column == 2:

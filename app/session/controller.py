@@ -26,7 +26,7 @@ from app.session.opening import (
 )
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
-from app.text.message import STILL_SOLVING, Message, kept_old_words, kept_words, refused_words
+from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -280,7 +280,8 @@ class Controller(QObject):
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
-        self.set_pace(self.pace)
+        if self.pace != 1:
+            self.set_pace(self.pace)
         if self._recording is None:
             self._start_recording()
             return
@@ -309,8 +310,19 @@ class Controller(QObject):
         guidance : what is asked for from now on; None where nobody guides
         """
         self._ask_landmark("" if guidance is None or guidance.landmark is None else guidance.landmark.landmark.name)
+        self._begin_closing(guidance)
         if self._server is not None:
             self.ask(operator_target(guidance, self.running))
+
+    def _begin_closing(self, guidance: Guidance | None) -> None:
+        """Record that some of the first places are asked for once more, when the first of them is."""
+        recording = self._recording
+        if recording is None or self.running is not Running.STREAMING or guidance is None or guidance.closing is None:
+            return
+        if recording.pipeline.session.closing_after is None:
+            from skincal.model.actions import BeginClosing
+
+            recording.pipeline.act(BeginClosing(), time.monotonic_ns())
 
     def _ask_landmark(self, name: str) -> None:
         recording = self._recording
@@ -549,8 +561,7 @@ class Controller(QObject):
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            older = (kept_old_words(path),) if path.exists() else ()
-            return (*write_calibration(calibration, format_, path, method), *older)
+            return write_calibration(calibration, format_, path, method)
 
         self.compute(write, done, failed)
 

@@ -5,7 +5,6 @@ No Qt. What takes long runs beside the window; the imports stand inside the func
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -84,11 +83,12 @@ def rig_again(folder: Path, run: int) -> tuple[str, ...]:
     """
     from skincal.files.reference import RIG_KEY, TRUTH_NAME
     from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
+    from skincal.model.given import DOCUMENT_MOST, parse_json, read_regular
 
     try:
-        rig = json.loads((folder / TRUTH_NAME).read_text(encoding="utf-8"))[RIG_KEY]
+        rig = parse_json(read_regular(folder / TRUTH_NAME, DOCUMENT_MOST))[RIG_KEY]
         seed, errors = int(rig["seed"]), str(rig["errors"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (InputError, ValueError, KeyError, TypeError):
         return ()
     if seed < 0 or errors not in ("none", "noise", "paper"):
         return ()

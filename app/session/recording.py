@@ -5,7 +5,6 @@ That place is in the operator's documents, or a temporary folder until the sessi
 
 from __future__ import annotations
 
-import queue
 import shutil
 import tempfile
 import time
@@ -98,7 +97,9 @@ class Recording:
         self.pipeline = pipeline
         self.links: tuple[LinkSpec, ...] = pipeline.links
         self.storage = storage
-        self._queue: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
+        from skincal.streams.links import Inbox
+
+        self._queue = Inbox()
         self._readers: list[Reader] = []
         self.reached_ns = 0
         """Arrival of the newest item that the pipeline has worked on."""
@@ -130,7 +131,7 @@ class Recording:
         drained = False
         while not self._queue.empty():
             drained = True
-            item = self._queue.get()
+            item: Chunk | LinkEvent = self._queue.get()
             self.pipeline.feed(item)
             self.reached_ns = item.host_ns
             # Asked after an item, so that every call gets on.
@@ -150,7 +151,8 @@ class Recording:
         # What was read before the pause belongs to the segment that ends.
         self.drain()
         self.pipeline.demand_record()
-        assert self.pipeline.journal is not None
+        if self.pipeline.journal is None:
+            raise InputError(f"{self.storage.folder}: is only looked at. Open it again when its recording has ended.")
         # Opened while the old segment is open: where the disk refuses, nothing has happened yet.
         following = self.pipeline.journal.open_next(self.pipeline.scene, self.links)
         self.pipeline.close()

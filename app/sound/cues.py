@@ -4,7 +4,7 @@ They are made when they are first wanted, short, and known by their rhythm even 
 is a pure function of what was heard before and of the frame. Whatever is heard is also said on the screen in the same frame, so
 an operator who hears nothing misses nothing:
 
-- contact: the line says what to do with the force; held: "enough, release" - the verdict comes only with the release, and
+- contact: the line says what to do with the force; held: "held: release" - the verdict comes only with the release, and
   it is now that the hand wants to know;
 - accepted and rejected: the verdict; taxel done: the verdict names it, and its mark on the map becomes a square;
 - enough: the line says so; device lost: it says which, and as it says nothing else meanwhile, nothing else is heard.

@@ -182,7 +182,7 @@ def allowed(
         space="Verdict" if ends else pause,
         pause=pause,
         another=guidance is not None and guidance.target is not None,
-        skip_landmarks=guidance is not None and guidance.landmark is not None,
+        skip_landmarks=guidance is not None and (guidance.landmark is not None or guidance.closing is not None),
         correct=offers[0] if offers else None,
         verdict=guidance is not None,
         ends=ends,

@@ -58,6 +58,9 @@ def gain_words(gain: Gain | None) -> str:
 
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
     """Return by which method the guide asks, what the poke is for, and how far the session is."""
+    if guidance.closing is not None:
+        done, every = guidance.closing
+        return f"closing check {done + 1} of {every}: shows whether anything moved since the start{BETWEEN}Shift+N ends it"
     if guidance.landmark is not None:
         return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
     reason = f"{METHOD_NAMES[guidance.method]} method: {_reason(guidance, target)}"
@@ -90,7 +93,7 @@ def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
 
 def left_words(guidance: Guidance) -> str:
     """Return how much is left: `"about 120 pokes, 6 min left"`; empty where nothing is, or where nobody knows."""
-    if not guidance.pokes_left or guidance.phase in (GuidePhase.COVER, GuidePhase.LANDMARKS):
+    if not guidance.pokes_left or guidance.phase in (GuidePhase.COVER, GuidePhase.LANDMARKS, GuidePhase.CLOSING):
         return ""
     time = "" if guidance.seconds_left is None else f", {minutes(guidance.seconds_left)}"
     return f"about {count(round_pokes(guidance.pokes_left), 'poke')}{time} left"

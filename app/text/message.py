@@ -24,7 +24,10 @@ class Message:
 
 def refused_words(failure: str) -> str:
     """Return what is said where the disk takes nothing more, for the reason `failure`."""
-    return f"{failure} Recording is paused; what was recorded until now is safe."
+    return (
+        f"{failure} Recording is paused, and what is not on the disk is in memory only: export the calibration now, "
+        "then open the session again to record on."
+    )
 
 
 def kept_words(folder: Path) -> str:
@@ -35,11 +38,6 @@ def kept_words(folder: Path) -> str:
 def report_words(path: Path, verdict: str) -> str:
     """Return where a report is, and its verdict."""
     return f"The report is in {path}. {verdict}"
-
-
-def kept_old_words(path: Path) -> str:
-    """Return what is said where a file took the place of an older one."""
-    return f"The file that was there before is kept as {path.name}.bak."
 
 
 def keep_question(pokes: int) -> tuple[str, str]:

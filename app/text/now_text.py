@@ -34,7 +34,6 @@ from app.text.outcomes import (
     counted_words,
     landed_words,
     link_detail,
-    missed_words,
     peak_channel,
     verdict_detail,
     verdict_words,
@@ -43,6 +42,7 @@ from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
+from skincal.sentences import missed_words
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import Deed, DeedKind
 
@@ -300,6 +300,6 @@ def _no_data(at: ViewState) -> Now:
 def modules_enough_words() -> str:
     """Return what is said once the modules method needs no more, while another is shown."""
     settings = GuideSettings()
-    pokes, wanted = settings.module_pokes, 1e3 * settings.wanted
+    pokes, wanted = settings.module_pokes, 1e3 * settings.module_wanted
     words = f"By the modules method it is enough: {pokes} pokes on every module, predicted errors of at most {wanted:g} mm."
     return f"{words} The box above the map, or V, shows that method; then F leads to the file."

@@ -17,7 +17,6 @@ from app.state.view_state import LinkLook, ViewState, link_look
 from app.units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
-from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth
 from skincal.sentences import state_sentence
 from skincal.session.snapshot import Snapshot
@@ -106,11 +105,6 @@ def landed_words(outcome: Outcome, names: ChannelNames) -> str:
     """Return what became of a poke that was not at the landmark: `"counted for 17-04: "`."""
     peak = peak_channel(outcome)
     return f"counted for {names.short(peak)}: " if isinstance(outcome, Contact) and peak is not None else "rejected: "
-
-
-def missed_words(missed: MissedLandmark) -> str:
-    """Return how far a poke passed the landmark that was asked for: `"passes wrist, top at 52 mm, at most 34 mm"`."""
-    return f"passes {missed.name} at {millimetres(missed.miss, 0)}, at most {millimetres(missed.limit, 0)}"
 
 
 def verdict_words(outcome: Outcome, names: ChannelNames) -> str:

@@ -46,11 +46,12 @@ def _options(
 @cache
 def _register() -> None:
     """Add the commands, once; a function, so that each module is imported after `app` exists."""
-    from skincal.cli import calibrate, compare, name_pokes, record, simulate, study, write_report
+    from skincal.cli import calibrate, compare, listen, name_pokes, record, simulate, study, write_report
 
     calibrate.add_to(app)
     compare.add_to(app)
     write_report.add_to(app)
+    listen.add_to(app)
     name_pokes.add_to(app)
     record.add_to(app)
     simulate.add_to(app)
@@ -114,6 +115,11 @@ def _other_failure(error: Exception) -> int:
     # Who reads the output has seen enough, such as `head`.
     if isinstance(error, BrokenPipeError):
         return 0
+    # A name that is too long, a folder without rights: the system's word is the reason.
+    if isinstance(error, OSError) and error.filename is not None:
+        sentence = InputError(f"{error.filename}: cannot be used ({error.strerror}); check the path and its rights.")
+        typer.echo(f"skincal: {sentence}", err=True)
+        return 2
     traceback.print_exception(error, file=sys.stderr)
     typer.echo(f"skincal: {error!r} is a fault of skincal, not of your input; please report it with the lines above.", err=True)
     return 1

@@ -5,7 +5,7 @@ Imports that cost time stand in the functions that need them: `--help` must answ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,11 +19,13 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
     from skincal.geometry import FloatArray
+    from skincal.model.scene import Scene
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
+    from skincal.session.snapshot import Snapshot
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Replay = Annotated[
@@ -106,16 +108,18 @@ def solve(
     totals = pipeline.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
     leads = report.leading_name(snapshot.estimates)
+    verdict = _verdicts(pipeline.session, [] if leads is None else [Method(leads)], _rig_answer(pipeline.session))
     text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *module_lines]
-    text += [f"channel {channel} is not used: {why}" for channel, why in dead.items()]
+    text += [*rig_lines, *_closing_lines(snapshot, pipeline.session.scene), *(f"{words}." for words in verdict.values())]
+    text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in dead.items())]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
         "session": session,
         **counts,
         "methods": methods,
         "leads": leads,
+        "verdict": next(iter(verdict.values()), None),
         **losses,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
@@ -172,6 +176,15 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
     layout = {"used": used, "changes": changes, "left": left_sentences(mend), "written": written}
     lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.module_model, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
+
+
+def _closing_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
+    """Return whether anything moved since the session began, where that was checked."""
+    from skincal.sentences import closing_sentence
+    from skincal.session.closing_pokes import closing_of
+
+    closing = closing_of(snapshot, scene.noise)
+    return [] if closing is None else [closing_sentence(closing)]
 
 
 def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
@@ -280,17 +293,40 @@ def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], f
     used, estimates = session.corrections.get(RIG), session.snapshot().estimates[session.methods[-1]]
     landmarks, noise = landmark_agreement(answer, used), session.scene.noise
     off = unchecked_of(used, landmarks, estimates, session.contacts, session.landmark_pokes, noise)
-    return ([] if off is None else [unchecked_sentence(off)]), off
+    return ([] if off is None else [unchecked_sentence(off, len(session.landmark_pokes))]), off
 
 
 def _calibration(session: Session) -> Calibration:
-    """Return what the files are written from, with what landmark pokes say about a correction of the rig."""
-    if not session.landmark_pokes:
-        return session.calibration()
+    """Return what the files are written from, with what landmark pokes say about a correction of the rig, and the verdicts."""
     from skincal.files.calibration import landmark_check
+
+    answer = _rig_answer(session)
+    check = None if answer is None else landmark_check(answer)
+    return replace(session.calibration(), landmark_check=check, verdicts=_verdicts(session, session.methods, answer))
+
+
+def _rig_answer(session: Session) -> RigAnswer | None:
+    """Return what landmark pokes say of the rig; None without any."""
     from skincal.rig.correction_fit import correct_rig
 
-    return replace(session.calibration(), landmark_check=landmark_check(correct_rig(session.rig_request())))
+    return correct_rig(session.rig_request()) if session.landmark_pokes else None
+
+
+def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | None) -> dict[Method, str]:
+    """Return by method what a session has come to, what of it was checked and what could not be, without a full stop.
+
+    `answer` is what landmark pokes say.
+    """
+    from skincal.guide.verdict_words import verdict_sentence
+    from skincal.session.guiding import SessionGuide
+    from skincal.session.part import lay_part
+
+    guide, snapshot = SessionGuide(lay_part(session.scene, session.surface, ())), session.snapshot()
+    found: dict[Method, str] = {}
+    for method in methods:
+        guidance = guide.of_skin(snapshot, method, session.evidence)
+        found[method] = verdict_sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
+    return found
 
 
 def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:
@@ -348,11 +384,10 @@ def export(
         lacks = "surface" if chosen is Method.SURFACE else "layout"
         known = " or ".join(method.value for method in calibration.estimates)
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
-    older = f"; the older file is kept as {out.name}.bak" if out.is_file() else ""
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}{older}"]
+    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}"]
     result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

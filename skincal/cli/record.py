@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.links import LinkSpec, Reader
+    from skincal.streams.links import Inbox, LinkSpec, Reader
 
 
 SceneOption = Annotated[
@@ -128,12 +128,12 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
     """
-    from skincal.streams.links import Reader, describe_links
+    from skincal.streams.links import Inbox, Reader, describe_links
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
-    items: Items = queue.SimpleQueue()
+    items = Inbox()
     with stopping() as stop, new_session(out, loaded, links) as pipeline:
         if orders:
             # A daemon, since nothing can interrupt its read.
@@ -180,11 +180,7 @@ class OrderLine:
     text: bytes
 
 
-Items: TypeAlias = queue.SimpleQueue[Any]
-"""`Chunk`, `LinkEvent` and `OrderLine`, as they arrive."""
-
-
-def _read_orders(file: int, items: Items) -> None:
+def _read_orders(file: int, items: Inbox) -> None:
     """Stamp every line of a file that is open, and hand it on."""
     # Unbuffered: a buffer's lock, held by a thread that waits for a line, would break the end of the program.
     for line in FileIO(file, closefd=False):
@@ -225,7 +221,7 @@ def _choose_pose(pipeline: Pipeline, pose: str | None) -> None:
 
 def _loop(
     pipeline: Pipeline,
-    items: Items,
+    items: Inbox,
     readers: Mapping[str, Reader],
     until: tuple[float | None, int | None],
     stop: threading.Event,
@@ -306,8 +302,10 @@ class Silence:
 def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
     """Print each poke's outcome once it is final; return how many were printed."""
     from skincal.contacts.outcome import Contact
+    from skincal.sentences import missed_words
 
-    records = pipeline.snapshot().pokes
+    snapshot = pipeline.snapshot()
+    records = snapshot.pokes
     while reported < len(records) and records[reported].outcome.final:
         outcome = records[reported].outcome
         if isinstance(outcome, Contact):
@@ -315,6 +313,8 @@ def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
         else:
             numbers = f"{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}".rstrip()
             typer.echo(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
+        if outcome.poke in snapshot.missed_landmarks:
+            typer.echo(f"poke {outcome.poke}: {missed_words(snapshot.missed_landmarks[outcome.poke])}", err=True)
         reported += 1
     return reported
 
@@ -351,7 +351,7 @@ def finish(
     silent = report.silent_links(live.links)
     # Without a byte of one of its devices no poke can ever be found in a recording.
     useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
-    kept = bool(pipeline.journal_failure) or not useless
+    kept = (bool(pipeline.journal_failure) or not useless) and out.exists()
     text += [*report.loss_lines(losses), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {
         "session": out if kept else None,
@@ -364,7 +364,7 @@ def finish(
     report.print_result(result, as_json)
     trouble = pipeline.journal_failure or silent
     if trouble:
-        raise KeptError(trouble) if kept else InputError(f"{trouble} No session was made.")
+        raise KeptError(trouble) if kept or pipeline.journal_failure else InputError(f"{trouble} No session was made.")
 
 
 def import_yarp(

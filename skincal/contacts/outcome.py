@@ -99,7 +99,7 @@ class PressPhase(Enum):
     READY = "ready"
     PRESSING = "pressing"
     STILL = "still"
-    HELD = "enough, release"
+    HELD = "held: release"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,18 +15,18 @@ from skincal.model.errors import InputError
 _OF_SESSION = re.compile(r"segment-\d{4}\.(mcap|jsonl)|session\.lock")
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write `data` to `path`, with the rights of an older file, which stays beside it with `.bak` after its name.
+def write_atomically(path: Path, data: bytes) -> Path | None:
+    """Write `data` to `path`, with the rights of an older file; return where that one is kept, None where there was none.
 
-    Where there is a `.bak` already, the next one is `.bak-2`, and so on. The bytes are on the disk before the name changes, so
-    `path` is at every moment the old file or the new one.
+    It stays beside the new one with `.bak` after its name; where there is a `.bak` already, with `.bak-2`, and so on. The bytes
+    are on the disk before the name changes, so `path` is at every moment the old file or the new one.
 
     Raises InputError: the folder is missing, the path is a folder, a link, a device or a recording of skincal's own, or the
     disk refuses; an older file is as it was.
     """
     try:
         _demand_ours(path)
-        _replace(path, data)
+        return _replace(path, data)
     except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{path}: cannot be written ({why}); free some space or choose another folder.") from None
@@ -48,10 +48,11 @@ def _demand_ours(path: Path) -> None:
         raise InputError(f"{path}: is part of a recorded session; choose another name.")
 
 
-def _replace(path: Path, data: bytes) -> None:
+def _replace(path: Path, data: bytes) -> Path | None:
     # With the process's number: another program may be writing the same file.
     part = path.with_name(f".{path.name[:100]}.{os.getpid()}.part")
     part.unlink(missing_ok=True)
+    kept = None
     try:
         with part.open("xb") as file:
             file.write(data)
@@ -59,14 +60,15 @@ def _replace(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         if path.exists():
             part.chmod(stat.S_IMODE(path.stat().st_mode))
-            _keep_old(path)
+            kept = _keep_old(path)
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+    return kept
 
 
-def _keep_old(path: Path) -> None:
-    """Give the old file a second name, `.bak`, without a moment in which `path` is missing."""
+def _keep_old(path: Path) -> Path:
+    """Give the old file a second name, `.bak`, without a moment in which `path` is missing; return it."""
     for number in count(1):
         backup = path.with_name(f"{path.name}.bak{f'-{number}' if number > 1 else ''}")
         with suppress(FileExistsError):
@@ -77,7 +79,8 @@ def _keep_old(path: Path) -> None:
             except OSError:
                 # A file system without hard links, such as FAT: the second name costs a copy.
                 _copy_anew(path, backup)
-            return
+            return backup
+    raise AssertionError("there is a next number")
 
 
 def _copy_anew(path: Path, copy: Path) -> None:

@@ -11,6 +11,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.taxels.gains import TaxelGain, taxel_gains
@@ -63,6 +64,10 @@ class Calibration:
     """Pokes at known points of the part, as the rig reported them; those whose poke is in `excluded` did not count."""
     landmark_check: LandmarkCheck | None = None
     """What they say about a correction of the rig, used or not; None where none was searched for."""
+    closing: Closing | None = None
+    """Whether anything moved since the session began; None where that was not checked."""
+    verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])
+    """By method what was checked and what could not be, in a sentence without its full stop; none where nobody asked."""
 
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.

@@ -232,6 +232,7 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {frame}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
         *(f"comment {correction_words(used)}" for used in calibration.corrections),
+        *(f"comment {calibration.verdicts[each]}" for each in (method,) if each in calibration.verdicts),
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
         "property int channel",
@@ -274,6 +275,7 @@ LANDMARK_KEYS = {
     "link_from_sensor": "link_from_sensor_m", "pose": "pose",
 }  # fmt: skip
 CHECK_KEYS = {"pokes": "landmark_pokes", "before": "miss_before_m", "after": "miss_after_m", "worth_using": "worth_using"}
+CLOSING_KEYS = {"names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved"}
 ESTIMATE_KEYS = {
     "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "covariance": "covariance_m2",
     "weakest": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
@@ -286,7 +288,7 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
     """Return the JSON text of every method; `mesh_findings` are sentences on the mesh."""
     scene = calibration.scene
     layout = scene.skin.layout
-    check = calibration.landmark_check
+    check, closing = calibration.landmark_check, calibration.closing
     document = {
         "format": JSON_FORMAT,
         "skincal_version": calibration.version,
@@ -305,7 +307,9 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         "channels": [int(channel) for channel in calibration.channels],
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
         "corrections": [_correction(used) for used in calibration.corrections],
+        "verdicts": {method.value: words for method, words in calibration.verdicts.items()},
         "landmark_check": None if check is None else _written(check, CHECK_KEYS),
+        "closing_check": None if closing is None else {"at": closing.at.value, **_written(closing, CLOSING_KEYS)},
         "landmark_pokes": [_written(poke, LANDMARK_KEYS) for poke in calibration.landmark_pokes],
         "excluded_pokes": [int(poke) for poke in calibration.excluded],
         "contacts": [_written(contact, CONTACT_KEYS) for contact in calibration.contacts],
@@ -425,13 +429,14 @@ def write_calibration(
 
     Returns
     -------
-    Sentences: faults found (`skincal.files.export`) and what is left out. They do not stop the writing.
+    Sentences: faults found (`skincal.files.export`), what is left out, and where an older file is kept. They do not stop the
+    writing.
 
     Raises InputError: the format or method is unknown, or the file cannot be written.
     """
     content, sentences = calibration_file(calibration, format, method, part)
-    write_atomically(path, content)
-    return sentences
+    kept = write_atomically(path, content)
+    return sentences if kept is None else (*sentences, f"The older {path.name} is kept as {kept.name}.")
 
 
 def calibration_file(

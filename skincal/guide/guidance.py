@@ -169,6 +169,7 @@ class GuidePhase(Enum):
     COVER = "looking for taxels"
     SWEEP = "sweep"
     OWN = "own pokes"
+    CLOSING = "closing check"
     ENOUGH = "enough"
 
 
@@ -226,6 +227,14 @@ class Guidance:
     """The landmark that is asked for before the skin; None where none is."""
     gain: Gain | None = None
     """What the landmarks of this arm pose are worth; None where none is asked for, or where it is unknown."""
+
+    closing: tuple[int, int] | None = None
+    """How many of how many places were poked once more in the closing check; None while none is asked for."""
+
+    @property
+    def enough(self) -> bool:
+        """Whether no taxel needs anything more, though the closing check may go on."""
+        return self.phase in (GuidePhase.ENOUGH, GuidePhase.CLOSING)
 
     @property
     def done(self) -> int:

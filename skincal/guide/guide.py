@@ -29,6 +29,7 @@ from skincal.guide.progress import (
     given_up,
     module_pokes_left,
     needs,
+    own_error,
     pace,
     pokes_left,
 )
@@ -265,7 +266,8 @@ class Guide:
             self._last = self._target(state, phase)
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
         if self.method is Method.MODULES:
-            count = module_pokes_left(open_, self.plan.modules, self._own(), rms, self.settings)
+            errors = np.array([own_error(each) for each in estimates])
+            count = module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings)
         else:
             count = pokes_left(open_, know.own, rms, beside, know.moved, self.settings)
         step = pace(np.array([contact.start_s for contact in self._pokes.latest()]))
@@ -290,13 +292,16 @@ class Guide:
         """Return which taxels are asked for no more though they need something, by their index."""
         know, settings, unanswered = self._knowledge, self.settings, self._pokes.unanswered
         # Of thousands of taxels only these can be given up: the rest is not looked at.
-        tried_often = (know.own >= settings.patience) | ((know.contacts == 0) & (unanswered >= settings.unanswered))
+        patience = settings.module_patience if self.method is Method.MODULES else settings.patience
+        often = self._own() >= patience
+        tried_often = often | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable < settings.diversity:
             tried_often |= know.own >= settings.own_pokes
         found: dict[int, Why] = {}
         for row in {*np.flatnonzero(tried_often).tolist(), *self._skips}:
             tried = Tried(
                 own=int(know.own[row]),
+                often=bool(often[row]),
                 contacts=int(know.contacts[row]),
                 unanswered=int(unanswered[row]),
                 shut=bool(self._left_out(row).all()),
@@ -421,7 +426,7 @@ class Guide:
             return candidates.predicted(state, row, push, self._noise)
         # A module is known from all its pokes alike: the variance falls as one over them.
         before, pokes = float(self._solved[row]), int(self._own()[row])
-        return before, before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted
+        return before, before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted_by(self.method)
 
     def _aimed(self, state: candidates.ChoiceState, row: int, push: int) -> Target:
         """Return a push at a taxel as a target, with what it is predicted to gain."""

@@ -35,6 +35,11 @@ class GuideSettings:
 
     wanted: float = 0.003
     """m, predicted rms error at which a taxel may be done: a little over half of the 5 mm between taxels."""
+    module_wanted: float = 0.0015
+    """m, by the modules method, of the error that more pokes mend: a module's taxels are wrong together, so at 3 mm one in
+    twelve is farther off than that."""
+    module_patience: int = 24
+    """Pokes of its module after which a taxel is given up that is not done: twice as many as one needs at most."""
     module_pokes: int = 4
     """Pokes of a module's own, by the modules method: three places fix where it lies and how it is turned, and one is spare."""
     own_pokes: int = 3
@@ -62,6 +67,10 @@ class GuideSettings:
     """s, for a poke where the hand is: measured on the simulated operator, whose habits are assumed."""
     hand_speed: float = 0.15
     """m/s, of the hand between taxels. Assumed: slow, as one aims."""
+
+    def wanted_by(self, method: Method) -> float:
+        """Return the predicted error, m, at which a taxel may be done by a method."""
+        return self.module_wanted if method is Method.MODULES else self.wanted
 
 
 class Need(Enum):
@@ -103,6 +112,8 @@ class Tried:
     """What was tried at one taxel, and what can be."""
 
     own: int
+    often: bool
+    """Enough pokes of its own, or of its module, were made in vain."""
     contacts: int
     """Pokes in which it answered."""
     unanswered: int
@@ -113,12 +124,27 @@ class Tried:
     """rad, the most that a push may lean now."""
 
 
+def own_error(estimate: Estimate) -> float:
+    """Return the predicted rms error that more pokes on the skin make smaller, metres; infinite where nothing is known.
+
+    Without what all taxels share, and without the part along the normal of a surface, which is the mesh's.
+    """
+    if estimate.rms is None or estimate.covariance is None:
+        return float("inf")
+    rest = estimate.rms**2
+    if estimate.moved is not None:
+        rest -= float(np.sum(estimate.moved**2))
+    if estimate.triangle is not None and estimate.normal is not None:
+        rest -= float(estimate.normal @ estimate.covariance @ estimate.normal)
+    return float(np.sqrt(max(rest, 0.0)))
+
+
 def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings) -> tuple[Need, ...]:
     """Return what a taxel still needs by a method; nothing where it is done or dead."""
     if estimate.state is State.DEAD:
         return ()
     if method is Method.MODULES:
-        few, wide = facts.own < settings.module_pokes, estimate.rms is None or estimate.rms > settings.wanted
+        few, wide = facts.own < settings.module_pokes, own_error(estimate) > settings.module_wanted
         return tuple(need for need, is_missing in ((Need.POKES, few), (Need.ACCURACY, wide)) if is_missing)
     missing = {
         Need.POKES: facts.own < settings.own_pokes,
@@ -139,7 +165,7 @@ def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -
         return Why.OUT_OF_REACH
     if tried.contacts == 0:
         return Why.NEVER_FIRED if tried.unanswered >= settings.unanswered else None
-    if tried.own >= settings.patience:
+    if tried.often:
         return Why.AMBIGUOUS if Need.DECISION in missing else Why.STUBBORN
     # Axes that all lean by the same angle, evenly to all sides, have just that diversity; no others have more.
     if Need.SIDES in missing and tried.own >= settings.own_pokes and tried.tilt < settings.diversity:
@@ -190,15 +216,15 @@ def pokes_left(
 def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings) -> int:
     """Return how many pokes it takes until no module is open, by the modules method.
 
-    `modules` is (n,) of each taxel, `own` (n,) the pokes of its module; the rest is as in `pokes_left`.
+    `modules` is (n,) of each taxel, `own` (n,) the pokes of its module, `rms` (n,) its `own_error`; else as `pokes_left`.
     """
     count = 0
     for module in np.unique(modules[open_]).tolist():
         taxels = modules == module
         pokes, error = int(own[taxels].max()), float(np.max(np.where(np.isfinite(rms[taxels]), rms[taxels], 0.0)))
         # The variance falls as one over the pokes.
-        exact = int(np.ceil(max(pokes, 1) * ((error / settings.wanted) ** 2 - 1.0)))
-        count += max(settings.module_pokes - pokes, exact, 1)
+        exact = int(np.ceil(max(pokes, 1) * ((error / settings.module_wanted) ** 2 - 1.0)))
+        count += max(settings.module_pokes - pokes, min(exact, settings.module_patience - pokes), 1)
     return count
 
 

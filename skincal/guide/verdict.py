@@ -26,12 +26,13 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import Guidance
 from skincal.guide.progress import GuideSettings, Need, Why, worked
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_squares
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_poked
+from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
@@ -256,11 +257,14 @@ class Verdict:
     """Accepted, and not taken out."""
     seconds: float
     """s, from the first of these pokes to the end of the last, without pauses."""
+    closing: Closing | None = None
+    """Whether anything moved since the session began; None where that was not checked."""
 
     @property
     def doubted(self) -> bool:
         """Whether anything speaks against the predicted errors."""
-        return not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
+        moved = self.closing is not None and self.closing.moved
+        return moved or not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
     def believed(self) -> bool:
@@ -298,8 +302,8 @@ def verdict_of(
     ordered = [contacts[poke] for poke in sorted(contacts)]
     return Verdict(
         method=guidance.method,
-        enough=guidance.phase is GuidePhase.ENOUGH and bool(used),
-        wanted=settings.wanted,
+        enough=guidance.enough and bool(used),
+        wanted=settings.wanted_by(guidance.method),
         done=len(used) - sum(taxel.why is not Why.DEAD for taxel in left),
         used=len(used),
         left=left,

@@ -5,11 +5,13 @@ from __future__ import annotations
 from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
+from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
+from skincal.sentences import closing_sentence
 from skincal.taxels.result import Method
 
 
-def sentence(verdict: Verdict) -> str:
+def verdict_sentence(verdict: Verdict) -> str:
     """Return what the session has come to: `"All 84 taxels are done, predicted to 3 mm, and the held-out pokes agree."`.
 
     Taxels that are predicted to so much and not done, because they need something else, are not counted.
@@ -18,7 +20,9 @@ def sentence(verdict: Verdict) -> str:
         return "No taxel is used." if verdict.left else "No taxel has answered yet."
     if verdict.done == verdict.used:
         used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
-        done = f"All {plural(verdict.used, used + 'taxel')} are done, predicted to {_mm(verdict.wanted, 0)}"
+        done = f"All {plural(verdict.used, used + 'taxel')} are done, predicted to {1e3 * verdict.wanted:g} mm"
+        if verdict.method is Method.MODULES:
+            done = f"{done} among each other"
     else:
         done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done"
     early = "" if verdict.enough else "Not enough yet: "
@@ -27,6 +31,8 @@ def sentence(verdict: Verdict) -> str:
 
 def _agreement(verdict: Verdict) -> str:
     check, landmarks = verdict.check, verdict.landmarks
+    if verdict.closing is not None and verdict.closing.moved:
+        return ", but something has moved since the start"
     if not check.believed:
         return ", but the held-out pokes speak against it"
     if landmarks is not None and not landmarks.agrees:
@@ -47,6 +53,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Needs", done_words(verdict.method, verdict.wanted)),
         ("Check", check_words(verdict)),
         ("Landmarks", landmark_words(verdict.landmarks)),
+        ("Closing", closing_words(verdict.closing)),
         ("Predicted", predicted_words(verdict)),
         ("Work", f"{plural(verdict.pokes, 'poke')} in {_minutes(verdict.seconds)}"),
     )
@@ -55,9 +62,9 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 def done_words(method: Method, wanted: float) -> str:
     """Return what makes a taxel done, `wanted` in metres: `"a predicted error of 3 mm or less, and 4 pokes on its module"`."""
     settings = GuideSettings()
-    error = f"a predicted error of {_mm(wanted, 0)} or less"
+    error = f"a predicted error of {1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
-        return f"{error}, and {settings.module_pokes} pokes on its module"
+        return f"{error} beside what all taxels share, and {settings.module_pokes} pokes on its module"
     sides = "tilted to several sides and " if method is Method.FREE else ""
     return f"{error}, {settings.own_pokes} pokes of its own {sides}evenly around it, and the last hardly moved it"
 
@@ -88,6 +95,13 @@ def landmark_words(landmarks: LandmarkAgreement | None) -> str:
     if landmarks.agrees:
         return words
     return f"{words}: the errors are larger than predicted. Look at the landmarks' places and at the rig."
+
+
+def closing_words(closing: Closing | None) -> str:
+    """Return whether anything moved since the start."""
+    return (
+        "not checked: at the end some of the first places are poked once more" if closing is None else closing_sentence(closing)
+    )
 
 
 def predicted_words(verdict: Verdict) -> str:

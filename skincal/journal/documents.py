@@ -27,8 +27,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,12 +41,16 @@ from skincal.contacts.tare import Tare
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
+from skincal.model.given import parse_json, read_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
+from skincal.model.tables import shown
 from skincal.streams.links import LinkSpec
 
 _END = b"]\n"
 _HEAD = 12
 """Bytes before what the checksum covers: `["`, eight digits, `",`."""
+LINES_MOST = 64 << 20
+"""Bytes of the lines of a segment, which lasts five minutes: ten thousand pokes have 15 MB."""
 _TOTALS, _NO_KEY, _CLOSED = b'"totals"', b'""', b'"closed"'
 FORMAT = 3
 """Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments."""
@@ -147,6 +152,7 @@ def event_to_json(event: LinkEvent | Stamped | Ending) -> dict[str, Any]:
     """Return an event as a JSON object."""
     if isinstance(event, LinkEvent):
         body = {"type": "link", "link": event.link, "state": event.state.value, "text": event.text}
+        body |= {"dropped": event.dropped} if event.dropped else {}
     elif isinstance(event, Ending):
         body = {"type": "end"}
     else:
@@ -170,6 +176,17 @@ def note_to_json(note: Note) -> dict[str, Any]:
     return {"type": "taken", "outcomes": [_outcome_to_json(outcome, doubt) for outcome, doubt in note.outcomes], **dead}
 
 
+def read_document(data: bytes, path: Path) -> SessionEvent | Note:
+    """Return the event or the note of JSON bytes from the file `path`; raises what `from_document` raises."""
+    try:
+        document = parse_json(data)
+    except ValueError as error:
+        raise InputError(f"{path}: an event or note is no JSON ({error}); {_PLAY}.") from None
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: an event or note is {shown(document)}; expected a table; {_PLAY}.")
+    return from_document(cast("dict[str, Any]", document), path)
+
+
 def from_document(document: Mapping[str, Any], path: Path) -> SessionEvent | Note:
     """Return the event or the note of a JSON object from the file `path`.
 
@@ -178,39 +195,63 @@ def from_document(document: Mapping[str, Any], path: Path) -> SessionEvent | Not
     InputError
         It is of a newer version, or not one that skincal wrote.
     """
+    kind = document.get("type")
+    read = _READERS.get(kind) if isinstance(kind, str) else None
+    if read is None:
+        raise InputError(
+            f"{path}: has an event or note {shown(kind)}, which this version does not know; open it with a newer skincal."
+        )
     body = {key: value for key, value in document.items() if key not in ("n", "type", "host_ns")}
-    kind, host_ns = document.get("type"), int(document.get("host_ns", 0))
-    if kind in _NOTES:
-        try:
-            return _NOTES[kind](body)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{path}: a note of kind {kind!r} does not fit ({error!r}); play the session from its bytes."
-            ) from None
-    if kind == "link":
-        return LinkEvent(body["link"], host_ns, LinkState(body["state"]), body["text"])
-    if kind == "action":
-        return Stamped(host_ns, from_json(body))
-    if kind == "end":
-        return Ending(host_ns)
-    if kind == "segment":
-        return _mark(host_ns, body, path)
-    raise InputError(f"{path}: has an event or note {kind!r}, which this version does not know; open it with a newer skincal.")
+    try:
+        return read(_whole(document.get("host_ns", 0)), body)
+    except (_NewerError, InputError) as error:
+        raise InputError(f"{path}: {error}") from None
+    except _MISFIT as error:
+        raise InputError(f"{path}: an event or note of kind {kind!r} does not fit ({error!r}); {_PLAY}.") from None
 
 
-def _mark(host_ns: int, body: Mapping[str, Any], path: Path) -> SegmentMark:
-    if body["format"] > FORMAT:
-        raise InputError(f"{path}: was written by skincal {body['skincal']}, a newer one; expected format {FORMAT} at most.")
+_PLAY = "it is damaged, or another program wrote it"
+_MISFIT = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, AssertionError)
+"""What the readers below raise on JSON that skincal never wrote."""
+NUMBER_MOST = 1e12
+"""Of forces, moments and responses, in their units: no sensor has more, and their squares stay numbers."""
+
+
+class _NewerError(Exception):
+    """A newer version wrote it."""
+
+
+def _whole(value: object) -> int:
+    if type(value) is not int:
+        raise TypeError(f"{shown(value)} is no whole number")
+    return value
+
+
+def _text_of(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{shown(value)} is no text")
+    return value
+
+
+def _link_event(host_ns: int, body: Mapping[str, Any]) -> LinkEvent:
+    return LinkEvent(
+        _text_of(body["link"]), host_ns, LinkState(body["state"]), _text_of(body["text"]), _whole(body.get("dropped", 0))
+    )
+
+
+def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
+    if _whole(body["format"]) > FORMAT:
+        raise _NewerError(f"was written by skincal {body['skincal']}, a newer one; expected format {FORMAT} at most.")
     return SegmentMark(
-        number=int(body["segment"]),
+        number=_whole(body["segment"]),
         host_ns=host_ns,
         links=tuple(
-            LinkSpec(str(link["name"]), str(link["address"]), tuple(map(Stream, link["carries"])), str(link["format"]))
+            LinkSpec(_text_of(link["name"]), _text_of(link["address"]), tuple(map(Stream, link["carries"])), link["format"])
             for link in body["links"]
         ),
-        format=int(body["format"]),
-        scene=body["scene"],
-        digest=body.get("scene_digest"),
+        format=body["format"],
+        scene=_text_of(body["scene"]),
+        digest=None if body.get("scene_digest") is None else _text_of(body["scene_digest"]),
         continues=bool(body.get("continues", False)),
     )
 
@@ -225,7 +266,7 @@ def _taken_from_json(document: Mapping[str, Any]) -> Taken:
     dead = document.get("dead")
     return Taken(
         outcomes=[_outcome_from_json(entry) for entry in document["outcomes"]],
-        dead=None if dead is None else {int(channel): str(why) for channel, why in dead.items()},
+        dead=None if dead is None else {int(channel): _text_of(why) for channel, why in dead.items()},
     )
 
 
@@ -242,30 +283,67 @@ def _outcome_from_json(document: Mapping[str, Any]) -> tuple[Outcome, Doubt | No
         return _contact(document), doubt
     values = _values({key: value for key, value in document.items() if key not in ("is", "doubt")})
     values["reason"] = Reason[values["reason"]]
-    return Rejection(**values), doubt
+    return _checked(Rejection(**values)), doubt
 
 
 def _contact(document: Mapping[str, Any]) -> Contact:
     # Written out, and not as `_values` does it: a session has ten thousand of these, and opening it waits for them.
-    return Contact(
+    channels, responses = document["channels"], document["responses"]
+    contact = Contact(
         poke=document["poke"],
         start_s=_number(document["start_s"]),
         end_s=_number(document["end_s"]),
         force=np.array(document["force"], dtype=np.float64),
         moment=np.array(document["moment"], dtype=np.float64),
-        channels=np.array(document["channels"], dtype=np.int64),
-        responses=np.array(document["responses"], dtype=np.float64),
+        channels=np.array(channels, dtype=np.int64),
+        responses=np.array(responses, dtype=np.float64),
         link_from_sensor=_pose(np.array(document["link_from_sensor"], dtype=np.float64).tobytes()),
         pose=document["pose"],
         tare_change=_number(document["tare_change"]),
         final=document["final"],
     )
+    # In plain numbers, which is ten times quicker than in arrays.
+    numbers = (*document["force"], *document["moment"], *responses, contact.start_s, contact.end_s)
+    right = type(contact.poke) is int and type(contact.pose) is str and type(contact.final) is bool
+    right &= 0 < contact.poke < POKES_MOST and contact.force.shape == contact.moment.shape == (3,)
+    right &= len(channels) == len(responses) > 0 and channels == sorted(set(channels)) and min(responses) > 0
+    if not right or max(map(abs, numbers)) > NUMBER_MOST or not any(document["force"]):
+        raise ValueError(f"poke {shown(contact.poke)} is none that was measured")
+    return contact
+
+
+POSE_MOST = 1e3
+"""m. Of a pose's numbers: no sensor is a kilometre away."""
+POKES_MOST = 1 << 31
+"""Numbers of pokes end here: a poke a second would take a lifetime."""
+_SHAPES = {"force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
+Checked = TypeVar("Checked", Rejection, FinishedPress, StillMean, Tare)
+
+
+def _checked(value: Checked) -> Checked:
+    """Return what was read, if each field is of its kind and shape."""
+    for item in fields(value):
+        found: object = getattr(value, item.name)
+        wanted = str(item.type)
+        if found is None and wanted.endswith("| None"):
+            continue
+        if "Array" in wanted:
+            shape = np.shape(cast("FloatArray", found))
+            right = type(found) is np.ndarray and shape == _SHAPES.get(item.name, shape[:1])
+        else:
+            right = type(found).__name__ in {"float": ("float", "int")}.get(wanted, (wanted.removesuffix(" | None"),))
+        if not right:
+            raise TypeError(f"{item.name} is {shown(cast('object', found))}")
+    return value
 
 
 @lru_cache(maxsize=64)
 def _pose(raw: bytes) -> FloatArray:
     """Return a pose, (4, 4), from its bytes: one array for all pokes in it, and not to be written to."""
-    return np.frombuffer(raw).reshape(4, 4)
+    pose = np.frombuffer(raw).reshape(4, 4)
+    if not np.abs(pose).max() < POSE_MOST:  # nor NaN
+        raise ValueError("a pose is none of a robot")
+    return pose
 
 
 def _number(value: float | str | None) -> float:
@@ -279,13 +357,13 @@ def _doubt(document: Mapping[str, Any] | None) -> Doubt | None:
     still = values["still"]
     before = _tare(document["poke"]["before"])
     assert before is not None
-    values |= {"before": before, "still": None if still is None else StillMean(**_values(still))}
-    return Doubt(FinishedPress(**values), _tare(document["after"]))
+    values |= {"before": before, "still": None if still is None else _checked(StillMean(**_values(still)))}
+    return Doubt(_checked(FinishedPress(**values)), _tare(document["after"]))
 
 
 def _tare(document: Mapping[str, Any] | None) -> Tare | None:
     # The skin's baseline has done its work in the poke's responses; hundreds of numbers stay out of the journal.
-    return None if document is None else Tare(**_values(document), skin=np.empty(0))
+    return None if document is None else _checked(Tare(**_values(document), skin=np.empty(0)))
 
 
 def _to_json(value: Any) -> Any:
@@ -322,13 +400,21 @@ def _value(key: str, value: Any) -> Any:
 
 def _totals_from_json(document: Mapping[str, Any]) -> Totals:
     def read(name: str, link: Mapping[str, Any]) -> LinkTotals:
-        losses = {Loss[loss]: int(count) for loss, count in link["lost"].items()}
-        return LinkTotals(name, str(link["format"]), int(link["readings"]), losses)
+        losses = {Loss[loss]: _whole(count) for loss, count in link["lost"].items()}
+        return LinkTotals(name, _text_of(link["format"]), _whole(link["readings"]), losses)
 
-    return Totals(tuple(read(name, link) for name, link in document["links"].items()), int(document["unpaired"]))
+    return Totals(tuple(read(name, link) for name, link in document["links"].items()), _whole(document["unpaired"]))
 
 
-_NOTES: dict[str, Callable[[Mapping[str, Any]], Note]] = {"taken": _taken_from_json, "totals": _totals_from_json}
+_READERS: dict[str, Callable[[int, Mapping[str, Any]], SessionEvent | Note]] = {
+    "taken": lambda _, body: _taken_from_json(body),
+    "totals": lambda _, body: _totals_from_json(body),
+    "link": _link_event,
+    "action": lambda host_ns, body: Stamped(host_ns, from_json(body)),
+    "end": lambda host_ns, _: Ending(host_ns),
+    "segment": _mark,
+}
+"""By the word that says what kind an event or a note is."""
 
 
 def encode_chunk(host_ns: int, data: bytes) -> bytes:
@@ -474,11 +560,13 @@ class Lines:
 
 def read_lines(segment: Path) -> Lines | None:
     """Return the lines beside a segment; None where there are none, as in older sessions."""
-    data = lines_path(segment).read_bytes() if lines_path(segment).exists() else b""
+    path = lines_path(segment)
+    data = read_regular(path, LINES_MOST) if path.exists() else b""
     kept: list[bytes] = []
     totals: list[bytes] = []
     body, last_key, checksum, size = b"0]\n", b"", 0, 0
-    for line in data.splitlines(keepends=True):
+    # One by one up to the first that is damaged: a list of all could take more than the file by far.
+    for line in BytesIO(data):
         found = zlib.crc32(line[_HEAD:], checksum)
         if line[:_HEAD] != b'["%08x",' % found:
             break
@@ -497,5 +585,8 @@ def read_lines(segment: Path) -> Lines | None:
         kept.append(document)
         last_key = key
     documents = tuple(document[: -len(_END)] for document in kept + totals)
-    items = int(body.split(b",")[0].removesuffix(_END))
+    try:
+        items = int(body.split(b",")[0].removesuffix(_END))
+    except ValueError:
+        raise InputError(f"{path}: a line begins with no count of items; {_PLAY}.") from None
     return Lines(documents, items, body.endswith(_CLOSED + _END), checksum, size, len(data) - size) if data else None

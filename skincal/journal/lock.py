@@ -42,13 +42,19 @@ else:
         fcntl.flock(file.fileno(), (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
 
 
+class RecordedElsewhereError(InputError):
+    """Another process writes into the session's folder."""
+
+
 class SessionLock:
     """The right to write into a session's folder, held until `release` or the end of the process.
 
     Raises
     ------
+    RecordedElsewhereError
+        Another process, or another part of this one, writes there.
     InputError
-        Another process, or another part of this one, writes there; or the folder cannot be written or locked.
+        The folder cannot be written or locked.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -66,7 +72,7 @@ class SessionLock:
                 "or copy the session to a local disk."
             ) from None
         if file is None:
-            raise InputError(
+            raise RecordedElsewhereError(
                 f"{folder}: is being recorded by {_words_of(self._path)}; end that recording first. "
                 "`skincal solve` and `skincal export` read it meanwhile."
             )

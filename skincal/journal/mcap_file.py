@@ -1,182 +1,223 @@
-"""Writes an MCAP file, many messages at once: the bytes are those of the library's `Writer`, a message costs a tenth.
+"""A segment's MCAP file, record by record, up to the first damage.
 
-The library makes an object and a dozen small writes of each message, which is most of what recording 1 kHz costs. Here the
-messages of a chunk, and their index, are packed together; every other record is written by the library's public classes.
-Source: https://mcap.dev/spec.
+The file may be a stranger's, so nothing in it is believed before it is looked at: how long a record is, how large a chunk
+becomes when it is unpacked. The library reads what one record holds; indexes are never read, so that what is wrong in one of
+them hides nothing. Source: mcap.dev/spec.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import BinaryIO
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO, cast
 
-import numpy as np
 import zstandard
-from mcap.data_stream import RecordBuilder
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
+from mcap.records import Channel, Chunk, DataEnd, Footer, McapRecord, Message, Metadata, Schema, Statistics
+
+from skincal.model.given import open_regular, parse_json
+
+EVENT_TOPIC = "/events"
+NOTE_TOPIC = "/session"
+RAW_TOPIC = "/raw/"
+RECORD_MOST = 64 << 20
+"""Bytes of a record, and of a chunk when it is unpacked: four times what the writer makes. What says more is damaged."""
+SUMMARY_MOST = 256 << 20
+"""Bytes of the index at the end: it grows by 2 kB a second, and segments end after five minutes."""
+_MAGIC = b"\x89MCAP0\r\n"
+_FOOTER_BYTES = 9 + 20 + len(_MAGIC)
+"""The footer's record, and what follows it."""
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
+    Opcode.CHUNK: Chunk.read,
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.METADATA: Metadata.read,
+    Opcode.STATISTICS: Statistics.read,
+    Opcode.DATA_END: DataEnd.read,
+    Opcode.FOOTER: Footer.read,
+}
+"""What reads the records that are looked at; all others are passed over."""
+DAMAGE = (
+    McapError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,  # among them: bad UTF-8
+    KeyError,
+    IndexError,
+    AssertionError,
+    EOFError,
+    OverflowError,
+    MemoryError,
 )
-from mcap.writer import MCAP0_MAGIC
-from numpy.typing import NDArray
-
-from skincal.geometry import IntArray
-
-_MESSAGE = struct.Struct("<BQHIQQ")
-_ENTRY = struct.Struct("<QQ")
-_INDEX = struct.Struct("<BQHI")
-_OF_LENGTH = 9
-"""bytes of a record that its length leaves out: the kind and the length itself."""
+"""What the MCAP library raises on damaged bytes."""
 
 
-class McapWriter:
-    """Writes into a `file` that is open and empty; OSError where the disk refuses. Nothing lies in it before `flush`."""
-
-    def __init__(self, file: BinaryIO, profile: str, library: str) -> None:
-        self._file = file
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
-        self._metadata: list[MetadataIndex] = []
-        self._counts: Counter[int] = Counter()
-        self._first: int | None = None
-        self._last = 0
-        self._begin_chunk()
-        file.write(MCAP0_MAGIC)
-        self._write(Header(profile, library))
-
-    def _begin_chunk(self) -> None:
-        self._parts: list[bytes] = []
-        self._size = 0
-        # Of each channel, in the order of their first messages: time and place of each message.
-        self._entries: dict[int, list[bytes]] = {}
-        self._chunk_first, self._chunk_last = 1 << 64, 0
-
-    def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Write texts by their names, at once."""
-        offset = self._file.tell()
-        length = self._write(Metadata(name=name, metadata=dict(texts)))
-        self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
-
-    def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Describe a kind of message; return its number."""
-        self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name))
-        self._put(_bytes_of(self._schemas[-1]))
-        return len(self._schemas)
-
-    def register_channel(self, topic: str, message_encoding: str, schema: int) -> int:
-        """Describe a channel; return its number."""
-        number = len(self._channels) + 1
-        channel = Channel(id=number, topic=topic, message_encoding=message_encoding, schema_id=schema, metadata={})
-        self._channels.append(channel)
-        self._put(_bytes_of(channel))
-        return number
-
-    def add_message(self, channel: int, unix_ns: int, data: bytes, sequence: int = 0) -> None:
-        """Add a message, made and recorded at one time."""
-        self._note(channel, 1, unix_ns, unix_ns, _ENTRY.pack(unix_ns, self._size))
-        head = _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE.size - _OF_LENGTH + len(data), channel, sequence, unix_ns, unix_ns)
-        self._put(head + data)
-
-    def add_messages(self, channel: int, unix_ns: IntArray, data: NDArray[np.uint8]) -> None:
-        """Add n > 0 messages of one size, (n, size), made and recorded at `unix_ns` (n,)."""
-        count, size = data.shape
-        kinds = {"kind": "u1", "length": "<u8", "channel": "<u2", "sequence": "<u4", "made": "<u8", "log": "<u8"}
-        records = np.zeros(count, np.dtype([*kinds.items(), ("data", "u1", (size,))]))
-        records["kind"], records["length"] = Opcode.MESSAGE, records.itemsize - _OF_LENGTH
-        records["channel"], records["made"], records["log"], records["data"] = channel, unix_ns, unix_ns, data
-        entries = np.empty((count, 2), "<u8")
-        entries[:, 0], entries[:, 1] = unix_ns, self._size + records.itemsize * np.arange(count)
-        self._note(channel, count, int(unix_ns.min()), int(unix_ns.max()), entries.tobytes())
-        self._put(records.tobytes())
-
-    def flush(self) -> None:
-        """Write what is buffered as a chunk, and hand it to the system; a chunk without messages is not written."""
-        if self._entries:
-            self._end_chunk()
-        self._file.flush()
-
-    def finish(self) -> None:
-        """Write what is buffered, and what finds it; the file stays open."""
-        self.flush()
-        self._write(DataEnd(0))
-        start = self._file.tell()
-        summary = RecordBuilder()
-        offsets: list[SummaryOffset] = []
-        statistics = Statistics(
-            attachment_count=0, channel_count=len(self._channels), channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks), message_count=self._counts.total(), metadata_count=len(self._metadata),
-            message_start_time=self._first or 0, message_end_time=self._last, schema_count=len(self._schemas),
-        )  # fmt: skip
-        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
-            (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels), (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks), (Opcode.ATTACHMENT_INDEX, []), (Opcode.METADATA_INDEX, self._metadata),
-        ]  # fmt: skip
-        for kind, records in groups:
-            before = summary.count
-            for record in records:
-                record.write(summary)
-            offsets.append(SummaryOffset(kind, start + before, summary.count - before))
-        offsets_start = start + summary.count
-        for offset in offsets:
-            offset.write(summary)
-        data = summary.end()
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
-        self._file.write(data)
-        self._write(Footer(start, offsets_start, zlib.crc32(head, zlib.crc32(data))))
-        self._file.write(MCAP0_MAGIC)
-
-    def _put(self, record: bytes) -> None:
-        self._parts.append(record)
-        self._size += len(record)
-
-    def _note(self, channel: int, count: int, first: int, last: int, entries: bytes) -> None:
-        self._counts[channel] += count
-        self._first, self._last = first if self._first is None else min(first, self._first), max(last, self._last)
-        self._chunk_first, self._chunk_last = min(first, self._chunk_first), max(last, self._chunk_last)
-        self._entries.setdefault(channel, []).append(entries)
-
-    def _end_chunk(self) -> None:
-        data = b"".join(self._parts)
-        packed = zstandard.compress(data)
-        offset = self._file.tell()
-        times = {"message_start_time": self._chunk_first, "message_end_time": self._chunk_last}
-        length = self._write(Chunk("zstd", packed, uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data), **times))
-        start = at = offset + length
-        offsets: dict[int, int] = {}
-        for channel, parts in self._entries.items():
-            entries = b"".join(parts)
-            head = _INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX.size - _OF_LENGTH + len(entries), channel, len(entries))
-            self._file.write(head + entries)
-            offsets[channel] = at
-            at += len(head) + len(entries)
-        sizes = {"compressed_size": len(packed), "uncompressed_size": len(data)}
-        self._chunks.append(
-            ChunkIndex(length, offset, "zstd", message_index_length=at - start, message_index_offsets=offsets, **times, **sizes)
-        )
-        self._begin_chunk()
-
-    def _write(self, record: McapRecord) -> int:
-        data = _bytes_of(record)
-        self._file.write(data)
-        return len(data)
+class DamagedError(Exception):
+    """What follows in a file cannot be believed; the message says why."""
 
 
-def _bytes_of(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.end()
+class McapFile:
+    """A segment's MCAP file; its methods raise `DamagedError` at the first damage, `InputError` where it cannot be opened."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._good_bytes = self._items = 0
+        self._topics: dict[int, str] = {}
+        self.complete = False
+        """All data was read, though the index behind it may be damaged."""
+
+    @property
+    def lost(self) -> str:
+        """How much of the file was not read, in words."""
+        size = self._path.stat().st_size
+        return f"the last {size - self._good_bytes} of {size} bytes"
+
+    def records(self) -> Iterator[McapRecord]:
+        """Yield every record but chunks, whose content is yielded, checked, and indexes."""
+        count = 0
+        with open_regular(self._path) as file:
+            try:
+                for record in _records(file):
+                    if isinstance(record, Message):
+                        count += 1
+                        self._demand_next(record)
+                    elif isinstance(record, Channel):
+                        self._topics[record.id] = record.topic
+                    elif isinstance(record, Statistics) and record.message_count != count:
+                        self.complete = False
+                        raise DamagedError(f"{record.message_count - count} messages are missing")
+                    # Only the index comes behind it.
+                    self.complete |= isinstance(record, DataEnd)
+                    if not self.complete:
+                        self._good_bytes = file.tell()
+                    yield record
+            except DAMAGE as error:
+                raise DamagedError(_words_of(error)) from None
+
+    def _demand_next(self, message: Message) -> None:
+        if is_item(self._topics[message.channel_id]):
+            if message.sequence != self._items:
+                raise DamagedError(f"item {self._items} is missing")
+            self._items += 1
+
+    def messages(self) -> Iterator[tuple[str, Message]]:
+        """Yield each message with its topic."""
+        return ((self._topics[record.channel_id], record) for record in self.records() if isinstance(record, Message))
+
+    def documents(self) -> Iterator[dict[str, Any]]:
+        """Yield events and notes."""
+        found = (message for topic, message in self.messages() if topic in (EVENT_TOPIC, NOTE_TOPIC))
+        for count, message in enumerate(found):
+            document = _document(message.data)
+            # Without notes nothing counts the events alone; such a segment is played from its bytes in the end.
+            if document.get("n", count) != count:
+                raise DamagedError(f"note {count} is missing")
+            yield document
+
+
+def is_item(topic: str) -> bool:
+    """Return whether messages of a topic are items of a segment."""
+    return topic == EVENT_TOPIC or topic.startswith(RAW_TOPIC)
+
+
+def is_closed(path: Path) -> bool:
+    """Return whether an MCAP file ends with a whole index; what comes before is not looked at."""
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size < len(_MAGIC) + _FOOTER_BYTES:
+            return False
+        file.seek(-_FOOTER_BYTES, os.SEEK_END)
+        tail = file.read(_FOOTER_BYTES)
+        opcode, length, begin, _, checksum = struct.unpack_from("<BQQQI", tail)
+        if (opcode, length) != (Opcode.FOOTER, 20) or not tail.endswith(_MAGIC):
+            return False
+        if not 0 < begin < size or size - begin > SUMMARY_MOST:
+            return False
+        file.seek(begin)
+        # The checksum stands behind all that it covers.
+        covered = file.read(size - begin)[: -len(_MAGIC) - 4]
+    return checksum in (0, zlib.crc32(covered))
+
+
+def tells_all(path: Path) -> bool:
+    """Return whether an MCAP file was closed and none of its events and notes is missing."""
+    try:
+        return is_closed(path) and sum(1 for _ in McapFile(path).documents()) > 0
+    except DamagedError:
+        return False
+
+
+def _records(file: BinaryIO) -> Iterator[McapRecord]:
+    """Yield the records of a file, and of its chunks in their place."""
+    if file.read(len(_MAGIC)) != _MAGIC:
+        raise DamagedError("it begins as no MCAP file does")
+    for opcode, content in _framed(file):
+        record = _parsed(opcode, content)
+        if isinstance(record, Chunk):
+            inner = (_parsed(*each) for each in _framed(BytesIO(_unpacked(record))))
+            yield from (each for each in inner if isinstance(each, Schema | Channel | Message))
+        elif record is not None:
+            yield record
+        if isinstance(record, Footer):
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise EOFError
+            return
+    raise EOFError
+
+
+def _framed(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and content of each record; `EOFError` where the last one is cut."""
+    while head := stream.read(_HEAD.size):
+        opcode, length = _HEAD.unpack(head)
+        if length > RECORD_MOST:
+            raise DamagedError(f"a record says it has {length} bytes; {RECORD_MOST} at most were expected")
+        content = stream.read(length)
+        if len(content) < length:
+            raise EOFError
+        yield opcode, content
+
+
+def _parsed(opcode: int, content: bytes) -> McapRecord | None:
+    """Return what a record holds; None for one that is not looked at."""
+    if opcode == Opcode.MESSAGE:
+        channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(content)
+        return Message(channel, log_time, content[_MESSAGE.size :], publish_time, sequence)
+    return _READ[opcode](ReadDataStream(BytesIO(content))) if opcode in _READ else None
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return the bytes of a chunk; nothing is unpacked that says it becomes too large, or other than the writer packs it."""
+    data = chunk.data
+    if chunk.compression not in ("", "zstd"):
+        raise DamagedError(f"a chunk is packed by {chunk.compression[:20]!r}; zstd was expected")
+    if chunk.compression:
+        # The frame says it, too, and would be believed.
+        claimed = max(chunk.uncompressed_size, zstandard.frame_content_size(data))
+        if claimed > RECORD_MOST:
+            raise DamagedError(f"a chunk says it unpacks to {claimed} bytes; {RECORD_MOST} at most were expected")
+        data = zstandard.decompress(data, chunk.uncompressed_size) if chunk.uncompressed_size else b""
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise DamagedError("a checksum does not fit")
+    return data
+
+
+def _document(data: bytes) -> dict[str, Any]:
+    document = parse_json(data)
+    if not isinstance(document, dict):
+        raise DamagedError("an event or note is no table")
+    return cast("dict[str, Any]", document)
+
+
+def _words_of(error: Exception) -> str:
+    """Say what is wrong with bytes that raised one of `DAMAGE`."""
+    if "EndOfFile" in type(error).__name__ or isinstance(error, EOFError | struct.error):
+        return "it ends in the middle of a record"
+    return "its bytes make no sense"

@@ -9,21 +9,14 @@ A session that was cut off or damaged, made ready to go on: every segment is giv
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
 import re
 import shutil
-import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import BinaryIO, TypeAlias
 
-import zstandard
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.records import Channel, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import Writer
 
 from skincal import __version__
@@ -40,31 +33,18 @@ from skincal.journal.documents import (
     Totals,
     from_document,
     lines_path,
+    read_document,
     read_lines,
 )
 from skincal.journal.lock import writer_of
-from skincal.journal.writer import EVENT_TOPIC, NOTE_TOPIC, RAW_TOPIC, SCENE_FILE, SCENE_FOLDER, scene_digest
+from skincal.journal.mcap_file import EVENT_TOPIC, RAW_TOPIC, DamagedError, McapFile, is_closed, is_item, tells_all
+from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Scene, load_scene
 
 LogItem: TypeAlias = Chunk | SessionEvent
 LogState: TypeAlias = SessionEvent | Note
-RECORD_LIMIT = 64 << 20
-"""Bytes. A record that says it is larger is damaged."""
-DAMAGE = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,  # among them: bad checksum, bad UTF-8
-    KeyError,
-    IndexError,
-    AssertionError,
-    EOFError,
-    OverflowError,
-    MemoryError,
-)
-"""What the MCAP library raises on damaged bytes."""
 
 
 class SessionLog:
@@ -127,6 +107,8 @@ class SessionLog:
                     self.scene_changed |= self._differs(item)
                     if item.continues:
                         continue
+                if isinstance(item, Taken):
+                    self._demand_channels(item)
                 # The last counts stand behind the end.
                 ended = isinstance(item, Ending) or (ended and isinstance(item, Totals))
                 yield item
@@ -135,6 +117,13 @@ class SessionLog:
                 f"{self.segments[-1].name}: was not closed. At most the poke in progress is missing, "
                 "and counts of readings may lack the last seconds."
             )
+
+    def _demand_channels(self, taken: Taken) -> None:
+        """Refuse outcomes of taxels that the scene does not have."""
+        width = self.scene.skin.channels
+        named = [*(taken.dead or ()), *(int(c) for outcome, _ in taken.outcomes for c in outcome.channels)]
+        if named and not 0 <= min(named) <= max(named) < width:
+            raise InputError(f"{self.folder}: has a poke on channel {max(named)}; the scene has {width} channels, from 0.")
 
     def _segments(self) -> Iterator[Segment]:
         """Yield the segments to read, each after the one before was read without a hole."""
@@ -167,6 +156,10 @@ def find_segments(folder: Path) -> list[Path]:
     for number, path in enumerate(paths, start=1):
         if path.name != f"segment-{number:04d}.mcap":
             raise InputError(f"{folder}: segment-{number:04d}.mcap is missing; put it back, or take the later segments away.")
+        # What is written to a link is written elsewhere.
+        for each in (path, lines_path(path)):
+            if each.is_symlink():
+                raise InputError(f"{each}: is a link; expected the file itself: copy it there.")
     return paths
 
 
@@ -197,7 +190,7 @@ class Segment:
         """Yield events and notes, up to the first damage."""
         lines = self._lines
         if lines is not None:
-            yield from (from_document(json.loads(document), self.path) for document in lines.documents)
+            yield from (read_document(document, self.path) for document in lines.documents)
             self.has_hole = not lines.closed
             return
         try:
@@ -214,7 +207,7 @@ class Segment:
         try:
             for topic, message in self._mcap.messages():
                 # What lies behind the last item that is vouched for led to something that was not written any more.
-                if count == due or not _is_item(topic):
+                if count == due or not is_item(topic):
                     continue
                 if topic != EVENT_TOPIC:
                     first_ns, last_ns = first_ns or message.log_time, message.log_time
@@ -236,109 +229,10 @@ class Segment:
     def _item(self, topic: str, message: Message) -> Chunk | SessionEvent:
         if topic != EVENT_TOPIC:
             return Chunk(topic.removeprefix(RAW_TOPIC), *documents.decode_chunk(message.data))
-        event = from_document(json.loads(message.data), self.path)
-        assert not isinstance(event, Taken | Totals)
+        event = read_document(message.data, self.path)
+        if isinstance(event, Taken | Totals):
+            raise DamagedError("a note stands where an event was expected")
         return event
-
-
-class DamagedError(Exception):
-    """What follows in a file cannot be believed; the message says why."""
-
-
-class McapFile:
-    """A segment's MCAP file, read by the library up to the first damage, where its methods raise `DamagedError`."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._good_bytes = self._items = 0
-        self._topics: dict[int, str] = {}
-        self.complete = False
-        """All data was read, though the index behind it may be damaged."""
-
-    @property
-    def lost(self) -> str:
-        """How much of the file was not read, in words."""
-        size = self._path.stat().st_size
-        return f"the last {size - self._good_bytes} of {size} bytes"
-
-    def records(self) -> Iterator[McapRecord]:
-        """Yield every record but chunks, whose content is yielded, checked."""
-        count = 0
-        with self._path.open("rb") as file:
-            try:
-                for record in StreamReader(file, validate_crcs=True, record_size_limit=RECORD_LIMIT).records:
-                    if isinstance(record, Message):
-                        count += 1
-                        self._demand_next(record)
-                    elif isinstance(record, Channel):
-                        self._topics[record.id] = record.topic
-                    elif isinstance(record, Statistics) and record.message_count != count:
-                        self.complete = False
-                        raise DamagedError(f"{record.message_count - count} messages are missing")
-                    # Only the index comes behind it.
-                    self.complete |= isinstance(record, DataEnd)
-                    if not self.complete:
-                        self._good_bytes = file.tell()
-                    yield record
-            except DAMAGE as error:
-                raise DamagedError(_words_of(error)) from None
-
-    def _demand_next(self, message: Message) -> None:
-        if _is_item(self._topics[message.channel_id]):
-            if message.sequence != self._items:
-                raise DamagedError(f"item {self._items} is missing")
-            self._items += 1
-
-    def messages(self) -> Iterator[tuple[str, Message]]:
-        """Yield each message with its topic."""
-        return ((self._topics[record.channel_id], record) for record in self.records() if isinstance(record, Message))
-
-    def documents(self) -> Iterator[dict[str, Any]]:
-        """Yield events and notes."""
-        for count, message in enumerate(self._document_messages()):
-            document = json.loads(message.data)
-            # Without notes nothing counts the events alone; such a segment is played from its bytes in the end.
-            if document.get("n", count) != count:
-                raise DamagedError(f"note {count} is missing")
-            yield document
-
-    def _document_messages(self) -> Iterator[Message]:
-        topics = (EVENT_TOPIC, NOTE_TOPIC)
-        found: list[Message] = []
-        if is_closed(self._path):
-            # All of them or an exception: what the index leads to is whole, or the file is read from its beginning.
-            with self._path.open("rb") as file, contextlib.suppress(*DAMAGE):
-                reader = make_reader(file, validate_crcs=True)
-                found = [message for _, _, message in reader.iter_messages(topics, log_time_order=False)]
-        yield from found or (message for topic, message in self.messages() if topic in topics)
-
-
-def _is_item(topic: str) -> bool:
-    return topic == EVENT_TOPIC or topic.startswith(RAW_TOPIC)
-
-
-def is_closed(path: Path) -> bool:
-    """Return whether an MCAP file ends with an index; what comes before is not looked at."""
-    try:
-        with path.open("rb") as file:
-            return make_reader(file).get_summary() is not None
-    except (*DAMAGE, OSError):  # an empty file cannot be sought in
-        return False
-
-
-def tells_all(path: Path) -> bool:
-    """Return whether an MCAP file was closed and none of its events and notes is missing."""
-    try:
-        return is_closed(path) and sum(1 for _ in McapFile(path).documents()) > 0
-    except DamagedError:
-        return False
-
-
-def _words_of(error: Exception) -> str:
-    """Say what is wrong with bytes that raised one of `DAMAGE`."""
-    if "EndOfFile" in type(error).__name__ or isinstance(error, EOFError | struct.error):
-        return "it ends in the middle of a record"
-    return "a checksum does not fit" if "CRC" in type(error).__name__ else "its bytes make no sense"
 
 
 def _without_paths(text: str) -> str:
@@ -355,21 +249,26 @@ def recover_session(folder: Path) -> tuple[str, ...]:
     Returns sentences on what was done; empty where everything was whole. InputError where the folder cannot be written.
     """
     said: list[str] = []
-    broken = ""
-    for path in find_segments(folder):
+    segments = find_segments(folder)
+    for index, path in enumerate(segments):
         try:
-            if broken:
-                aside = _put_aside(path, "after-damage")
-                _put_aside(lines_path(path), "after-damage")
-                said.append(f"{path.name}: put aside as {aside}, since {broken} before it has a hole.")
-                continue
             sentences, hole = _recover(path)
+            said += sentences
+            if hole:
+                # From the last on: at every moment what is left has no gap.
+                said += reversed([_after_damage(later, path.name) for later in reversed(segments[index + 1 :])])
+                break
         except OSError as error:
             why = error.strerror
             raise InputError(f"{path}: cannot be recovered ({why}); check the folder's rights and the space.") from None
-        said += sentences
-        broken = path.name if hole else ""
     return tuple(said)
+
+
+def _after_damage(path: Path, broken: str) -> str:
+    # Its lines first: alone they would be in the way of a new segment.
+    _put_aside(lines_path(path), "after-damage")
+    aside = _put_aside(path, "after-damage")
+    return f"{path.name}: put aside as {aside}, since {broken} before it has a hole."
 
 
 def _recover(path: Path) -> tuple[list[str], bool]:
@@ -418,12 +317,13 @@ def _write_anew(path: Path, lines: Lines | None) -> tuple[str, bool]:
         # Whole on the medium before it takes the name of the file that it replaces.
         os.fsync(target.fileno())
     lost = source.lost
-    kept = _put_aside(path, "damaged")
     if not count and lines is None:
         fresh.unlink()
         _put_aside(lines_path(path), "damaged")
-        return f"{path.name}: holds nothing that can be read; put aside as {kept}.", False
-    fresh.rename(path)
+        return f"{path.name}: holds nothing that can be read; put aside as {_put_aside(path, 'damaged')}.", False
+    kept = _kept_beside(path, "damaged")
+    # In one step: a kill leaves the one or the other.
+    fresh.replace(path)
     if source.complete:
         return f"{path.name}: its index was damaged and is written anew; nothing is lost; the file as it was is {kept}.", True
     return f"{path.name}: {why}; recovered {count} messages, {lost} were lost; the file as it was is {kept}.", False
@@ -452,6 +352,16 @@ def _copy(source: McapFile, target: BinaryIO) -> tuple[int, str]:
     writer.finish()
     target.flush()
     return count, why
+
+
+def _kept_beside(path: Path, ending: str) -> str:
+    """Give a file a second name that no other has, and return it."""
+    aside = _free_name(path, ending)
+    try:
+        aside.hardlink_to(path)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(path, aside)
+    return aside.name
 
 
 def _put_aside(path: Path, ending: str) -> str:

@@ -17,6 +17,7 @@ the lines say, the bytes of it are there.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -24,12 +25,14 @@ import shutil
 import time
 import tomllib
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from functools import wraps
 from io import BufferedWriter
 from pathlib import Path
 from typing import Any, Concatenate, NoReturn, ParamSpec
 
 import numpy as np
+from mcap.writer import Writer
 
 from skincal import __version__
 from skincal.geometry import FloatArray
@@ -47,14 +50,18 @@ from skincal.journal.documents import (
     note_to_json,
 )
 from skincal.journal.lock import SessionLock, writer_of
-from skincal.journal.mcap_file import McapWriter
+from skincal.journal.mcap_file import EVENT_TOPIC, NOTE_TOPIC, RAW_TOPIC
 from skincal.model.errors import InputError
+from skincal.model.given import MESH_MOST, TEXT_MOST, read_regular
 from skincal.model.readings import Chunk, Sample
 from skincal.model.scene import Scene, load_scene
+from skincal.model.tables import read_text
 from skincal.streams.links import LinkSpec
 
 FLUSH_NS = 500_000_000
 """ns. What is buffered for so long is written: the most that a kill may cost."""
+WATCH_NS = 500_000_000
+"""ns. So often it is looked whether the file is still where it was made: half a second, since a second is noticed."""
 SEGMENT_NS = 300_000_000_000
 """ns. A segment that is so long is followed by another. While it is open the library holds its index, 2 kB a second; after a
 kill it is written anew, which takes 1 s for each minute at 1 kHz."""
@@ -62,14 +69,13 @@ SEGMENT_NAME = "segment-{:04d}.mcap"
 SCENE_FILE = "scene.toml"
 SCENE_FOLDER = "scene"
 """The folder in a session's folder that holds copies of the scene's files, so that it opens on another machine."""
-RAW_TOPIC = "/raw/"
-EVENT_TOPIC = "/events"
-NOTE_TOPIC = "/session"
 _DECODED = {
     "/wrench": "geometry_msgs/msg/WrenchStamped",
     "/taxels": "skincal_msgs/msg/Taxels",
     "/joints": "sensor_msgs/msg/JointState",
 }
+CHUNK_BYTES = 16 << 20
+"""More than half a second brings, so that MCAP's writer never parts an item from its notes."""
 
 
 class JournalFailure(Exception):  # noqa: N818 - it is the failure of a device, as LinkFailure is
@@ -88,18 +94,28 @@ def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Jou
     if who := writer_of(folder):
         raise InputError(f"{folder}: is being recorded by {who}; name another folder.")
     _demand_empty(folder)
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); name a folder where you may write.") from None
-    lock = SessionLock(folder)
-    try:
+    with ExitStack() as at_failure:
+        if made:
+            at_failure.callback(_remove_empty, folder)
+        lock = SessionLock(folder)
+        at_failure.callback(lock.release)
         _demand_empty(folder)  # another may have been quicker
+        at_failure.callback(shutil.rmtree, folder / SCENE_FOLDER, ignore_errors=True)
         copy_scene(scene, folder / SCENE_FOLDER)
-        return open_segment(folder, scene, links, lock)
-    except InputError:
-        lock.release()
-        raise
+        journal = open_segment(folder, scene, links, lock)
+        at_failure.pop_all()
+    return journal
+
+
+def _remove_empty(folder: Path) -> None:
+    # A folder that is not empty is in use by others.
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 def _demand_empty(folder: Path) -> None:
@@ -168,6 +184,7 @@ class JournalWriter:
         # Chunks carry the monotonic clock; files of other programs want the time of day. One pair of both maps them.
         self._monotonic_ns, self._unix_ns = time.monotonic_ns(), time.time_ns()
         self._flushed_ns: int | None = None
+        self._watched_ns = 0
         self._lock = lock
         self._holds_lock = True
         self._open_segment(self._monotonic_ns, continues=False)
@@ -206,8 +223,8 @@ class JournalWriter:
     def write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
         """Append decoded wrenches, for other programs: (n,) s of the host's monotonic clock, (n, 6) N and N m, sensor frame."""
         at = np.maximum(0, np.rint(times_s * 1e9).astype(np.int64) - self._monotonic_ns + self._unix_ns)
-        self._mcap.add_messages(self._channels["/wrench"], at, documents.encode_wrenches(at, "ft_sensor", wrenches))
-        self._buffered = True
+        for unix_ns, message in zip(at.tolist(), documents.encode_wrenches(at, "ft_sensor", wrenches), strict=True):
+            self._add("/wrench", unix_ns, message.tobytes())
 
     @_guarded
     def tick(self, now_ns: int) -> None:
@@ -217,6 +234,9 @@ class JournalWriter:
         if self._buffered and now_ns - self._flushed_ns >= FLUSH_NS:
             self._flushed_ns = now_ns
             self._flush()
+        if now_ns - self._watched_ns >= WATCH_NS:
+            self._watched_ns = now_ns
+            self._demand_there()
 
     @_guarded
     def sync(self) -> None:
@@ -232,8 +252,7 @@ class JournalWriter:
     def fail(self, error: OSError) -> NoReturn:
         """End the journal, since the disk refused: nothing is written any more, and others may write."""
         self.failed = (
-            f"{self.path}: cannot be written any more ({error.strerror}). Pokes from here on are kept in memory only: "
-            "export the calibration now, make space, and open the session again to record on."
+            f"{self.path}: cannot be written any more ({error.strerror}); see where the folder is and that there is space."
         )
         self._abandon()
         self._let_go()
@@ -277,7 +296,8 @@ class JournalWriter:
             raise
 
     def _begin(self, host_ns: int, *, continues: bool) -> None:
-        self._mcap = McapWriter(self._file, profile="ros2", library=f"skincal {__version__}")
+        self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._mcap.start(profile="ros2", library=f"skincal {__version__}")
         about = {
             "format": FORMAT,
             "segment": self._number,
@@ -310,7 +330,7 @@ class JournalWriter:
         self._begun_ns = host_ns
 
     def _add(self, topic: str, unix_ns: int, data: bytes, sequence: int = 0) -> None:
-        self._mcap.add_message(self._channels[topic], unix_ns, data, sequence)
+        self._mcap.add_message(self._channels[topic], unix_ns, data, unix_ns, sequence=sequence)
         self._buffered = True
 
     def _add_event(self, event: dict[str, Any]) -> None:
@@ -349,6 +369,13 @@ class JournalWriter:
         self._lines.close(self._items)
         self._file.close()
 
+    def _demand_there(self) -> None:
+        """Raise `OSError` where the file is no more in its folder: what is written to it then is written for nobody."""
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            if os.path.samestat(os.fstat(self._file.fileno()), self.path.stat()):
+                return
+        raise OSError(errno.ENOENT, "its folder was deleted, moved or unmounted")
+
     def _abandon(self) -> None:
         """Close the files as they are; closing tries to write once more, and closes them all the same."""
         with contextlib.suppress(OSError):
@@ -371,7 +398,7 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
     InputError
         A file cannot be read, or the copy does not read as the same scene.
     """
-    text = scene.text or scene.path.read_text(encoding="utf-8")
+    text = scene.text or read_text(scene.path)
     document = tomllib.loads(text)
     try:
         folder.mkdir(parents=True)
@@ -395,7 +422,8 @@ def _copy_named(text: str, named: str, source: Path, folder: Path) -> str:
     bare = Path(named).name
     while (folder / bare).exists():
         bare = f"_{bare}"
-    shutil.copyfile(source / named, folder / bare)
+    data = read_regular(source / named, MESH_MOST)
+    (folder / bare).write_bytes(data)
     if bare == named:
         return text
     for quote in ('"', "'"):
@@ -407,7 +435,7 @@ def scene_digest(folder: Path) -> str:
     """Return a checksum of a scene folder's own files, layout included; it changes when somebody edits one."""
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.toml")):
-        text = path.read_bytes()
+        text = read_regular(path, TEXT_MOST)
         digest.update(f"{path.name} {len(text)}\n".encode())
         digest.update(text)
     return digest.hexdigest()

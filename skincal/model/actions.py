@@ -98,6 +98,8 @@ class MissedLandmark:
     """m, how far its axis passes the landmark..."""
     limit: float
     """m, ...and how far it may."""
+    behind: bool = False
+    """It pushed from another side of the part than the one on which the landmark is, however near its axis passes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +107,11 @@ class AskLandmark:
     """Ask the operator for pokes at a landmark from now on; an empty name asks for none."""
 
     name: str
+
+
+@dataclass(frozen=True, slots=True)
+class BeginClosing:
+    """Ask for some of the first places once more: pokes from now on show whether anything moved (`skincal.rig.closing`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +160,7 @@ Action: TypeAlias = (
     | FoundAtLandmark
     | MissedLandmark
     | AskLandmark
+    | BeginClosing
     | Correct
     | Uncorrect
 )
@@ -179,10 +187,11 @@ _KINDS: dict[str, type[Action]] = {
     "found_at_landmark": FoundAtLandmark,
     "missed_landmark": MissedLandmark,
     "ask_landmark": AskLandmark,
+    "begin_closing": BeginClosing,
     "correct": Correct,
     "uncorrect": Uncorrect,
 }
-_TYPES = {"str": str, "int": int, "float": float}
+_TYPES = {"str": str, "int": int, "float": float, "bool": bool}
 _LISTS = {f"tuple[{name}, ...]": kind for name, kind in _TYPES.items()}
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

@@ -39,6 +39,7 @@ class Loss(Enum):
     INVALID = "sensor says invalid"
     LATE = "arrived too late to be paired"
     UNPAIRED = "no wrench at the time of the skin frame"
+    DROPPED = "bytes dropped, as they came faster than they could be read"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,8 @@ class LinkEvent:
     state: LinkState
     text: str = ""
     """A sentence for the operator: what happened and what to do."""
+    dropped: int = 0
+    """Bytes that came before it faster than they could be worked on, and were dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,10 +21,12 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.modules.pose_fit import ModuleRows
 from skincal.taxels.shared_errors import Pulls
 
-THICKEST = 1.5
+THICKEST = 1.0
 """Standard deviations that a skin may be thick: it is touched above its taxels, as if the mesh lay too low."""
 SEEN = 2.0
 """Standard deviations of a height above which it is no chance."""
+TOLD = 0.0015
+"""m, standard deviation of a height from which on it says nothing: meshes are not wrong by much more."""
 NO_HEIGHT = 1e-6
 """Share of h'T h below which pushes say nothing of the height: it is rounding."""
 
@@ -65,5 +67,5 @@ def off_surface_variances(
     if errors is not None:
         moves, of_poses = lifted.moves(*errors)
         variances += np.sum(moves[:, 0] ** 2, axis=1) + of_poses[:, 0, 0]
-    seen = tells & (heights**2 > SEEN**2 * variances)
+    seen = tells & (variances < TOLD**2) & (heights**2 > SEEN**2 * variances)
     return np.where(seen, heights**2 - variances, 0.0)

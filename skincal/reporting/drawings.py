@@ -35,6 +35,8 @@ FACING = 0.0
 """Least cosine of a taxel's normal with the way to the viewer at which it is drawn in a view."""
 
 
+MAP_POINTS = 330.0
+"""Points of the paper that the map's longer side has, about."""
 SIDEWAYS = 0.1
 """Least share of the normals' sum that lies across the way up, to say where the front is."""
 
@@ -84,9 +86,13 @@ def draw_map(facts: SessionFacts, layout: Layout) -> bytes:
         outlines: list[FloatArray] = [module.outline * 1e3 for module in layout.modules]
         axes.add_collection(PolyCollection(outlines, facecolors="#F4F4F4", edgecolors=GREY, linewidths=0.7))
         places = layout.places * 1e3
-        _dots(axes, facts, {channel: places[channel] for channel in layout.channels.tolist()}, 9.0 * layout.spacing * 1e3)
-        for module in layout.modules:
-            axes.annotate(str(module.id), module.outline.mean(axis=0) * 1e3, ha="center", va="center", fontsize=7, color=BLACK)
+        scale = MAP_POINTS / np.ptp(np.concatenate(outlines), axis=0).max()
+        # A dot is half as wide as the way to the next, a number a sixth of its module.
+        size = float(np.clip((0.5 * layout.spacing * 1e3 * scale) ** 2, 2.5, 45.0))
+        _dots(axes, facts, {channel: places[channel] for channel in layout.channels.tolist()}, size)
+        for module, outline in zip(layout.modules, outlines, strict=True):
+            letters = float(np.clip(np.ptp(outline, axis=0).max() * scale / 6.0, 2.0, 7.0))
+            axes.annotate(str(module.id), outline.mean(axis=0), ha="center", va="center", fontsize=letters, color=BLACK)
         axes.set_aspect("equal")
         axes.autoscale_view()
         axes.set(xlabel="mm, in the layout's plane", ylabel="mm")
@@ -117,9 +123,10 @@ def draw_course(facts: SessionFacts) -> bytes:
         by_poke.yaxis.set_minor_formatter(_minor_tick)
         for axes in (by_poke, by_time, by_cost):
             axes.grid(visible=True)
-        by_poke.legend(title="mean; dotted: 95 % below", title_fontsize=8)
+        handles, names = by_poke.get_legend_handles_labels()
+        figure.legend(handles, [f"{name}: mean, dotted 95 % below" for name in names], loc="outside upper center", ncols=3)
 
-    return _drawn(draw, (11.0, 3.6), "svg")
+    return _drawn(draw, (11.0, 3.9), "svg")
 
 
 def error_name(facts: SessionFacts) -> str:
@@ -192,7 +199,7 @@ def _dots(axes: Axes, facts: SessionFacts, places: Mapping[int, FloatArray], siz
     ):  # fmt: skip
         if channels:
             at = np.array([places[channel] for channel in channels])
-            axes.scatter(at[:, 0], at[:, 1], **{"s": size, "linewidths": 0.4, "zorder": 3, **look})
+            axes.scatter(at[:, 0], at[:, 1], **{"s": size, "linewidths": 0.06 * size**0.5, "zorder": 3, **look})
 
 
 def _limits(facts: SessionFacts) -> dict[str, Any]:

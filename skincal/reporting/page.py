@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
 from skincal.guide.progress import GuideSettings
-from skincal.guide.verdict_words import check_words, figures, landmark_words, left_words, sentence
+from skincal.guide.verdict_words import check_words, figures, landmark_words, left_words, verdict_sentence
 from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
@@ -39,6 +39,8 @@ DASH = "\N{EN DASH}"
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
 AGREES, AGAINST, OPEN = "agrees", "speaks against it", "not checked"
 """What a check says of the verdict."""
+RANGES_MOST = 40
+"""Ranges of channels in a cell: of more, how many there are."""
 GUIDE_UNITS = {
     "wanted": "m", "diversity": "rad", "balance": "m", "settled": "m", "usable_tilt": "rad", "tolerance": "rad", "unknown": "m",
     "poke_s": "s", "hand_speed": "m/s",
@@ -91,7 +93,7 @@ def write_report(folder: Path, path: Path, method: Method | None = None) -> str:
     """
     facts = gather_facts(folder, method)
     write_atomically(path, report_page(facts).encode("utf-8"))
-    return sentence(facts.verdict)
+    return verdict_sentence(facts.verdict)
 
 
 def report_page(facts: SessionFacts) -> str:
@@ -115,7 +117,7 @@ def report_page(facts: SessionFacts) -> str:
         link=scene.link,
         method=facts.method.value,
         version=facts.versions["skincal"],
-        verdict=sentence(facts.verdict),
+        verdict=verdict_sentence(facts.verdict),
         enough=facts.verdict.enough and not facts.verdict.doubted,
         sections=tuple(_sections(facts)),
     )
@@ -150,13 +152,18 @@ def _verdict(facts: SessionFacts) -> ReportSection:
         ReportTable(("What was looked at", "What was found", "Verdict"), list(_evidence(facts)), "What it rests on"),
     ]
     if left:
-        of: dict[str, list[int]] = {}
-        for each in left:
-            of.setdefault(left_words(each), []).append(each.channel)
-        rows = [(why, str(len(some)), list_channels(some, most=len(some))) for why, some in of.items()]
+        rows = _by_words((left_words(each), each.channel) for each in left)
         headings = ("Why they are not done", "Taxels", "Channels")
         tables.append(ReportTable(headings, rows, f"{plural(len(left), 'taxel')} not done"))
     return ReportSection("Verdict and evidence", tables=tables)
+
+
+def _by_words(said: Iterable[tuple[str, int]]) -> list[tuple[str, str, str]]:
+    """Return rows of what is said of channels, of how many, and of which."""
+    of: dict[str, list[int]] = {}
+    for words, channel in said:
+        of.setdefault(words, []).append(channel)
+    return [(words, str(len(some)), list_channels(some, RANGES_MOST)) for words, some in of.items()]
 
 
 def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
@@ -257,16 +264,28 @@ def _module_rows(facts: SessionFacts) -> Iterator[tuple[str, ...]]:
 
 
 def _taxels(facts: SessionFacts) -> ReportSection:
-    rows = [_taxel_row(facts, *each) for each in zip(facts.estimates, facts.gains, strict=True)]
+    pairs = list(zip(facts.estimates, facts.gains, strict=True))
+    rows = [_taxel_row(facts, estimate, gain) for estimate, gain in pairs if estimate.position is not None]
+    tables = [ReportTable(TAXEL_HEADINGS, rows, f"{plural(len(rows), 'taxel')} with a place", small=True)] if rows else []
+    unknown = [estimate for estimate in facts.estimates if estimate.position is None]
+    if unknown:
+        why = _by_words((_state_words(estimate), estimate.channel) for estimate in unknown)
+        caption = f"{plural(len(unknown), 'taxel')} without a place"
+        tables.append(ReportTable(("State and reason", "Taxels", "Channels"), why, caption))
     note = (
         "Places are in the link's frame. The sd is along the direction that is known worst; the gain is the answer over the "
         "force along the normal, with its sd over the pokes in which the taxel answered most."
     )
-    return ReportSection("Taxels", (note,), tables=(ReportTable(TAXEL_HEADINGS, rows, "", small=True),))
+    return ReportSection("Taxels", (note,), tables=tables)
+
+
+def _state_words(estimate: Estimate) -> str:
+    why = state_sentence(estimate.reason)
+    return f"{estimate.state.value}: {why}" if why else estimate.state.value
 
 
 TAXEL_HEADINGS = (
-    "Module", "Channel", "State", "Error, mm", "Predicted, mm", "sd, mm", "Contacts", "x, mm", "y, mm", "z, mm", "Gain, raw/N",
+    "Module", "Channel", "Error, mm", "Predicted, mm", "sd, mm", "Contacts", "x, mm", "y, mm", "z, mm", "Gain, raw/N",
     "its sd", "Pokes",
 )  # fmt: skip
 
@@ -276,11 +295,10 @@ def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tupl
     layout, channel = facts.part.scene.skin.layout, estimate.channel
     index = -1 if layout is None else int(layout.module_of[channel])
     module = DASH if layout is None or index < 0 else str(layout.modules[index].id)
-    state, why = estimate.state.value, "" if estimate.position is not None else state_sentence(estimate.reason)
     true = facts.errors.get(channel) if facts.truth is not None else None
     lengths = (_bare(length) for length in (true, estimate.rms, estimate.sd))
     return (
-        module, str(channel), f"{state}: {why}" if why else state, *lengths, str(estimate.contacts),
+        module, str(channel), *lengths, str(estimate.contacts),
         *(_bare(each) for each in place), _number(gain.mean), _number(gain.spread), str(gain.pokes),
     )  # fmt: skip
 
@@ -293,7 +311,8 @@ def _rig(facts: SessionFacts) -> ReportSection:
     said = [] if facts.frame is None else [frame_sentence(facts.frame)]
     said += [correction_sentence(each) for each in used.values()]
     said += [] if facts.rig is None else rig_sentences(facts.rig)[1 if RIG in used else 0 :]
-    said += [] if facts.verdict.unchecked is None else [unchecked_sentence(facts.verdict.unchecked)]
+    poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
+    said += [] if off is None else [unchecked_sentence(off, poked)]
     rows = [
         (mark.name, *(_bare(float(each)) for each in mark.place), str(len(facts.misses[mark.name])), _misses(facts, mark.name))
         for mark in facts.snapshot.landmarks

@@ -77,7 +77,7 @@ def closing_check(
 
     Parameters
     ----------
-    before, after : at landmarks or taxels, in the right frame, as the rig reports them; those before may be elsewhere, too
+    before, after : at landmarks or taxels, in the right frame; those before may be at other places, too
     """
     names = sorted({poke.name for poke in after} & {poke.name for poke in before})
     after = [poke for poke in after if poke.name in names]

@@ -7,28 +7,33 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, rig_moves
+from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, Target, rig_moves
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
+from skincal.rig.closing import FEWEST, PLACES
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
-from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
+from skincal.session.closing_pokes import at_landmarks, at_taxels, closing_of, first_names
+from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
+TRIES = 3
+"""Pokes for each place of the closing check, after which nothing is asked for any more."""
 STILL_S = 1.0
 """s. Landmarks are asked for where the arm has stood so long: on its way it goes through poses in which nobody pokes."""
 
@@ -41,6 +46,7 @@ class SessionGuide:
         self.plan = plan_of(part)
         """Where the layout puts the taxels."""
         self.landmarks = LandmarkGuide(part, self.plan)
+        self.closing = ClosingGuide()
         layout = part.scene.skin.layout
         self._module_model = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
@@ -81,17 +87,22 @@ class SessionGuide:
             if self._followed is None or self._followed[1] is not method or self._guidance is not self._skin_guidance:
                 # Meanwhile another target was shown, or none.
                 guide.forget_target()
-            self._skin_guidance = guide.update(
-                _contacts(snapshot),
-                {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
-                evidence,
-                {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
-                self.landmarks.rig_moves(snapshot),
-            )
+            self._skin_guidance = self.of_skin(snapshot, method, evidence)
             self._followed = revision, method
         assert self._skin_guidance is not None
-        self._guidance = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
+        before = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
+        self._guidance = self.closing.after_skin(before, snapshot, self.landmarks.normal)
         return self._guidance
+
+    def of_skin(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
+        """Return what to poke next on the skin, whatever landmarks there are; as `follow`, worked out anew."""
+        return self._guide_of(method).update(
+            _contacts(snapshot),
+            {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
+            evidence,
+            {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
+            self.landmarks.rig_moves(snapshot),
+        )
 
     def verdict(
         self,
@@ -110,7 +121,7 @@ class SessionGuide:
         """
         estimates, noise, used = snapshot.estimates[guidance.method], self._scene.noise, snapshot.corrections.get(RIG)
         landmarks = landmark_agreement(rig, used)
-        return verdict_of(
+        verdict = verdict_of(
             guidance,
             estimates,
             _contacts(snapshot),
@@ -122,6 +133,7 @@ class SessionGuide:
             landmarks,
             unchecked_of(used, landmarks, estimates, snapshot.contacts, self.landmarks.made(snapshot), noise),
         )
+        return replace(verdict, closing=closing_of(snapshot, noise))
 
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
@@ -134,11 +146,20 @@ class SessionGuide:
 
     def skip(self) -> None:
         """Ask for another poke than the one that was asked for last."""
-        if self._guidance is not None and self._guidance.landmark is not None:
+        if self._guidance is not None and self._guidance.phase is GuidePhase.CLOSING:
+            self.closing.skip()
+        elif self._guidance is not None and self._guidance.landmark is not None:
             self.landmarks.skip()
         elif self._followed is not None:
             self._guides[self._followed[1]].skip()
             self._followed = None
+
+    def skip_landmarks(self) -> None:
+        """Ask for no landmarks in this arm pose, or end the closing check."""
+        if self._guidance is not None and self._guidance.phase is GuidePhase.CLOSING:
+            self.closing.leave_out()
+        else:
+            self.landmarks.skip(all_of_pose=True)
 
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
@@ -197,7 +218,7 @@ class LandmarkGuide:
             self._known = known
             self._targets = self._plan(snapshot) if still else []
             now = self._targets[0] if self._targets else None
-            self._shown = now and guidance.before_skin(now, self._normal(now.landmark), self._gain_of(snapshot))
+            self._shown = now and guidance.before_skin(now, self.normal(now.landmark), self._gain_of(snapshot))
         return self._shown or guidance
 
     def _is_named(self, pose: str) -> bool:
@@ -215,8 +236,7 @@ class LandmarkGuide:
 
     def made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
         """Return the landmark pokes that count."""
-        counting = (record.outcome for record in snapshot.pokes if not record.excluded)
-        return landmark_pokes(counting, snapshot.landmarks, snapshot.at_landmarks)
+        return at_landmarks(snapshot)
 
     def rig_moves(self, snapshot: Snapshot) -> float:
         """Return by how much the rig moves estimates, by its landmark pokes: sd in each direction, metres."""
@@ -232,7 +252,7 @@ class LandmarkGuide:
         poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
         poses[snapshot.pose] = here
         planned = [
-            PlannedPoke(target.landmark.place, self._normal(target.landmark), here, snapshot.pose) for target in self._targets
+            PlannedPoke(target.landmark.place, self.normal(target.landmark), here, snapshot.pose) for target in self._targets
         ]
         made, noise = [poke for poke in self.made(snapshot) if poke.pose in poses], self._scene.noise
         return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
@@ -245,7 +265,7 @@ class LandmarkGuide:
             self._round.skip(self._targets[0].landmark.name, self._stance)
         self._known = ()
 
-    def _normal(self, landmark: Landmark) -> FloatArray:
+    def normal(self, landmark: Landmark) -> FloatArray:
         """Return the outward normal at a landmark: its own, else the surface's, else away from the skin's middle."""
         key, place = landmark.place.tobytes(), landmark.place
         if key not in self._normals:
@@ -256,6 +276,75 @@ class LandmarkGuide:
                 found = away / size if size > 0 else np.array([0.0, 0.0, 1.0])
             self._normals[key] = found
         return self._normals[key]
+
+
+class ClosingGuide:
+    """Asks for some of the first places once more, when nothing else is asked for: three landmarks, or three taxels."""
+
+    def __init__(self) -> None:
+        self._skipped = set[str]()
+        self._left_out = False
+        self._asked = ""
+        self._known: tuple[object, ...] = ()
+        self._shown: Guidance | None = None
+
+    def skip(self) -> None:
+        """Ask for that place no more."""
+        self._skipped.add(self._asked)
+        self._known = ()
+
+    def leave_out(self) -> None:
+        """Ask for none of them."""
+        self._left_out, self._known = True, ()
+
+    def after_skin(self, guidance: Guidance, snapshot: Snapshot, normal: Callable[[Landmark], FloatArray]) -> Guidance:
+        """Return the guidance, with a place to poke once more where it is enough.
+
+        `normal` gives what is outward at a landmark.
+        """
+        known = guidance, snapshot.pokes, snapshot.at_landmarks, snapshot.closing_after, snapshot.pose
+        if len(known) != len(self._known) or any(a is not b for a, b in zip(known, self._known, strict=True)):
+            self._known, self._shown = known, self._closing(guidance, snapshot, normal)
+        return self._shown or guidance
+
+    def _closing(self, guidance: Guidance, snapshot: Snapshot, normal: Callable[[Landmark], FloatArray]) -> Guidance | None:
+        after = snapshot.closing_after
+        tried = 0 if after is None else sum(record.outcome.poke > after for record in snapshot.pokes)
+        # Who pokes elsewhere again and again is not asked for ever.
+        if guidance.phase is not GuidePhase.ENOUGH or self._left_out or tried >= TRIES * PLACES:
+            return None
+        pokes, targets = at_landmarks(snapshot), self._landmarks(snapshot, normal)
+        names = [name for name in first_names(pokes, snapshot.pose, after, PLACES) if name in targets]
+        if len(names) < FEWEST:
+            pokes, targets = at_taxels(snapshot), _taxel_targets(guidance, snapshot)
+            names = [name for name in first_names(pokes, snapshot.pose, after, PLACES) if name in targets]
+        again = {poke.name for poke in pokes if after is not None and poke.poke > after}
+        open_ = [name for name in names if name not in again | self._skipped]
+        if len(names) < FEWEST or not open_:
+            return None
+        self._asked = open_[0]
+        target = targets[self._asked]
+        done = len(again & set(names))
+        marks = {landmark.name: landmark for landmark in snapshot.landmarks}
+        mark = LandmarkTarget(marks[target.landmark], done, len(names)) if target.landmark else None
+        return replace(guidance, phase=GuidePhase.CLOSING, target=target, landmark=mark, closing=(done, len(names)))
+
+    def _landmarks(self, snapshot: Snapshot, normal: Callable[[Landmark], FloatArray]) -> dict[str, Target]:
+        return {mark.name: _straight(None, mark.place, normal(mark), mark.name) for mark in snapshot.landmarks}
+
+
+def _taxel_targets(guidance: Guidance, snapshot: Snapshot) -> dict[str, Target]:
+    """Return a straight poke at each taxel that is known, by its channel in words."""
+    known = snapshot.estimates[guidance.method]
+    return {
+        str(each.channel): _straight(each.channel, each.position, each.normal)
+        for each in known
+        if each.position is not None and each.normal is not None
+    }
+
+
+def _straight(channel: int | None, place: FloatArray, normal: FloatArray, landmark: str = "") -> Target:
+    return Target(channel, place, normal, -normal, 0.0, float("inf"), float("inf"), landmark)
 
 
 class ModulesEnough:
@@ -271,7 +360,7 @@ class ModulesEnough:
 
         `guidance` is by the method that is shown, None where nobody guides; `streaming` says that the devices are read.
         """
-        asked = guidance is not None and guidance.phase is not GuidePhase.ENOUGH
+        asked = guidance is not None and not guidance.enough
         # Seen by that method, it is no news any more.
         self._noticed |= method is Method.MODULES and not asked and guidance is not None
         if self._noticed or not asked or method is Method.MODULES or not streaming or revision == self._seen:

@@ -129,10 +129,12 @@ class LandmarkFinder:
     Parameters
     ----------
     places : gives (3,) float, metres, of taxels by their channel, where the layout puts them; called when it is first needed
+    surface : where it says what is outward at landmarks that do not say so themselves
     """
 
-    def __init__(self, places: Callable[[], Mapping[int, FloatArray]]) -> None:
-        self._places = places
+    def __init__(self, places: Callable[[], Mapping[int, FloatArray]], surface: Surface | None) -> None:
+        self._places, self._surface = places, surface
+        self._outward: dict[bytes, FloatArray | None] = {}
         self.asked = ""
         """Name of the landmark that is asked for; empty where none is."""
         self._asked_s = math.inf
@@ -151,10 +153,12 @@ class LandmarkFinder:
         far: then the sensor's frame may be wrong, and these pokes show it. Once most pass as expected, the others are taken
         back, but for those that the operator named.
         """
+        landmarks = tuple(landmarks)
         landmark = next((landmark for landmark in landmarks if landmark.name == self.asked), None)
         if landmark is None:
             return []
-        passes = {poke.poke: Passing.of(poke, noise) for poke in tries.named}
+        known = {each.name: each for each in landmarks}
+        passes = {poke.poke: self._passing(poke, known[poke.name], noise) for poke in tries.named}
         near = sum(each.right for each in passes.values())
         far = len(passes) - near + len(tries.missed)
         found: list[FoundAtLandmark | MissedLandmark] = []
@@ -162,7 +166,7 @@ class LandmarkFinder:
             poke = poke_at(outcome, landmark)
             if poke is None or not self._may_be(outcome, landmark):
                 continue
-            passing = Passing.of(poke, noise)
+            passing = self._passing(poke, landmark, noise)
             if passing.right or near <= far:
                 found.append(FoundAtLandmark(outcome.poke, landmark.name))
             else:
@@ -172,6 +176,16 @@ class LandmarkFinder:
             wrong = (each for poke, each in passes.items() if not each.right and poke not in tries.by_hand)
             found[:0] = [each.missed for each in wrong]
         return found
+
+    def _passing(self, poke: LandmarkPoke, landmark: Landmark, noise: NoiseSettings) -> Passing:
+        """Compare a poke with what is expected of one at a landmark."""
+        key = landmark.place.tobytes()
+        if key not in self._outward:
+            (self._outward[key],) = landmark_normals([landmark], self._surface)
+        outward = self._outward[key]
+        force, _ = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
+        behind = outward is not None and float(outward @ force) > FACING * float(np.linalg.norm(force))
+        return Passing(poke.poke, poke.name, poke.miss, MISS_FACTOR * expected_miss(poke, noise), behind)
 
     def _may_be(self, outcome: Outcome, landmark: Landmark) -> bool:
         """Return whether a poke began late enough, and no taxel far from the landmark answered."""
@@ -203,21 +217,18 @@ class Passing:
     """m."""
     limit: float
     """m: `MISS_FACTOR` times what is expected."""
-
-    @classmethod
-    def of(cls, poke: LandmarkPoke, noise: NoiseSettings) -> Passing:
-        """Compare a poke with what is expected of it."""
-        return cls(poke.poke, poke.name, poke.miss, MISS_FACTOR * expected_miss(poke, noise))
+    behind: bool
+    """It pushes from another side than where the landmark is."""
 
     @property
     def right(self) -> bool:
-        """Whether it passes no farther than it may."""
-        return self.miss <= self.limit
+        """Whether it passes no farther than it may, from the right side."""
+        return self.miss <= self.limit and not self.behind
 
     @property
     def missed(self) -> MissedLandmark:
         """What is recorded of it where it passes farther."""
-        return MissedLandmark(self.poke, self.name, self.miss, self.limit)
+        return MissedLandmark(self.poke, self.name, self.miss, self.limit, self.behind)
 
 
 def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:

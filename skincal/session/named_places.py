@@ -67,7 +67,9 @@ def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceS
 
     Raises InputError: as for `find_places`; also where they are of another link than `link`, or know none of `channels`.
     """
-    sets = _sets_of(load(path), path) if path.is_dir() else read_place_sets(path)
+    read = _sets_of(load(path), path) if path.is_dir() else read_place_sets(path)
+    # A method that knows nothing yet is nothing to compare with; a file without any place is refused as such.
+    sets = tuple(found for found in read if found.places) or read[:1]
     for found in sets:
         check_part(found, path, link, channels)
     return sets

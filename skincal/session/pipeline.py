@@ -81,7 +81,7 @@ class Pipeline:
         self.links = tuple(links)
         self._intake = Intake(self.scene.skin.channels, links)
         self._poses = _Poses(self.scene)
-        self._landmarks = LandmarkFinder(self._taxel_places)
+        self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
         self._totals_ns: int | None = None
         self._away = set[str]()
         self._decoded_ns, self._decoded_s = 0, -np.inf

@@ -22,6 +22,7 @@ from skincal.model.actions import (
     AddLandmark,
     AskLandmark,
     AtLandmark,
+    BeginClosing,
     Correct,
     Exclude,
     FoundAtLandmark,
@@ -86,6 +87,7 @@ class Session:
         layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._solving.taxels_changed(self.channels)
+        self._closing_after: int | None = None
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._current_pose: tuple[str, FloatArray | None] = (self.pose, None)
         self._generation = 0
@@ -151,6 +153,11 @@ class Session:
     def can_undo(self) -> str:
         """What undo would take back, in words; empty where there is nothing."""
         return self._history.can_undo
+
+    @property
+    def closing_after(self) -> int | None:
+        """Number of the last poke before the closing check began; None where it has not."""
+        return self._closing_after
 
     @property
     def history(self) -> tuple[Entry, ...]:
@@ -232,14 +239,8 @@ class Session:
         InputError
             There is no such poke, pose, landmark or channel, or nothing to undo or redo; the session is as it was.
         """
-        if isinstance(action, AskLandmark):
-            # What is asked for changes nothing of what is known, and is not taken back.
-            self._known.check_name(action.name)
-            return
-        if isinstance(action, MissedLandmark):
-            # Found, as an outcome is: no step of the operator's.
-            self._known.miss(action)
-            self._changed()
+        if isinstance(action, AskLandmark | MissedLandmark | BeginClosing):
+            self._take_note(action)
             return
         if isinstance(action, Undo):
             if not self._history.undo():
@@ -249,6 +250,18 @@ class Session:
                 raise InputError("There is nothing to redo: nothing was taken back, or something else was done since.")
         else:
             self._history.do(action, at_s, found=isinstance(action, FoundAtLandmark))
+        self._changed()
+
+    def _take_note(self, action: AskLandmark | MissedLandmark | BeginClosing) -> None:
+        """Take what was asked for, or found as an outcome is: it is no step of the operator's, and is not taken back."""
+        if isinstance(action, AskLandmark):
+            # It changes nothing of what is known.
+            self._known.check_name(action.name)
+            return
+        if isinstance(action, MissedLandmark):
+            self._known.miss(action)
+        elif self._closing_after is None:
+            self._closing_after = self.last_poke
         self._changed()
 
     def _done(self, action: Action) -> Step:
@@ -311,6 +324,7 @@ class Session:
             at_landmarks=self.at_landmarks,
             missed_landmarks=self._known.missed,
             corrections=self.corrections,
+            closing_after=self._closing_after,
         )
         return self._snapshot
 
@@ -321,8 +335,10 @@ class Session:
     def calibration(self) -> Calibration:
         """Return what the calibration files are written from."""
         from skincal.files.calibration import Calibration
+        from skincal.session.closing_pokes import closing_of
 
-        estimates = self.snapshot().estimates
+        snapshot = self.snapshot()
+        estimates = snapshot.estimates
         outcomes = [self._corrections.reported[poke] for poke in self._records]
         return Calibration(
             scene=self.scene,
@@ -335,6 +351,7 @@ class Session:
             dead=self.dead,
             corrections=tuple(self.corrections.values()),
             landmark_pokes=self._known.pokes(outcomes),
+            closing=closing_of(snapshot, self.scene.noise),
         )
 
     def _kept(self, pokes: Iterable[int]) -> list[Contact]:

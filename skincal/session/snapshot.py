@@ -59,6 +59,8 @@ class Snapshot:
     """Pokes that a landmark was asked for and that passed it too far, by their number."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
+    closing_after: int | None = None
+    """Number of the last poke before the closing check began; None where it has not."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

@@ -26,7 +26,7 @@ from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Habits, aim
+from skincal.simulate.operator import OPERATORS, Habits, aim, by_habit
 from skincal.simulate.simulated_rig import PressedPlaces, Rig, by_hand, cone_tilts, held, push_directions, tangents
 from skincal.taxels.result import Estimate, Method
 
@@ -36,6 +36,7 @@ BESIDE = 0.004
 """m: the skin beside its plan, as a whole; this much in two directions together."""
 FORCE = (6.0, 12.0)
 """N, of a hand."""
+CAREFUL = OPERATORS["careful"]
 UNKNOWN = 0.060
 """m: what a taxel without an estimate counts: the size of the patch."""
 
@@ -54,6 +55,8 @@ class Conditions:
     """N rms of drift in half an hour."""
     doubled: float = 0.0
     """Share of the pokes that touch a second place too."""
+    habits: Habits = CAREFUL
+    """Of the hand, beside these."""
 
     @property
     def errors(self) -> RigErrors:
@@ -88,11 +91,12 @@ def poked(
     beside = conditions.aim * rng.standard_normal((count, 2))
     points, triangles = nearest_points(part.surface, on + beside[:, :1] * e1 + beside[:, 1:] * e2)
     normals = part.surface.normals[triangles]
-    pushes = held(by_hand(meant.pushes, conditions.hand, rng), normals, conditions.usable)
+    meant_pushes = by_habit(meant.pushes, normals, conditions.habits)
+    pushes = held(by_hand(meant_pushes, conditions.hand, rng), normals, conditions.usable)
     pokes = PressedPlaces(
         np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
     )
-    habits = replace(Habits.careful(), double_rate=conditions.doubled)
+    habits = replace(conditions.habits, double_rate=max(conditions.doubled, conditions.habits.double_rate))
     return simulate_contacts(rig, pokes, rng, POSE, first, habits), pokes
 
 

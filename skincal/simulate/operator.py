@@ -8,7 +8,7 @@ what a guide asks for; both sides of the pipe share them.
 from __future__ import annotations
 
 import queue
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TypeAlias
@@ -198,6 +198,12 @@ class Habits:
     """s, for the arm to go to another pose."""
     hand: float = float(np.radians(6.0))
     """rad, sd of the push about the one that is asked for, in each direction. Assumed."""
+    side: float = 0.0
+    """rad, from e1 to e2 of `tangents`: the side of the hand, for the two below."""
+    bias: float = 0.0
+    """rad: every push leans so much more towards that side."""
+    arc: float = 2.0 * float(np.pi)
+    """rad: pushes lean towards an arc of this breadth about that side alone; 0 for always the same."""
     ignores: float = 1.0 / 12.0
     """Share of the pokes in which somebody who is shown a target pokes a taxel of their own choice. Assumed."""
     reaction_s: float = 0.25
@@ -212,6 +218,34 @@ class Habits:
         """Return the habits of somebody whose hand is `pace` times as quick between pokes; presses take as long as they do."""
         approach, rest = (tuple(s / pace for s in times) for times in (self.approach_s, self.rest_s))
         return replace(self, approach_s=approach, rest_s=rest, reaction_s=self.reaction_s / pace)
+
+
+OPERATORS: Mapping[str, Habits] = {
+    "careful": Habits.careful(),
+    "two_taxels": replace(Habits.careful(), double_rate=1.0, double_share=(0.4, 1.0), double_away=(0.005, 0.008)),
+    "biased": replace(Habits.careful(), bias=float(np.radians(15.0)), side=float(np.radians(-60.0))),
+    "left_handed": replace(Habits.careful(), bias=float(np.radians(15.0)), side=float(np.radians(120.0))),
+    "arc": replace(Habits.careful(), arc=float(np.radians(120.0)), side=float(np.radians(-90.0))),
+    "one_side": replace(Habits.careful(), arc=0.0, bias=float(np.radians(20.0)), side=float(np.radians(-90.0))),
+}
+"""Hands unlike the one that the guide's thresholds were found with: a finger that covers two taxels in every poke, hands that
+lean to one side, that reach the part from a third of its sides, or from one only."""
+
+
+def by_habit(pushes: FloatArray, normals: FloatArray, habits: Habits) -> FloatArray:
+    """Return the pushes (n, 3) that somebody makes of those meant, on skin with the outward `normals`: see `Habits.side`."""
+    inward = -np.sum(pushes * normals, axis=1, keepdims=True)
+    e1, e2 = tangents(normals)
+    # Slopes beside the normal, as seen from the hand's side.
+    x, y = (np.sum(pushes * e, axis=1) / inward[:, 0] for e in (e1, e2))
+    half = habits.arc / 2.0
+    turned = np.arctan2(y, x) - habits.side
+    turned = np.clip(np.arctan2(np.sin(turned), np.cos(turned)), -half, half) + habits.side
+    steep = np.hypot(x, y)
+    x = steep * np.cos(turned) + np.tan(habits.bias) * np.cos(habits.side)
+    y = steep * np.sin(turned) + np.tan(habits.bias) * np.sin(habits.side)
+    made = x[:, None] * e1 + y[:, None] * e2 - normals
+    return made / np.linalg.norm(made, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True, slots=True)

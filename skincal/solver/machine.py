@@ -15,6 +15,8 @@ import numpy as np
 import wasmtime
 from numpy.typing import NDArray
 
+from skincal.solver.compiled import compiled
+
 PROGRAM = Path(__file__).with_name("solver.wasm")
 _PAGE = 1 << 16
 """Bytes by which the memory grows."""
@@ -26,9 +28,9 @@ FLOAT, INTEGER, WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uin
 
 @cache
 def _module() -> tuple[wasmtime.Engine, wasmtime.Module]:
-    """Return the program, compiled for this machine once (50 to 60 ms)."""
+    """Return the program, compiled for this machine."""
     engine = wasmtime.Engine()
-    return engine, wasmtime.Module(engine, PROGRAM.read_bytes())
+    return engine, compiled(engine, PROGRAM.read_bytes())
 
 
 class Machine:

@@ -448,6 +448,7 @@ class _LinkIntake:
             self._before += self._decoder.counts
             self._decoder = self._new_decoder()
             self.stamper.reopened()
+        self._before[Loss.DROPPED] += event.dropped
         self._state, self._text = event.state, event.text
         return batches
 

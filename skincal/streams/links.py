@@ -11,6 +11,7 @@ reaches pyserial, whose URLs run other code and write files (`spy://PORT?file=X`
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import math
 import queue
@@ -19,6 +20,7 @@ import socket
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -30,6 +32,7 @@ from urllib.parse import urlsplit
 from skincal.model.errors import InputError
 from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.streams.decoders.detect import AUTO
 from skincal.streams.device_address import parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
@@ -38,16 +41,21 @@ FILE_PREFIX = "file:"
 SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
-KNOWN = (
-    "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device such as netft://HOST or yarp:/PORT "
-    "(skincal devices lists them)"
-)
+KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md)"
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
 """Most bytes of one read: more than a second of any serial port."""
 CONNECT_S = 1.0
 """s. A host in the same room answers in milliseconds; a reader must be able to stop."""
+PROBE_IDLE_S, PROBE_S, PROBES = 3, 2, 3
+"""s, s: a dead server is noticed after 3 + 3 * 2 = 9 s of silence. By default systems wait for two hours."""
+WAITING_MOST = 1 << 20
+"""Bytes of a link that wait to be worked on: a second of the fastest devices, a tenth of a second of work."""
+ITEM_BYTES = 200
+"""What an item takes beside its bytes: many small ones must not be for nothing."""
+DROP_NS = 500_000_000
+"""ns. A link that is too fast is not listened to for so long: it is said twice a second at most, and all else gets its turn."""
 WRITE_S = 0.5
 """s. A command is a few bytes; a port that takes none for so long is stuck."""
 BLOCK_BYTES = 512
@@ -148,7 +156,19 @@ def open_link(spec: LinkSpec) -> Link:
         return open_device(spec.address, spec.carries, Ports(TcpLink, SerialLink))
     if address.kind is LinkKind.FILE:
         return PlaybackLink(Path(address.place), spec, address.number)
-    return SerialLink(address.place, address.number)
+    port = SerialLink(address.place, address.number)
+    if address.place != spec.address or spec.format != AUTO:
+        return port
+    from skincal.streams.baud_search import SearchingLink
+
+    return SearchingLink(port, spec.carries)
+
+
+def serial_ports() -> list[tuple[str, str]]:
+    """Return name and description of each serial port of this machine that has a device."""
+    from serial.tools import list_ports
+
+    return [(port.device, port.description or "") for port in list_ports.comports() if port.description != "n/a"]
 
 
 def split_baud(address: str) -> tuple[str, int]:
@@ -211,6 +231,15 @@ class SerialLink:
         except self._errors as error:
             raise LinkFailure(FailureKind.VANISHED, f"{self._name} takes no bytes: {error}.") from error
 
+    def set_baud(self, baud: int) -> None:
+        """Go on at another rate; what the system refuses is left as it is."""
+        try:
+            self._port.baudrate = baud
+        except ValueError:
+            return
+        except self._errors as error:
+            raise LinkFailure(FailureKind.VANISHED, _vanished(self._name)) from error
+
     def close(self) -> None:
         """See `Link`."""
         try:
@@ -228,8 +257,7 @@ class TcpLink:
             self._socket = socket.create_connection((host, port), CONNECT_S)
         except OSError as error:
             raise _connect_failure(address, error) from error
-        # A server that lost its power says no goodbye: without probes of the system's, `recv` would wait for it for ever.
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        _probe(self._socket)
 
     def read(self, timeout_s: float) -> bytes:
         """See `Link`."""
@@ -255,6 +283,25 @@ class TcpLink:
     def close(self) -> None:
         """See `Link`."""
         self._socket.close()
+
+
+def _probe(connection: socket.socket) -> None:
+    """Have the system ask a silent server whether it is there: one that lost its power says no goodbye.
+
+    It is asked after `PROBE_IDLE_S` of silence, `PROBES` times, and one that answers may be silent for ever.
+    """
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    # The names of the first differ: macOS has its own.
+    idle = getattr(socket, "TCP_KEEPIDLE", getattr(socket, "TCP_KEEPALIVE", None))
+    options = {
+        idle: PROBE_IDLE_S,
+        getattr(socket, "TCP_KEEPINTVL", None): PROBE_S,
+        getattr(socket, "TCP_KEEPCNT", None): PROBES,
+    }
+    for option, value in options.items():
+        if option is not None:
+            with contextlib.suppress(OSError):  # a system that knows the name, and not the option
+                connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
@@ -409,6 +456,66 @@ AFTER = {FailureKind.ENDED: LinkState.ENDED, FailureKind.NONSENSE: LinkState.FAI
 """State of a link that is read no further."""
 
 
+class Inbox:
+    """What readers bring, in order, for the one that takes it; of each link no more waits than `WAITING_MOST`.
+
+    Bytes beyond that are dropped for `DROP_NS`, and a `LinkEvent` that says how many takes their place: garbage at the speed of
+    a network costs other links nothing, and what is shown is not from long ago. Any thread may call any method.
+    """
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._waiting: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
+        self._until_ns: dict[str, int] = {}
+
+    def put(self, item: Any) -> None:
+        """Take the next item, if it has room; what is no `Chunk` always has."""
+        if not isinstance(item, Chunk):
+            self._queue.put(item)
+            return
+        with self._lock:
+            if self._has_room(item):
+                self._waiting[item.link] += len(item.data) + ITEM_BYTES
+                self._queue.put(item)
+            else:
+                self._dropped[item.link] += len(item.data)
+
+    def _has_room(self, chunk: Chunk) -> bool:
+        """Return whether a chunk may wait; where that is so again, say first what was dropped."""
+        link, full = chunk.link, self._waiting[chunk.link] + len(chunk.data) > WAITING_MOST
+        if not full and chunk.host_ns >= self._until_ns.get(link, 0):
+            self._tell_dropped(link, chunk.host_ns)
+            return True
+        if link not in self._until_ns:
+            self._until_ns[link] = chunk.host_ns + DROP_NS
+        return False
+
+    def _tell_dropped(self, link: str, host_ns: int) -> None:
+        if self._until_ns.pop(link, None) is not None:
+            bytes_ = self._dropped.pop(link, 0)
+            text = f"{link} sends more than can be read: {bytes_} bytes were dropped; check its format and its rate."
+            self._queue.put(LinkEvent(link, host_ns, LinkState.OPEN, text, bytes_))
+
+    def get(self, timeout: float | None = None) -> Any:
+        """Return the next item; `queue.Empty` where none comes within `timeout`, seconds."""
+        item = self._queue.get(timeout=timeout)
+        if isinstance(item, Chunk):
+            with self._lock:
+                self._waiting[item.link] -= len(item.data) + ITEM_BYTES
+        return item
+
+    def empty(self) -> bool:
+        """Return whether nothing waits; what a link that fell silent had dropped is said now."""
+        if self._until_ns and self._queue.empty():
+            with self._lock:
+                now_ns = time.monotonic_ns()
+                for link in [link for link, until_ns in self._until_ns.items() if now_ns >= until_ns]:
+                    self._tell_dropped(link, now_ns)
+        return self._queue.empty()
+
+
 class Reader:
     """Reads one link into a queue, in one daemon thread, and takes a lost link up again by itself.
 
@@ -417,7 +524,7 @@ class Reader:
     save after an end and for an address that cannot be right. Silence is no event.
     """
 
-    def __init__(self, spec: LinkSpec, items: queue.SimpleQueue[Chunk | LinkEvent]) -> None:
+    def __init__(self, spec: LinkSpec, items: Inbox | queue.SimpleQueue[Chunk | LinkEvent]) -> None:
         self._spec = spec
         self._items = items
         self._stop = threading.Event()

@@ -39,6 +39,7 @@ from skincal.studies import alternatives
 from skincal.studies.alternatives import ModuleProblem, Problems, problems
 from skincal.studies.figures import LOOKS, Figure, draw_runtime
 from skincal.studies.measuring import CLOCK, bar_lines, bars_of, poke_seconds, quartiles, time_words, timed
+from skincal.studies.waiting import help_time, import_time
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
@@ -106,13 +107,15 @@ class RuntimeSizes:
     live_per_taxel: tuple[int, ...] = (12, 100)
     resolved: int = 10_000
     memory_pokes: int = 4_000
+    log_pokes: int = 60
+    """Pokes of the log that is imported, some two seconds each."""
 
 
 FULL = RuntimeSizes()
 QUICK = RuntimeSizes(
     small=PartSizes("icub-forearm", 2, 2, (1_000, 100_000), (1, 30), budget_s=0.3),
     large=PartSizes("whole-body", 1, 2, (1_000,), (), (84, 420), budget_s=0.8),
-    everywhere=False, growth_until_s=20.0, live_pokes=60, live_per_taxel=(12,), memory_pokes=1_000,
+    everywhere=False, growth_until_s=20.0, live_pokes=60, live_per_taxel=(12,), memory_pokes=1_000, log_pokes=12,
 )  # fmt: skip
 
 
@@ -136,13 +139,15 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
         if row["off_ours_m"] is not None:
             off[row["method"]] = max(off.get(row["method"], 0.0), row["off_ours_m"])
         progress(_in_words(row))
-    progress("pokes one by one, a whole session at once, memory")
+    progress("pokes one by one, a whole session at once, memory, the import of a log, the help")
     lively = {
         "poke": [poke_time(small, per_taxel, sizes.live_pokes) for per_taxel in sizes.live_per_taxel],
         "resolve": resolve_time(small, sizes.resolved, sizes.small.repeats // 2),
         "memory": memory(small, sizes.memory_pokes),
+        "import": import_time(small, sizes.log_pokes),
+        "help": help_time(sizes.small.repeats),
     }
-    ratios = ratios_of(rows, large.name, sizes.per_taxel)
+    ratios = ratios_of(rows, large.name, sizes.per_taxel) | waiting_ratios(lively)
     fresh = {bench.name: make_surface(bench.surface.vertices, bench.surface.triangles) for bench in (small, large)}
     return {
         "study": "runtime",
@@ -580,7 +585,18 @@ def ratios_of(rows: Sequence[Row], part: str, per_taxel: int) -> dict[str, float
     ratios = {f"{name}_over_surface": ms[name] / again for name in (*SEARCHES, "slsqp", "quadprog") if name in ms}
     ratios |= {f"{name}_over_free": ms[name] / ms["free"] for name in ("lstsq", "normal")}
     ratios["brute_over_surface_from_contacts"] = ms["brute"] / ms["surface"]
+    ratios |= {"contacts_over_session": ms["surface"] / again, "modules_over_surface": ms["modules"] / ms["surface"]}
     return {**ratios, "per_taxel_100k_over_1k": ms["surface"] / coarse}
+
+
+def waiting_ratios(lively: Mapping[str, Any]) -> dict[str, float]:
+    """Return the ratios of what an operator waits for to what could not be done without."""
+    poke, read, said = lively["poke"][0], lively["import"], lively["help"]
+    return {
+        "poke_modules_over_poke": poke["with_modules_ms"]["median"] / poke["time_ms"]["median"],
+        "import_over_words": read["time_ms"] / read["words_ms"],
+        "help_over_python": said["time_ms"]["median"] / said["python_ms"]["median"],
+    }
 
 
 def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -594,6 +610,14 @@ def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: 
         # How much a taxel may cost more on 100,000 triangles than on 1,000.
         "per_taxel_100k_over_1k": (ratios["per_taxel_100k_over_1k"], "<=", 2.0),
         "poke_ms": (lively["poke"][0]["time_ms"]["median"], "<=", 2.0),
+        # The same by all three methods.
+        "poke_modules_ms": (lively["poke"][0]["with_modules_ms"]["median"], "<=", 5.0),
+        "poke_modules_over_poke": (ratios["poke_modules_over_poke"], "<=", 4.0),
+        # On the whole large part, from contacts: over a re-solve from a session's tables, and over the surface method alone.
+        "contacts_over_session": (ratios["contacts_over_session"], "<=", 6.0),
+        "modules_over_surface": (ratios["modules_over_surface"], "<=", 5.0),
+        "import_over_words": (ratios["import_over_words"], "<=", 12.0),
+        "help_s": (lively["help"]["time_ms"]["median"] / 1e3, "<=", 0.4),
         "resolve_s": (lively["resolve"]["time_ms"]["median"] / 1e3, "<=", 2.0),
         "memory_mb_per_1000": (lively["memory"]["megabytes_per_1000"], "<=", 2.0),
     })  # fmt: skip

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,6 +34,9 @@ from skincal.taxels.shared_errors import SharedRows
 LANDMARKS = (0, 21, 70)
 """Landmark pokes: none, those that the guide asks for, and ten in each arm pose."""
 SEEDS = 12
+CLOSE = {"gaussian": 48, "mesh_inflated": 48}
+"""Cases of which so many rigs are tried where others have `SEEDS`: of twelve, chance alone moves the share inside by 0.8 % and
+the mean error by 1.5 %, and here a bar is nearer than that."""
 FLAT = 1e-6
 """A covariance whose smallest variance is below this share of its largest is one on a surface."""
 SQUARES = {1: 3.841, 2: 5.991, 3: 7.815}
@@ -198,9 +202,10 @@ def unmodelled(seeds: int = SEEDS, cases: Sequence[str] = tuple(CASES), each: Ea
     sessions that are `believed` and that are so wrongly, as `inside_21` and so on; `predicted` is that with 21. `methods`: the
     same for each number of landmark pokes and each method. `sessions`: the modules method's `FoundByMethod` of each seed
     """
-    jobs = [(case, seed) for case in cases for seed in range(1, seeds + 1)]
-    found = list(each(run_one, [case for case, _ in jobs], [seed for _, seed in jobs]))
-    return [_row(case, found[i * seeds : (i + 1) * seeds]) for i, case in enumerate(cases)]
+    of_case = {case: seeds if seeds < SEEDS else max(seeds, CLOSE.get(case, 0)) for case in cases}
+    jobs = [(case, seed) for case, count in of_case.items() for seed in range(1, count + 1)]
+    found = iter(each(run_one, [case for case, _ in jobs], [seed for _, seed in jobs]))
+    return [_row(case, list(islice(found, count))) for case, count in of_case.items()]
 
 
 def _row(case: str, found: Sequence[Session]) -> dict[str, Any]:

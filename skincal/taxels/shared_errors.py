@@ -35,9 +35,9 @@ their pushes, link frame: B (m, 2, n), metres for each of n errors in its standa
 (m, 2, k) for each of k that the pokes in one arm pose share, those of each pose independent of the others'."""
 
 
-SLOW = 30
+SLOW = 60
 """Pokes that share what changes slowly, about a minute of work: drift of the sensor, an arm that creeps."""
-NEAR = SLOW // 2
+NEAR = SLOW // 4
 """Pokes at most this far from each other say how much of that there is."""
 
 
@@ -45,7 +45,7 @@ def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, u
     """Return (g,) how many times larger the variances of g groups of pokes are than the scene's noise has them, at least 1.
 
     The mean square of a group's misses, in standard deviations, less its standard error by the scene's noise: where few pokes
-    tell, little is seen.
+    tell, little is seen. What is seen is uncertain, and makes the variance that of Student's t, n/(n - 2) times as large.
 
     Parameters
     ----------
@@ -56,7 +56,8 @@ def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, u
     """
     found, count = np.add.reduceat(trust * squares, starts), 2.0 * np.add.reduceat(trust, starts)
     free = np.maximum(count - unknowns, 1.0)
-    return np.maximum(found / free - np.sqrt(2.0 / free), 1.0)
+    seen = found / free - np.sqrt(2.0 / free)
+    return np.where(seen > 1.0, seen * free / np.maximum(free - 2.0, 1.0), 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ from skincal.sentences import (
     misfit_sentence,
     rig_sentences,
     state_sentence,
+    unchecked_sentence,
 )
 from skincal.taxels.result import Cause, StateReason
 from tests.approved import approved
@@ -227,3 +228,8 @@ def test_a_sensor_that_sits_elsewhere_says_by_how_much(degrees):
     motion[:3, 3] = [0.0, 0.03, 0.04]
     said = frame_sentence(wrong(FrameCorrection(motion=motion)))
     assert approved("sensor_frame.elsewhere", degrees=f"{degrees:.0f}", aside_mm=50) in said
+
+
+def test_landmarks_are_recommended_only_where_none_was_poked():
+    assert unchecked_sentence(0.0075, 0) == approved("rig.unchecked", off_mm=7.5)
+    assert unchecked_sentence(0.0075, 4) == approved("rig.unchecked_poked", off_mm=7.5, pokes=4)

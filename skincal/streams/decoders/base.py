@@ -166,8 +166,9 @@ class Collector:
         finite = np.isfinite(values)
         if not finite.all():
             self._counts[Loss.NOT_A_NUMBER] += int(np.count_nonzero(~finite.all(axis=1)))
+            values = np.where(finite, values, np.nan) if stream is Stream.SKIN else values
         if stream is Stream.SKIN:
-            return SkinBatch(seq, device_s, np.where(finite, values, np.nan))
+            return SkinBatch(seq, device_s, values)
         if stream is Stream.JOINTS:
             return JointsBatch(seq, device_s, np.radians(values))  # every format has degrees
         bits = np.zeros(len(seq), np.int64) if status is None else status

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
@@ -22,8 +24,9 @@ from skincal.guide.verdict_words import (
     landmark_words,
     left_words,
     predicted_words,
-    sentence,
+    verdict_sentence,
 )
+from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
 from skincal.sentences import correction_sentence, rig_sentences
@@ -53,10 +56,13 @@ def verdict(
     landmarks: LandmarkAgreement | None = PASSED,
     unchecked: float | None = None,
     predicted: PredictedError | None = APART,
+    closing: Closing | None = None,
 ) -> Verdict:
     done = used - sum(taxel.why is not Why.DEAD for taxel in left)
     enough = all(taxel.why is not Why.EARLY for taxel in left)
-    return Verdict(Method.SURFACE, enough, 0.003, done, used, left, checked, landmarks, predicted, unchecked, 252, 552.0)
+    return Verdict(
+        Method.SURFACE, enough, 0.003, done, used, left, checked, landmarks, predicted, unchecked, 252, 552.0, closing
+    )
 
 
 @pytest.mark.parametrize(
@@ -81,7 +87,7 @@ def verdict(
     ],
 )
 def test_one_sentence_says_what_the_session_has_come_to(what, said):
-    assert sentence(what) == said
+    assert verdict_sentence(what) == said
 
 
 def test_the_figures_are_those_of_the_verdict():
@@ -93,6 +99,7 @@ def test_the_figures_are_those_of_the_verdict():
         ),
         ("Check", approved("verdict.check", good=13, held_out=14)),
         ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
+        ("Closing", approved("closing.none")),
         ("Predicted", approved("verdict.predicted_apart", every_mm="1.3", whole_mm="1.2", among_mm="0.5")),
         ("Work", "252 pokes in 9 min"),
     )
@@ -101,6 +108,15 @@ def test_the_figures_are_those_of_the_verdict():
     assert hardly == approved("verdict.check_hardly", good=8, held_out=11)
     assert check_words(verdict(checked=Check(4, 4))).endswith(approved("verdict.check_too_few"))
     assert check_words(verdict(checked=Check(0, 0))) == approved("verdict.check_none")
+
+
+def test_what_moved_meanwhile_goes_before_all_else():
+    moved = Closing(ClosingPlaces.LANDMARKS, ("a", "b"), 0.009, 0.006, 0.001)
+    said = verdict(closing=moved)
+    assert verdict_sentence(said) == approved("closing.in_verdict", count=24, target_mm=3)
+    assert said.doubted
+    assert dict(figures(said))["Closing"].startswith(approved("closing.moved_begin", what="the sensor or the arm", shift="9.0"))
+    assert not verdict(closing=replace(moved, chance=0.3)).doubted
 
 
 def test_what_landmarks_say_and_what_nobody_checked_is_said():
@@ -267,7 +283,7 @@ def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
     assert dialog.sentence.text().startswith(approved("verdict.not_enough_begin", done=0, count=84))
-    assert dialog.figures[5][1].text() == "3 pokes in 1 min"
+    assert {name: value.text() for name, value in dialog.figures}["Work"] == "3 pokes in 1 min"
     assert dialog.left.model().rowCount() == 84
     on_map = pixels(session_view.workspace.map)
     dialog.left.setFocus()

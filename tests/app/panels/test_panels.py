@@ -30,6 +30,7 @@ from app.theme import DARK, HUES, LIGHT, Choice, Colours
 from app.units import ChannelNames
 from app.window import Theme, qpalette
 from skincal.contacts.outcome import PressPhase, Reason
+from skincal.files.formats import ExportFormat
 from skincal.model.readings import LinkState, Stream
 from skincal.model.scene import resource
 from skincal.session.part import load_part
@@ -126,7 +127,7 @@ def test_now_says_what_happens_and_the_ring_fills(qtbot):
     panel.show_state(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
     assert changed(gauge, pixels(panel.gauge)) > 200
     panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
-    assert panel.headline.text() == approved("now.rejected_slid", seen_mm=2.1, most_mm=1.5)
+    assert panel.result.text().endswith(approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
     bad = QColor(DARK.bad).getRgb()[:3]
     assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100
 
@@ -491,6 +492,9 @@ def test_a_message_begins_with_the_sign_of_its_kind(qtbot):
 def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot, tmp_path):
     dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
     assert dialog.path.text() == str(tmp_path / "part-free.txt")
+    assert [dialog.format.itemData(row) for row in range(dialog.format.count())] == list(ExportFormat)
+    dialog.format.setCurrentIndex(list(ExportFormat).index(ExportFormat.MJCF))
+    assert dialog.path.text() == str(tmp_path / "part-free.xml")
     dialog.format.setCurrentIndex(1)
     assert dialog.path.text() == str(tmp_path / "part.json")
     assert not dialog.method.isEnabled()

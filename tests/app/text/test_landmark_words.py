@@ -78,7 +78,7 @@ class Landmarks(LandmarkGuide):
 
     def __init__(self, of: Part, plan: PlannedPlaces) -> None:
         super().__init__(of, plan)
-        self._finder = LandmarkFinder(lambda: dict(zip(plan.channels.tolist(), plan.places, strict=True)))
+        self._finder = LandmarkFinder(lambda: dict(zip(plan.channels.tolist(), plan.places, strict=True)), None)
         self._seen = 0
 
     def before_skin(self, skin, snapshot, now_s):

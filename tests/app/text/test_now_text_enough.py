@@ -23,7 +23,7 @@ ENOUGH = (
 )
 
 
-def at(pokes=ENOUGH, sd=1e-3, generation=1, excluded=(), blind=(), dead=(), done=(), method=Method.FREE, **changes):
+def at(pokes=ENOUGH, sd=5e-4, generation=1, excluded=(), blind=(), dead=(), done=(), method=Method.FREE, **changes):
     """A moment in which the modules method knows every taxel to `sd`, m, but those that are blind or dead."""
     by_channel = {each.channel: each for each in (estimate(c, (0, 0, 0), Method.MODULES, sd) for c in range(24))}
     by_channel |= {channel: Estimate(channel, Method.MODULES, State.BLIND, 2) for channel in blind}
@@ -46,7 +46,7 @@ def test_it_is_said_once():
     assert short.news(at(ENOUGH[:7], generation=1)) == ""
     words = short.news(at(generation=2))
     assert approved("modules_check.pokes_on_every_module") in words
-    assert "3 mm" in words
+    assert "1.5 mm" in words
     assert short.news(at(generation=3)) == ""
 
 

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from skincal.files.atomic import write_atomically
-from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, write_calibration
+from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, ply_text, write_calibration
+from skincal.files.icub import icub_text
 from skincal.mesh.load import load_surface
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
+from skincal.rig.correction import FRAME, Correction, UsedCorrection
 from skincal.sentences import state_sentence
 from skincal.taxels.result import Estimate, Method, Rival, State, StateReason
 from tests.approved import approved, approved_pattern
@@ -106,6 +108,19 @@ def test_json_has_no_nan_and_names_its_units(part):
     assert gains[-1] == {"pokes": 0, "raw_per_N": None, "sd_raw_per_N": None}
 
 
+def test_gains_are_of_the_pokes_that_count_as_they_are_corrected(part):
+    calibration = make_calibration(part)
+    assert [contact.poke for contact in calibration.used_contacts] == [poke for poke in range(1, 61) if poke != 3]
+    plain = replace(calibration, excluded=()).gains(Method.SURFACE)
+    assert sum(gain.pokes for gain in plain) == sum(gain.pokes for gain in calibration.gains(Method.SURFACE)) + 1
+    # A sensor that reports half the force: there is twice as much of it for the same answers.
+    doubled = UsedCorrection(FRAME, Correction(2.0 * np.eye(6)), 0.01, 0.001, pokes=21)
+    for gain, other in zip(
+        calibration.gains(Method.SURFACE), replace(calibration, corrections=(doubled,)).gains(Method.SURFACE), strict=True
+    ):
+        assert other.mean == (None if gain.mean is None else pytest.approx(gain.mean / 2, rel=1e-12))
+
+
 def test_every_setting_has_a_unit():
     assert list(CONTACT_UNITS) == list(ContactSettings.__slots__)
     assert list(NOISE_UNITS) == list(NoiseSettings.__slots__)
@@ -177,7 +192,7 @@ def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
     assert said[0] == "free: " + approved("export.no_position", count=2, all=34, states="1 unseen, 1 blind")
     assert said[1].startswith(approved("export.last_row_dropped", channel=47))
     assert len(said) == 2
-    assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "p.txt", Method.FREE)[1:] == ()
+    assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "q.txt", Method.FREE)[1:] == ()
     assert (tmp_path / "p.txt").read_text().startswith("name               r_forearm\n")
 
 
@@ -257,3 +272,21 @@ def test_export_imports_no_window():
     code = "import skincal.files.export, sys; print([m for m in sys.modules if m.startswith(('PySide6', 'vtk', 'pyvista'))])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tmp_path):
+    calibration = make_calibration(part)
+    path = tmp_path / "p.csv"
+    assert not any("is kept as" in said for said in write_calibration(calibration, "csv", path, Method.FREE))
+    for number in ("", "-2"):
+        said = write_calibration(calibration, "csv", path, Method.FREE)
+        assert said[-1] == approved("export.older", name="p.csv", kept=f"p.csv.bak{number}")
+
+
+def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
+    words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it"
+    calibration = replace(make_calibration(part), verdicts={Method.SURFACE: words})
+    assert json.loads(json_text(calibration))["verdicts"] == {"surface": words}
+    assert f"comment {words}" in ply_text(calibration, Method.SURFACE).splitlines()
+    assert f"# {words}" in icub_text(calibration, Method.SURFACE).splitlines()
+    assert words not in ply_text(calibration, Method.FREE)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from skincal.files.icub import NO_TAXEL, THERMAL_PAD, icub_text, parse_icub, read_icub, representatives, skin_part
 from skincal.model.errors import InputError, list_channels
 from skincal.taxels.result import Method
+from tests.approved import approved_pattern
 from tests.skincal.files.files_support import CHANNELS, Part, make_calibration, make_part
 
 ROW = "0.01 0.02 0.03 0 0 1\n"
@@ -147,7 +148,7 @@ def test_what_is_no_position_file_is_said_with_its_line(text, said):
 
 
 def test_a_missing_file_is_said(tmp_path):
-    with pytest.raises(InputError, match="there is no such file"):
+    with pytest.raises(InputError, match=approved_pattern("layout_file.no_such_file")):
         read_icub(tmp_path / "none.txt")
 
 

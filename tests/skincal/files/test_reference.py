@@ -11,7 +11,7 @@ from skincal.files.export import write_calibration
 from skincal.files.reference import PlaceSet, compare_sets, load_reference, read_places
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
-from tests.approved import approved, approved_pattern
+from tests.approved import approved_pattern
 from tests.skincal.files.files_support import Part, make_calibration, make_part
 
 
@@ -58,9 +58,9 @@ def test_a_method_that_a_file_lacks_is_said_and_nonsense_is_refused(calibration,
         ("d.csv", "channel,module,method,x_m,y_m,z_m,sd_mm\n0,,free,nan,0,0,1\n"),
     ):  # fmt: skip
         (tmp_path / name).write_text(text)
-        with pytest.raises(InputError, match=approved_pattern("places.not_places")):
+        with pytest.raises(InputError, match=approved_pattern("export.no_reference")):
             read_places(tmp_path / name)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=approved_pattern("layout_file.no_such_file")):
         read_places(tmp_path / "none.json")
 
 
@@ -98,4 +98,3 @@ def test_a_truth_is_read_as_before(tmp_path):
     found = read_places(path)
     assert (found.link, found.name, found.method) == ("plate", "truth.json", None)
     assert found.places[3].tolist() == [0.0, 0.0, 1.0]
-    assert approved("places.not_places")

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.text.message import refused_words
 from skincal.contacts.outcome import Contact
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import JournalWriter, create_session
@@ -318,7 +319,8 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
     assert int(live) == 8
     assert 0 < int(kept) < 8
     assert approved("session.not_written") in sentence
-    assert approved("session.export_now") in sentence
+    assert approved("session.export_now") not in sentence
+    assert approved("session.export_now") in refused_words(sentence)
 
 
 def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):

@@ -14,16 +14,21 @@ import pytest
 
 from skincal.cli import main
 from skincal.files.reference import error_summary, read_reference
-from skincal.guide.verdict_words import figures, sentence
+from skincal.guide.verdict_words import figures, landmark_words, verdict_sentence
+from skincal.model.actions import AtLandmark
 from skincal.model.scene import Landmark, resource
 from skincal.reporting.drawings import side_frames
 from skincal.reporting.page import report_page, write_report
-from skincal.reporting.session_facts import SessionFacts, gather_facts
+from skincal.reporting.session_facts import SessionFacts, errors_of, gather_facts
+from skincal.rig.correction_fit import correct_rig
+from skincal.sentences import correction_sentence, frame_sentence, state_sentence
+from skincal.session.corrections import offered
 from skincal.session.error_history import MEAN, TAXELS
-from skincal.session.replay import load
+from skincal.session.replay import load, resume
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.approved import approved
+from tests.skincal.cli.test_cli_landmarks import Log
 
 SAMPLE = resource("sessions/sample")
 SECTIONS = (
@@ -74,7 +79,7 @@ def test_the_numbers_are_those_of_the_core(facts, page):
     assert facts.series.spreads[Method.MODULES][-1, 0, MEAN] == pytest.approx(lead.mean, rel=1e-12)
     assert facts.series.missing == 0
     assert all(words in page.text for _, words in figures(facts.verdict))
-    assert sentence(facts.verdict) in page.text
+    assert verdict_sentence(facts.verdict) in page.text
     assert all(each.solve_s > 0 for each in facts.methods)
 
 
@@ -84,6 +89,8 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
     assert page.tags["img"] == 3
     for estimate in facts.estimates:
         assert f"{estimate.position[0] * 1e3:.2f}" in page.text
+    assert f"{len(facts.estimates)} taxels with a place" in page.text
+    assert "without a place" not in page.text
     for link in facts.links:
         assert link.name in page.text
     assert "force_min" in page.text
@@ -166,6 +173,42 @@ def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, pokes)
     assert [title for title in SECTIONS if title not in found.text] == []
     assert not re.search(r"\b(nan|inf)\b", found.text.lower())
     assert approved("report.no_landmarks") in found.text
+
+
+def test_taxels_without_a_place_are_told_by_their_reason(facts):
+    free = facts.snapshot.estimates[Method.FREE]
+    lost = [estimate for estimate in free if estimate.position is None]
+    found = Page(report_page(replace(facts, estimates=free, errors=errors_of(free, facts.truth)))).text
+    assert f"{len(lost)} taxels without a place" in found
+    for estimate in lost:
+        assert f"{estimate.state.value}: {state_sentence(estimate.reason)}" in found
+        assert str(estimate.channel) in found
+
+
+def test_landmarks_and_a_correction_in_use_are_told(tmp_path):
+    log_folder, session = tmp_path / "log", tmp_path / "session"
+    log_folder.mkdir()
+    log = Log(log_folder)
+    assert main(["import", "yarp", *log.arguments(), "--scene", "icub-forearm", "--out", str(session)]) == 0
+    pipeline = resume(session)
+    for number, (poke, name) in enumerate(log.names.items()):
+        pipeline.act(AtLandmark(poke, name), number + 1)
+    answer = correct_rig(pipeline.session.rig_request())
+    action = offered(None, answer, len(log.names), {})
+    pipeline.act(action, 1000)
+    pipeline.close()
+    facts = gather_facts(session)
+    found = Page(report_page(facts)).text
+    assert sum(map(len, facts.misses.values())) == len(log.names)
+    for name, misses in facts.misses.items():
+        assert name in found
+        assert ", ".join(f"{miss * 1e3:.1f}" for miss in misses) in found
+    (used,) = facts.snapshot.corrections.values()
+    assert correction_sentence(used) in found
+    assert landmark_words(facts.verdict.landmarks) in found
+    assert frame_sentence(facts.frame) in found
+    # Pokes at landmarks are no rejected pokes, though no taxel answered.
+    assert f"{len(log.names)} at landmarks, 0 rejected" in found
 
 
 def test_the_command_writes_the_report_and_says_in_a_sentence_what_is_wrong(tmp_path, capsys):

@@ -450,7 +450,10 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert main(["solve", str(recorded)]) == 0
     said = capsys.readouterr().out
     assert approved("rig.correctable_begin") in said, "the recording is as it was"
-    assert approved("rig.unchecked", off_mm=f"{plain['unchecked_rig_mm']:.1f}") in said.splitlines()
+    pokes = plain["rig"]["landmark_pokes"]
+    assert approved("rig.unchecked_poked", off_mm=f"{plain['unchecked_rig_mm']:.1f}", pokes=pokes) in said.splitlines()
+    assert f"{plain['verdict']}." in said.splitlines()
+    assert plain["verdict"].startswith("Not enough yet")
     whole, among = (apart[key] for key in ("predicted_whole_skin_mm", "predicted_among_taxels_mm"))
     (line,) = [line for line in said.splitlines() if line.startswith("modules-corrected")]
     assert f"(the whole skin {whole:.2f}, taxels among each other {among:.2f})" in line

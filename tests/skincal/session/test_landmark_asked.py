@@ -18,6 +18,7 @@ from skincal.model.actions import AskLandmark, AtLandmark, FoundAtLandmark, Miss
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene
+from skincal.sentences import missed_words
 from skincal.session.landmark_pokes import REACTION_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
@@ -186,6 +187,34 @@ def test_a_poke_that_passes_the_landmark_too_far_is_a_rejection_with_its_number(
     assert missed.miss == pytest.approx(across, abs=1e-6)
     assert 0.01 < missed.limit < missed.miss
     assert snapshot.can_undo == approved("landmark.undo_poke", poke=3, name="head"), "it is no step of its own"
+
+
+def test_a_push_from_another_side_is_not_at_a_landmark_however_near_its_axis_passes(scene):
+    push = FORCE / np.linalg.norm(FORCE)
+    front, back = Landmark("front", POINT, -push), Landmark("back", POINT + 0.05 * push, push)
+    scene = replace(scene, landmarks=(front, back))
+    items = bytes_of(scene, ({}, {}))
+    first, second = starts_of(scene, items)
+    orders = [Stamped(first - 500_000_000, AskLandmark("front")), Stamped(second - 500_000_000, AskLandmark("back"))]
+    snapshot = fed(Pipeline(scene, LINKS, None), items, orders).snapshot()
+    assert snapshot.at_landmarks == {1: "front"}
+    missed = snapshot.missed_landmarks[2]
+    assert missed.behind
+    assert missed.miss < missed.limit
+    assert missed_words(missed) == approved("landmark.behind", name="back")
+
+
+def test_record_says_how_far_it_passed(scene, capsys):
+    items, orders = far_and_near(scene, (POINT, FAR, POINT))
+    queued = queue.SimpleQueue()
+    queued.put(OrderLine(orders[0].host_ns, json.dumps(to_json(orders[0].action)).encode()))
+    for item in items:
+        queued.put(item)
+    pipeline = Pipeline(scene, LINKS, None)
+    _loop(pipeline, queued, {}, (None, None), threading.Event())
+    (missed,) = pipeline.snapshot().missed_landmarks.values()
+    said = approved("landmark.missed", name="head", seen=f"{missed.miss * 1e3:.0f}", most=f"{missed.limit * 1e3:.0f}")
+    assert f"poke 2: {said}\n" in capsys.readouterr().err
 
 
 def test_the_operator_knows_better(scene):

@@ -17,6 +17,7 @@ TINY = RuntimeSizes(
     live_per_taxel=(2,),
     resolved=100,
     memory_pokes=84,
+    log_pokes=2,
 )
 
 

@@ -1,0 +1,214 @@
+"""`devices` and `watch`: what can be connected here, and what a link says, before there is a session."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections import Counter
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from skincal.cli.calibrate import Json
+from skincal.cli.record import stopping
+from skincal.model.readings import Batch, Chunk, JointsBatch, LinkEvent, LinkState, Loss, SkinBatch, Stream, WrenchBatch
+
+if TYPE_CHECKING:
+    from skincal.streams.decoders.detect import LinkDecoder
+
+LISTEN_S = 3.0
+"""s on each serial port: three baud rates."""
+SAY_S = 1.0
+"""s between two lines of `watch`."""
+PORTS_SHOWN = 200
+
+
+class Carries(Enum):
+    """What a link is taken to carry."""
+
+    ANY = "any"
+    WRENCH = "wrench"
+    SKIN = "skin"
+    JOINTS = "joints"
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(epilog="Example: skincal devices")(devices)
+    app.command(epilog="Example: skincal watch netft://192.168.1.1")(watch)
+
+
+class Watched:
+    """What one link brought: readings, rate, losses and what its device says."""
+
+    def __init__(self, address: str, carries: tuple[Stream, ...]) -> None:
+        from skincal.streams.decoders.detect import AUTO, LinkDecoder
+        from skincal.streams.device_address import format_of
+
+        self._make = lambda: LinkDecoder(format_of(address, AUTO), None, carries)
+        self._decoder: LinkDecoder = self._make()
+        self._began_s = time.monotonic()
+        self.readings: Counter[Stream] = Counter()
+        self.newest: dict[Stream, str] = {}
+
+    def take(self, item: Chunk | LinkEvent) -> None:
+        """Take what the reader brought."""
+        if isinstance(item, LinkEvent):
+            if item.state is LinkState.OPEN:
+                self._decoder = self._make()
+            return
+        for _, batch in self._decoder.feed(item.data, item.host_ns):
+            stream, words = _newest(batch)
+            self.readings[stream] += len(batch.seq)
+            self.newest[stream] = words
+
+    def figures(self) -> dict[str, Any]:
+        """Return format, rates since the last call, newest readings, losses and what the device says."""
+        now_s = time.monotonic()
+        passed_s, self._began_s = max(now_s - self._began_s, 1e-3), now_s
+        rates = {stream.value: round(count / passed_s, 1) for stream, count in self.readings.items()}
+        self.readings.clear()
+        losses: Counter[Loss] = self._decoder.counts
+        return {
+            "format": self._decoder.name,
+            "rates": rates,
+            "newest": {stream.value: words for stream, words in self.newest.items()},
+            "losses": {loss.value: count for loss, count in losses.items() if count},
+            "extras": dict(self._decoder.extras),
+            "note": self._decoder.note,
+        }
+
+
+def _newest(batch: Batch) -> tuple[Stream, str]:
+    import numpy as np
+
+    if isinstance(batch, WrenchBatch):
+        force, moment = batch.wrench[-1, :3].tolist(), batch.wrench[-1, 3:].tolist()
+        flags = " beyond its range" if batch.saturated[-1] else " invalid" if batch.invalid[-1] else ""
+        return Stream.WRENCH, f"F {_numbers(force, 2)} N, M {_numbers(moment, 3)} N m{flags}"
+    if isinstance(batch, JointsBatch):
+        return Stream.JOINTS, f"{_numbers(np.degrees(batch.angles[-1]).tolist(), 1)} deg"
+    assert isinstance(batch, SkinBatch)
+    values = batch.values[-1]
+    return Stream.SKIN, f"{len(values)} values, {np.nanmin(values):g} to {np.nanmax(values):g}"
+
+
+def _numbers(values: list[float], digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)
+
+
+def _words(figures: dict[str, Any]) -> str:
+    parts = [f"{name} {figures['rates'].get(name, 0):g}/s: {words}" for name, words in figures["newest"].items()]
+    parts += [f"lost {count}: {why}" for why, count in figures["losses"].items()]
+    parts += [f"{name} {value:.1f}" for name, value in figures["extras"].items()]
+    parts += [figures["note"]] if figures["note"] else []
+    return " | ".join(parts) or "nothing that is a reading yet"
+
+
+def watch(
+    link: Annotated[str, typer.Argument(help="Address, as for record: netft://HOST, yarp:/PORT, /dev/ttyUSB0, ...")],
+    carries: Annotated[Carries, typer.Option(help="What it carries, where its readings do not say.")] = Carries.ANY,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Show what a link says, live: readings, rate, losses and what the device says of itself; a line each second."""
+    import json
+
+    from skincal.streams.links import LinkSpec, Reader, parse_address
+
+    parse_address(link)
+    streams = tuple(Stream) if carries is Carries.ANY else (Stream(carries.value),)
+    items: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
+    watched, reader = Watched(link, streams), Reader(LinkSpec("link", link, streams), items)
+    end_s = float("inf") if seconds is None else time.monotonic() + seconds
+    reader.start()
+    try:
+        with stopping() as stop:
+            due_s = time.monotonic() + min(SAY_S, seconds or SAY_S)
+            while not stop.is_set() and time.monotonic() < end_s and (reader.running or not items.empty()):
+                _take(watched, items, due_s)
+                due_s += SAY_S
+                figures = watched.figures()
+                typer.echo(json.dumps(figures) if as_json else f"{figures['format'] or '?'}  {_words(figures)}")
+    finally:
+        reader.stop()
+
+
+def _take(watched: Watched, items: queue.SimpleQueue[Chunk | LinkEvent], due_s: float) -> None:
+    """Take what comes until `due_s` of the monotonic clock; say what becomes of the link."""
+    while (left_s := due_s - time.monotonic()) > 0:
+        try:
+            item = items.get(timeout=left_s)
+        except queue.Empty:
+            return
+        if isinstance(item, LinkEvent):
+            typer.echo(item.state.value + (f": {item.text}" if item.text else ""), err=True)
+        watched.take(item)
+
+
+def devices(as_json: Json = False) -> None:
+    """List the serial ports and what answers on each, and the ports of a YARP network; and say what to type."""
+    import json
+
+    found = [_on_port(name, description) for name, description in _ports()]
+    names, trouble = _yarp_ports()
+    found += [{"address": f"yarp:{name}", "what": f"YARP port at {host}:{number}"} for name, (host, number) in names]
+    if as_json:
+        typer.echo(json.dumps({"devices": found, "yarp": trouble}))
+        return
+    for each in found:
+        typer.echo(f"{each['address']}  {each['what']}")
+    typer.echo(trouble if trouble else f"{len(names)} YARP ports", err=True)
+    typer.echo(
+        "Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST."
+    )
+
+
+def _ports() -> list[tuple[str, str]]:
+    from skincal.streams.links import serial_ports
+
+    return serial_ports()
+
+
+def _on_port(name: str, description: str) -> dict[str, str]:
+    """Listen to a serial port: nothing is sent to what may be another machine's console."""
+    from skincal.streams.baud_search import SearchingLink
+    from skincal.streams.failures import LinkFailure
+    from skincal.streams.links import LinkSpec, open_link
+
+    streams = tuple(Stream)
+    watched = Watched(name, streams)
+    try:
+        link = open_link(LinkSpec("link", name, streams))
+    except LinkFailure as failure:
+        return {"address": name, "what": f"{description}: {failure}"}
+    came, end_s = 0, time.monotonic() + LISTEN_S
+    try:
+        while time.monotonic() < end_s:
+            data = link.read(0.1)
+            came += len(data)
+            watched.take(Chunk("link", time.monotonic_ns(), data))
+    except LinkFailure as failure:
+        return {"address": name, "what": f"{description}: {failure}"}
+    finally:
+        link.close()
+    figures = watched.figures()
+    if figures["newest"] and isinstance(link, SearchingLink) and link.found:
+        return {"address": f"{name}@{link.baud}", "what": f"{description}: {figures['format']}, {_words(figures)}"}
+    if came:
+        return {"address": name, "what": f"{description}: bytes come, and none is a reading; another baud rate (@BAUD)?"}
+    return {"address": name, "what": f"{description}: silent; one that must be started? robotiq:{name}, bota:{name}"}
+
+
+def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:
+    """Return the ports that the name server of this machine's YARP knows, or why there are none."""
+    from skincal.streams.device_links import Ports, ask_names, yarp_server
+    from skincal.streams.failures import LinkFailure
+    from skincal.streams.links import SerialLink, TcpLink
+
+    try:
+        known = ask_names("YARP", yarp_server(), "", Ports(TcpLink, SerialLink))
+    except LinkFailure as failure:
+        return [], f"No YARP: {failure}"
+    return sorted(known.items())[:PORTS_SHOWN], ""

@@ -1,0 +1,153 @@
+"""The report and comparisons with other sources in the whole window: by keys, beside the window, and with its words."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFileDialog
+
+from app.dialogs.verdict_dialog import VerdictDialog
+from app.panels.compare_panel import ComparePanel
+from app.session.opening import OpenRequest
+from app.state.place_sets import PlaceOrigin, Source
+from app.text.compare_text import source_words
+from app.workers.processes import ProcessService
+from skincal.cli import main
+from skincal.files.reference import compare_sets
+from skincal.session.named_places import find_places
+from tests.app.whole_window import OPEN_MS, Bench
+from tests.approved import approved
+
+
+@pytest.fixture
+def processes(monkeypatch) -> list[int | None]:
+    """The numbers of the processes that were asked."""
+    pids, ask = [], ProcessService.ask
+
+    def noted(self, *arguments):
+        try:
+            return ask(self, *arguments)
+        finally:
+            pids.append(self.pid)
+
+    monkeypatch.setattr(ProcessService, "ask", noted)
+    return pids
+
+
+def said(bench: Bench) -> str:
+    return bench.window.messages.text.text()
+
+
+def write_a_report(bench: Bench, path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    bench.key(Qt.Key.Key_E, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+
+
+def test_a_report_is_written_beside_the_window(bench, recorded, tmp_path, monkeypatch, processes):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    write_a_report(bench, tmp_path / "monday", monkeypatch)
+    path = tmp_path / "monday.html"
+    bench.until(lambda: str(path) in said(bench), OPEN_MS)
+    told = said(bench).partition(approved("report.written", path=path))[2]
+    text = path.read_text(encoding="utf-8")
+    assert told
+    assert told in text
+    # In a process of its own, and on what the window shows: by its method.
+    assert processes
+    assert os.getpid() not in processes
+    assert f"{bench.window.session_view.method.value} method" in text
+
+
+def test_a_report_that_cannot_be_written_is_said(bench, recorded, tmp_path, monkeypatch):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    write_a_report(bench, tmp_path / "none" / "report.html", monkeypatch)
+    bench.until(lambda: "does not exist" in said(bench), OPEN_MS)
+
+
+def test_closing_the_window_ends_a_report_that_is_being_written(bench, recorded, tmp_path, monkeypatch):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    write_a_report(bench, tmp_path / "report.html", monkeypatch)
+    bench.window.close()
+
+
+def test_the_verdict_leads_to_the_report_and_stays(bench, recorded, tmp_path, monkeypatch):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    bench.key(Qt.Key.Key_F)
+    dialog = bench.window.findChild(VerdictDialog)
+    path = tmp_path / "report.html"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    dialog.report.click()
+    assert dialog.isVisible()
+    bench.until(path.exists, OPEN_MS)
+    assert dialog.sentence.text() in path.read_text(encoding="utf-8")
+    dialog.reject()
+    bench.until(lambda: str(path) in said(bench), OPEN_MS)
+
+
+def chosen(panel: ComparePanel) -> list[str]:
+    return [box.currentText() for box in panel.boxes]
+
+
+def test_files_sessions_and_the_truth_are_compared_as_the_command_does(bench, recorded, tmp_path, monkeypatch, capsys):
+    file = tmp_path / "places.csv"
+    assert main(["export", str(recorded), "--format", "csv", "--out", str(file)]) == 0
+    capsys.readouterr()
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    bench.key(Qt.Key.Key_4)
+    panel = bench.window.session_view.workspace.compare
+    listed = [panel.boxes[1].itemText(row) for row in range(panel.boxes[1].count())]
+    assert "Truth" in listed
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(file), ""))
+    panel.add_file.click()
+    bench.until(lambda: chosen(panel)[1].startswith("places.csv"), OPEN_MS)
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_: str(recorded))
+    panel.add_session.click()
+    bench.until(lambda: chosen(panel)[1].startswith(recorded.name), OPEN_MS)
+    name = chosen(panel)[1]
+    # Each method of the other session can be chosen; the one that leads is.
+    listed = [panel.boxes[1].itemText(row) for row in range(panel.boxes[1].count())]
+    methods = [words for words in listed if words.startswith(f"{recorded.name}, ")]
+    estimates = bench.snapshot.estimates
+    assert len(methods) == sum(any(each.position is not None for each in found) for found in estimates.values()) > 0
+    # The same method from both is the same.
+    select(panel, 0, next(words for words in listed if words == f"places.csv, {name.partition(', ')[2]}"))
+    assert approved("compare.no_difference") in panel.summary.text()
+    select(panel, 1, "Truth")
+    found = compare_sets(find_places(str(file)), find_places(f"{recorded}:truth"))[2]
+    assert f"{found.summary.mean * 1e3:.1f} mm" in panel.summary.text()
+    assert f"{found.motion.mean * 1e3:.1f} mm" in panel.motion.text()
+    assert panel.motion.isVisible()
+
+
+def select(panel: ComparePanel, which: int, words: str) -> None:
+    box = panel.boxes[which]
+    box.setCurrentIndex(box.findText(words))
+    box.activated.emit(box.currentIndex())
+
+
+def test_places_of_another_part_are_refused_in_a_sentence(bench, recorded, tmp_path, monkeypatch):
+    file = tmp_path / "truth.json"
+    file.write_text(json.dumps({"link": "moon", "taxels": [{"channel": 3, "position_m": [0, 0, 1]}]}))
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    bench.key(Qt.Key.Key_4)
+    panel = bench.window.session_view.workspace.compare
+    before = chosen(panel)
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(file), ""))
+    panel.add_file.click()
+    bench.until(lambda: "moon" in said(bench), OPEN_MS)
+    assert chosen(panel) == before
+
+
+def test_sources_have_names():
+    assert source_words(Source(PlaceOrigin.TRUTH)) == "Truth"
+    assert source_words(Source(PlaceOrigin.OTHER, name="monday, free method")) == "monday, free method"

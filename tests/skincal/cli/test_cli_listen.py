@@ -1,0 +1,98 @@
+"""`devices` and `watch`: on a pseudo-terminal, over sockets, and where nothing answers."""
+
+import json
+import os
+import threading
+import time
+from contextlib import closing, contextmanager
+
+import numpy as np
+import pytest
+
+from skincal.cli import listen, main
+from skincal.model.readings import Stream
+from skincal.simulate.maker_outlets import MakerOutlets
+from skincal.simulate.makers import MAKERS
+
+needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
+
+
+@contextmanager
+def sending(maker, stream):
+    """A device that sends a hundred readings a second; its address."""
+    outlet, encoder, done = MakerOutlets().open(maker, stream, tcp=False), MAKERS[maker].encoder(), threading.Event()
+
+    def send():
+        count = 0
+        while not done.wait(0.01):
+            outlet.poll()
+            count += 1
+            if stream is Stream.WRENCH:
+                outlet.write(encoder.wrenches(np.array([count * 10_000]), np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]])))
+            else:
+                outlet.write(encoder.skin(count * 10_000, np.arange(4.0)))
+
+    thread = threading.Thread(target=send)
+    with closing(outlet):
+        thread.start()
+        try:
+            yield outlet.address
+        finally:
+            done.set()
+            thread.join(5.0)
+
+
+def test_watch_shows_a_wrench_with_its_units_and_rate(capsys):
+    with sending("netft", Stream.WRENCH) as address:
+        assert main(["watch", address, "--seconds", "1.5"]) == 0
+    out = capsys.readouterr().out
+    assert "F 1.00 2.00 3.00 N, M 0.100 0.200 0.300 N m" in out
+    assert "ATI RDT" in out
+
+
+@needs_pty
+def test_watch_shows_the_temperature_of_a_sensor(capsys):
+    with sending("bota", Stream.WRENCH) as address:
+        assert main(["watch", f"bota:{address}", "--seconds", "1", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert figures["format"] == "Bota gen0"
+    assert figures["extras"] == {"temperature, degC": 31.5}
+    assert figures["rates"]["wrench"] > 30
+    assert figures["losses"] == {}
+
+
+def test_watch_shows_a_skin(capsys):
+    with sending("xela", Stream.SKIN) as address:
+        assert main(["watch", address, "--seconds", "1"]) == 0
+    assert "4 values, 0 to 3" in capsys.readouterr().out
+
+
+def test_watch_refuses_what_is_no_address(capsys):
+    assert main(["watch", "spy://x"]) == 2
+    assert "begins with spy:" in capsys.readouterr().err
+
+
+@needs_pty
+def test_devices_says_what_answers_on_a_port_and_what_to_type(capsys, monkeypatch):
+    monkeypatch.setattr(listen, "LISTEN_S", 1.0)
+    with sending("bota", Stream.WRENCH) as address:
+        monkeypatch.setattr(listen, "_ports", lambda: [(address, "USB serial"), ("/dev/nothing-there", "gone")])
+        begun = time.monotonic()
+        assert main(["devices"]) == 0
+        assert time.monotonic() - begun < 10
+    said = capsys.readouterr()
+    assert f"{address}@115200  USB serial: Bota gen0, wrench" in said.out  # a pty has every rate
+    assert "gone: There is no port" in said.out
+    assert "skincal watch ADDRESS" in said.out
+
+
+def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(listen, "_ports", list)
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+    with sending("yarp", Stream.SKIN) as address:
+        host, port = address.removeprefix("yarp://").partition("/")[0].split(":")
+        (tmp_path / "yarp.conf").write_text(f"{host} {port} yarp\n", encoding="utf-8")
+        assert main(["devices", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm"]
+    assert found["yarp"] == ""

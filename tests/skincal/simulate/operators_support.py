@@ -1,0 +1,57 @@
+"""Sessions that follow the guide by the modules method until nothing more is asked for, and what is wrong then."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from skincal.guide.guidance import GuidePhase
+from skincal.guide.guide import Guide
+from skincal.session.session import Session
+from skincal.simulate.benches import Bench
+from skincal.simulate.courses import Conditions, MeantPokes, errors_of, poked, rig_beside
+from skincal.simulate.operator import OPERATORS
+from skincal.studies.unmodelled import SQUARES, along
+from skincal.taxels.result import Method
+
+FAR = 0.003
+"""m: a taxel that is done and farther off is falsely done."""
+
+
+@cache
+def part():
+    return Bench()
+
+
+@dataclass(frozen=True)
+class Ended:
+    pokes: int
+    enough: bool
+    done: int
+    falsely: int
+    beyond: int
+    """Taxels that lie beyond twice their predicted 95 %."""
+
+
+def followed(operator, seed, limit=200):
+    """A session of one of `OPERATORS` on a good rig."""
+    method, conditions = Method.MODULES, Conditions(habits=OPERATORS[operator])
+    rig, rng = rig_beside(part(), conditions, seed), np.random.default_rng([seed, 11])
+    session = Session(part().scene, part().surface, set(Method))
+    guide, contacts, pokes = Guide(part().plan, part().scene.noise, method, part().spacing), {}, 0
+    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+    while guidance.phase is not GuidePhase.ENOUGH and pokes < limit:
+        pokes += 1
+        meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
+        for contact in poked(part(), rig, meant, conditions, rng, pokes)[0]:
+            session.add(contact)
+            contacts[contact.poke] = contact
+        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+    estimates = session.snapshot().estimates[method]
+    done, far = np.array([not needs for needs in guidance.needs]), errors_of(estimates, rig) > FAR
+    beyond = 0
+    for estimate in estimates:
+        if estimate.position is not None:
+            off, variances = along(estimate.position - rig.places[rig.row_of(estimate.channel)], estimate.covariance)
+            beyond += int(np.sum(off**2 / variances) > 4.0 * SQUARES[len(off)])
+    return Ended(pokes, guidance.phase is GuidePhase.ENOUGH, int(done.sum()), int((done & far).sum()), beyond)

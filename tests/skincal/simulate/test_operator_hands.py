@@ -1,0 +1,54 @@
+"""Hands unlike the one that the guide was made with: how they push, and what they come to; more in `tests/long`."""
+
+import numpy as np
+import pytest
+
+from skincal.simulate.operator import OPERATORS, Habits, by_habit
+from skincal.simulate.simulated_rig import push_directions, tangents
+from tests.skincal.simulate.operators_support import followed
+
+NORMALS = np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8], [0.0, -1.0, 0.0]])
+
+
+def leans(pushes, normals):
+    """Tilts and azimuths of pushes (n, 3), radians."""
+    e1, e2 = tangents(normals)
+    x, y, z = (np.sum(pushes * e, axis=1) for e in (e1, e2, -normals))
+    return np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+
+
+@pytest.mark.parametrize("azimuth", [-2.0, 0.3, 3.0])
+def test_without_habits_a_push_is_as_meant(azimuth):
+    meant = push_directions(NORMALS, np.full(3, 0.4), np.full(3, azimuth))
+    np.testing.assert_allclose(by_habit(meant, NORMALS, Habits()), meant, atol=1e-12)
+
+
+def test_a_biased_hand_leans_to_its_side_and_one_on_one_side_nowhere_else():
+    straight, bias = -NORMALS, OPERATORS["biased"]
+    tilts, azimuths = leans(by_habit(straight, NORMALS, bias), NORMALS)
+    np.testing.assert_allclose(tilts, bias.bias, atol=1e-12)
+    np.testing.assert_allclose(azimuths, bias.side, atol=1e-12)
+    one = OPERATORS["one_side"]
+    for azimuth in (-3.0, -1.0, 2.0):
+        meant = push_directions(NORMALS, np.full(3, 0.3), np.full(3, azimuth))
+        np.testing.assert_allclose(leans(by_habit(meant, NORMALS, one), NORMALS)[1], one.side, atol=1e-12)
+
+
+def test_a_hand_that_reaches_an_arc_pushes_from_nowhere_else():
+    arc = OPERATORS["arc"]
+    for azimuth in np.linspace(-3.1, 3.1, 12):
+        meant = push_directions(NORMALS, np.full(3, 0.3), np.full(3, azimuth))
+        tilts, azimuths = leans(by_habit(meant, NORMALS, arc), NORMALS)
+        np.testing.assert_allclose(tilts, 0.3, atol=1e-12)
+        off = np.angle(np.exp(1j * (azimuths - arc.side)))
+        assert (np.abs(off) <= arc.arc / 2 + 1e-9).all()
+        inside = abs(np.angle(np.exp(1j * (azimuth - arc.side)))) < arc.arc / 2
+        assert np.allclose(azimuths, azimuth) == inside
+
+
+@pytest.mark.parametrize("operator", ["two_taxels", "one_side"])
+def test_whoever_pokes_hardly_a_taxel_is_falsely_done(operator):
+    ended = [followed(operator, seed) for seed in (1, 2, 3)]
+    assert all(each.enough for each in ended)
+    assert sum(each.falsely for each in ended) <= 0.04 * sum(each.done for each in ended)
+    assert not any(each.beyond for each in ended)

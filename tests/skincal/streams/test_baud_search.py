@@ -1,0 +1,72 @@
+"""A serial port without a rate in its address finds it."""
+
+import numpy as np
+import pytest
+
+from skincal.model.readings import Stream
+from skincal.streams import baud_search
+from skincal.streams.baud_search import BAUDS, TRIAL_S, SearchingLink
+from skincal.streams.decoders.detect import LinkDecoder
+from tests.skincal.streams.maker_records import BOTA, ROBOTIQ
+
+TEXT = b"1.5,2.5,3.5,0.1,0.2,0.3\n"
+
+
+class Line:
+    """A port whose device speaks at one rate: at any other its bytes are noise."""
+
+    def __init__(self, record, baud):
+        self._record, self._baud, self._now = record, baud, BAUDS[0]
+        self._rng = np.random.default_rng(1)
+        self.trials = [BAUDS[0]]
+
+    def read(self, _timeout_s):
+        data = self._record * 10
+        return data if self._now == self._baud else self._rng.integers(0, 256, len(data), np.uint8).tobytes()
+
+    def set_baud(self, baud):
+        self._now = baud
+        self.trials.append(baud)
+
+    def write(self, data):
+        pass
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that goes on by 0.1 s with each look at it."""
+    now = [0.0]
+
+    def tick():
+        now[0] += 0.1
+        return now[0]
+
+    monkeypatch.setattr(baud_search.time, "monotonic", tick)
+
+
+@pytest.mark.parametrize(("record", "baud"), [(BOTA, 460800), (ROBOTIQ, 19200), (TEXT, 115200), (TEXT, 1_000_000)])
+@pytest.mark.usefixtures("clock")
+def test_the_rate_is_found_and_kept(record, baud):
+    line = Line(record, baud)
+    link = SearchingLink(line, (Stream.WRENCH,))
+    data = b"".join(link.read(0.1) for _ in range(200))
+    assert (link.found, link.baud) == (True, baud)
+    assert line.trials == list(BAUDS[: BAUDS.index(baud) + 1])
+    decoder = LinkDecoder("auto", None, (Stream.WRENCH,))
+    readings = sum(
+        len(batch.seq) for at in range(0, len(data), 500) for _, batch in decoder.feed(data[at : at + 500], at * 1_000_000)
+    )
+    assert readings > 1000  # what is handed on, noise and all, gives the readings
+
+
+@pytest.mark.usefixtures("clock")
+def test_the_search_goes_round_and_skin_of_any_width_is_not_found_in_noise():
+    line = Line(BOTA, 1)
+    link = SearchingLink(line, tuple(Stream))
+    for _ in range(int(2 * len(BAUDS) * TRIAL_S / 0.1)):
+        link.read(0.1)
+    assert not link.found
+    assert line.trials[: len(BAUDS) + 1] == [*BAUDS, BAUDS[0]]

@@ -1,0 +1,321 @@
+"""Devices that are spoken to, over real sockets: they vanish, return, refuse, fall silent, and lie."""
+
+import queue
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
+from skincal.simulate.makers import NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
+from skincal.streams.device_address import format_of, parse_device
+from skincal.streams.device_links import yarp_server
+from skincal.streams.failures import LinkFailure
+from skincal.streams.intake import Intake
+from skincal.streams.links import LinkKind, LinkSpec, Reader, open_link, parse_address
+from tests.approved import approved
+
+PATIENCE_S = 5.0
+WRENCH = (Stream.WRENCH,)
+
+
+TURN = threading.Lock()
+"""An outlet is polled and written to by one thread at a time."""
+
+
+def say(outlet, data):
+    with TURN:
+        outlet.write(data)
+
+
+def spec(address, carries=WRENCH):
+    return LinkSpec("link", address, carries)
+
+
+@contextmanager
+def served(*outlets):
+    """Outlets that a thread keeps polling."""
+    done = threading.Event()
+
+    def poll():
+        while not done.wait(0.005):
+            for outlet in outlets:
+                with TURN:
+                    outlet.poll()
+
+    thread = threading.Thread(target=poll)
+    thread.start()
+    try:
+        yield outlets
+    finally:
+        done.set()
+        thread.join(PATIENCE_S)
+        for outlet in outlets:
+            outlet.close()
+
+
+@contextmanager
+def reading(address, carries=WRENCH):
+    items = queue.SimpleQueue()
+    reader = Reader(spec(address, carries), items)
+    reader.start()
+    try:
+        yield items
+    finally:
+        reader.stop()
+
+
+def next_event(items, state, patience_s=PATIENCE_S):
+    end = time.monotonic() + patience_s
+    while True:
+        item = items.get(timeout=max(end - time.monotonic(), 0.001))
+        if isinstance(item, LinkEvent):
+            assert item.state is state, item
+            return item
+
+
+def readings_from(items, write, want=3, intake=None):
+    """Write again and again until so many readings arrived."""
+    intake = intake or Intake(4, [spec("yarp:/x")])
+    end = time.monotonic() + PATIENCE_S
+    while intake.health(0)[0].readings < want:
+        assert time.monotonic() < end
+        write()
+        time.sleep(0.02)
+        while not items.empty():
+            intake.feed(items.get())
+    return intake.health(0)[0]
+
+
+def free_port():
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        return server.getsockname()[1]
+
+
+def refusal(address, carries=WRENCH):
+    with pytest.raises(LinkFailure) as failure:
+        open_link(spec(address, carries)).close()
+    return str(failure.value)
+
+
+class Answering(PlainTalk):
+    """A server that answers whoever speaks with the same bytes."""
+
+    def __init__(self, answer):
+        super().__init__()
+        self._answer = answer
+
+    def hear(self, _data):
+        answer, self._answer = self._answer, b""
+        return answer
+
+
+def lying(answer, form):
+    return TalkOutlet(lambda: Answering(answer), form)
+
+
+# ------------------------------------------------------------------ YARP
+
+
+def test_yarp_port_that_returns_under_another_number_is_found_again():
+    encoder, makers = YarpEncoder(), MakerOutlets()
+    first = makers.open("yarp", Stream.WRENCH, tcp=True)
+    names = first._names
+    with served(names), reading(first.address) as items:
+        with served(first):
+            next_event(items, LinkState.OPEN)
+            readings_from(items, lambda: say(first, encoder._wrench(1, [1.0] * 6)))
+            first._names = TalkOutlet(PlainTalk, "{}")  # the name server outlives the port
+        next_event(items, LinkState.LOST)
+        second = makers.open("yarp", Stream.WRENCH, tcp=True)
+        assert (second.address, second.port != first.port) == (first.address, True)
+        second._names = TalkOutlet(PlainTalk, "{}")
+        with served(second):
+            next_event(items, LinkState.OPEN)
+            readings_from(items, lambda: say(second, encoder._wrench(2, [1.0] * 6)))
+
+
+def test_yarp_address_that_cannot_be_reached_is_said_as_the_name_server_gave_it():
+    number = free_port()
+    with served(TalkOutlet(lambda: NameTalk({"/icub/x": number}), "yarp://127.0.0.1:{}/icub/x")) as (names,):
+        said = refusal(names.address)
+        assert f"127.0.0.1:{number} by the name server" in said
+        assert approved("devices.robots_own_view") in said
+
+
+def test_yarp_name_that_is_not_known_names_some_that_are():
+    with served(TalkOutlet(lambda: NameTalk({"/icub/head/state:o": 1}), "yarp://127.0.0.1:{}/icub/y")) as (names,):
+        said = refusal(names.address)
+    assert "knows no port /icub/y" in said
+    assert "/icub/head/state:o" in said
+
+
+def test_no_name_server_and_one_that_is_none():
+    assert "connection refused" in refusal(f"yarp://127.0.0.1:{free_port()}/x")
+    with served(lying(b"SSH-2.0-OpenSSH_9\r\n", "yarp://127.0.0.1:{}/x")) as (names,):
+        assert "is no YARP name server" in refusal(names.address)
+
+
+def test_name_server_that_answers_for_another_port_or_without_end():
+    other = b"registration name /other ip 127.0.0.1 port 10000 type tcp\r\n*** end of message\r\n"
+    with served(lying(other, "yarp://127.0.0.1:{}/x")) as (names,):
+        assert "knows no port /x" in refusal(names.address)
+    with served(lying(b"registration " * 300_000, "yarp://127.0.0.1:{}/x")) as (names,):
+        assert "is no YARP name server" in refusal(names.address)
+
+
+def test_yarp_server_of_this_machine_is_read_from_its_files(tmp_path, monkeypatch):
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+    assert yarp_server() == ("127.0.0.1", 10000)
+    (tmp_path / "yarp.conf").write_text("10.0.0.5 10010 yarp\n")
+    assert yarp_server() == ("10.0.0.5", 10010)
+    (tmp_path / "yarp_namespace.conf").write_text("/lab\n")
+    (tmp_path / "_lab.conf").write_text("10.0.0.6 10011 yarp\n")
+    assert yarp_server() == ("10.0.0.6", 10011)
+
+
+LIES = {
+    "2 GB": b"YA\x0a\0\0\0RP\x01\x01" + b"\xff" * 8 + b"\xff\xff\xff\x7f\0\0\0\0",
+    "negative": b"YA\x0a\0\0\0RP\x01\x01" + b"\xff" * 8 + b"\xff\xff\xff\xff\0\0\0\0",
+    "no message": b"HTTP/1.0 400 Bad Request\r\n\r\n",
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_yarp_port_that_lies_costs_one_sentence(lie):
+    encoder, makers = YarpEncoder(), MakerOutlets()
+    outlet = makers.open("yarp", Stream.WRENCH, tcp=True)
+    with served(outlet), reading(outlet.address) as items:
+        next_event(items, LinkState.OPEN)
+        readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)))
+        say(outlet, LIES[lie])
+        assert approved("devices.read_no_further") in next_event(items, LinkState.FAILED).text
+        say(outlet, bytes(100_000))
+        time.sleep(0.5)
+        assert items.empty()
+
+
+# ------------------------------------------------------------------ ATI RDT
+
+
+def test_netft_is_asked_again_when_it_falls_silent_and_gaps_are_counted():
+    encoder = RdtEncoder()
+    outlet = MakerOutlets().open("netft", Stream.WRENCH, tcp=True)
+    with served(outlet), reading(outlet.address) as items:
+        intake = Intake(4, [spec(outlet.address)])
+        readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 3, intake)
+        outlet._host = None  # switched off and on, or another program stole the stream
+        encoder._count = 0
+        health = readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 6, intake)
+        assert health.state is LinkState.OPEN
+        before = sum(health.losses.values())
+        encoder._next(), encoder._next()
+        health = readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 12, intake)
+        assert sum(health.losses.values()) - before == 2
+
+
+def test_netft_without_its_page_says_what_to_give():
+    said = refusal(f"netft://127.0.0.1:9?page={free_port()}")
+    assert "connection refused" in said
+    assert "?cpf=1000000&cpt=1000000" in said
+    with served(lying(b"HTTP/1.0 200 OK\r\n\r\n<html>router</html></netft", "netft://127.0.0.1:9?page={}")) as (page,):
+        assert "cfgcpf" in refusal(page.address)
+    for wrong in ("cpf=x&cpt=1", "device=hexagon"):
+        assert wrong.split("=")[1].split("&")[0] in refusal(f"netft://127.0.0.1:9?{wrong}")
+    open_link(spec("netft://127.0.0.1:9?device=hex")).close()
+
+
+# ------------------------------------------------------------------ RTDE, websockets
+
+
+@pytest.mark.parametrize(("name", "words"), [(b"ft_raw_wrench", "has no ft_raw_wrench"), (b"timestamp", "has no timestamp")])
+def test_controller_without_a_field_is_said(monkeypatch, name, words):
+    monkeypatch.setattr(RtdeTalk, "KINDS", {k: v for k, v in RtdeTalk.KINDS.items() if k != name})
+    with served(TalkOutlet(RtdeTalk, "rtde://127.0.0.1:{}")) as (robot,):
+        assert words in refusal(robot.address)
+
+
+def test_server_that_answers_something_else_than_rtde():
+    for answer, words in ((b"\x00\x00V\x01", "no RTDE"), (b"\x00\x04V\x00", "version 2"), (b"", "does not answer")):
+        with served(lying(answer, "rtde://127.0.0.1:{}")) as (robot,):
+            assert words in refusal(robot.address)
+
+
+def test_websocket_that_is_none_or_refuses():
+    for answer in (b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", b"", b"nonsense " * 2000):
+        with served(lying(answer, "xela://127.0.0.1:{}")) as (server,):
+            assert "no websocket server" in refusal(server.address, (Stream.SKIN,))
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        b"\x81\x7f" + (2**31).to_bytes(8, "big"),  # 2 GB announced
+        b"\x01\x7e\xff\xff" + b"1" * 65535 + (b"\x00\x7e\xff\xff" + b"1" * 65535) * 5,  # a message without an end
+        b"\xf7\x00",  # no frame of the protocol
+    ],
+)
+def test_websocket_that_lies_costs_one_sentence(frame, monkeypatch):
+    monkeypatch.setattr(XelaTalk, "wrap", lambda _self, data: data)
+    with served(TalkOutlet(XelaTalk, "xela://127.0.0.1:{}")) as (server,), reading(server.address, (Stream.SKIN,)) as items:
+        next_event(items, LinkState.OPEN)
+        say(server, frame)
+        assert approved("devices.read_no_further") in next_event(items, LinkState.FAILED).text
+        time.sleep(0.4)
+        assert all(isinstance(items.get(), Chunk) for _ in range(items.qsize()))
+
+
+# ------------------------------------------------------------------ addresses
+
+
+@pytest.mark.parametrize(
+    ("address", "form"),
+    [
+        ("netft://192.168.1.1", "rdt"), ("netft://[fe80::1]:49152?device=hex", "rdt"), ("yarp:/icub/x:o", "yarp-port"),
+        ("yarp://10.0.0.1:10000/icub/x:o", "yarp-port"), ("bota:/dev/ttyUSB0", "bota"), ("bota:COM3", "bota"),
+        ("robotiq:COM4", "robotiq"), ("robotiq://10.0.0.2", "robotiq-text"), ("rtde://ur", "rtde"),
+        ("xela://localhost", "xela"), ("papillarray:/dev/ttyACM0", "papillarray"), ("lines://127.0.0.1:7000", "auto"),
+        ("/dev/ttyUSB0", "auto"), ("simulated:wrench", "auto"),
+    ],
+)  # fmt: skip
+def test_the_address_says_the_format(address, form):
+    assert format_of(address, "auto") == form
+    assert format_of(address, "skt") == "skt"
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "netft:/dev/ttyUSB0", "netft://", "netft://h:99999", "netft://h?speed=9", "yarp:x", "yarp://server", "yarp:", "bota://host",
+        "rtde:", "xela:5000", "lines://host", "lines:", "netft://user@h", "bota:/dev/x?rate=1",
+    ],
+)  # fmt: skip
+def test_addresses_that_cannot_be_right(address):
+    with pytest.raises(InputError, match=r"expected such as|nothing is known of"):
+        parse_device(address)
+    with pytest.raises(InputError):
+        parse_address(address)
+
+
+def test_device_addresses_are_devices():
+    assert parse_address("rtde://ur").kind is LinkKind.DEVICE
+
+
+def test_a_device_costs_no_import_where_none_is_opened():
+    code = """import sys, skincal.streams.intake, skincal.streams.links
+from skincal.streams.intake import Intake
+from skincal.streams.links import LinkSpec
+from skincal.model.readings import Stream
+Intake(4, [LinkSpec("a", "netft://h", (Stream.WRENCH,)), LinkSpec("b", "/dev/x", (Stream.SKIN,))])
+found = [name for name in sys.modules if name.startswith(("websockets", "skincal.streams.device_links", "serial"))]
+others = ("yarp_port", "bota", "robotiq", "rtde", "xela", "papillarray")
+makers = [name for name in others if "skincal.streams.decoders." + name in sys.modules]
+sys.exit(bool(found or makers) or "skincal.streams.decoders.rdt" not in sys.modules)"""
+    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
