@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, resume_pipeline
+from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, look_at, resume_pipeline
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
 from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
@@ -127,6 +127,10 @@ class Controller(QObject):
     """`Review`: what landmark pokes say of the rig; None where there is none any more."""
     truth_found = Signal(object)
     """`Reference`: where the taxels of a simulated rig are."""
+    recorded_elsewhere = Signal(object, str)
+    """`Path` of a session that was to be opened, and a sentence: another process records it."""
+    confirmation_due = Signal(object)
+    """Addresses that a recorded session names: `go_on(confirmed=True)` connects them."""
     stored = Signal(str)
     """Where the recording is, in words."""
 
@@ -154,6 +158,8 @@ class Controller(QObject):
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
         """Imports what shows a session; called beside the window, before a part is loaded."""
+        self._confirmed = True
+        """The links were named by the operator, or agreed to."""
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(self.tick)
@@ -168,14 +174,16 @@ class Controller(QObject):
         self._timer.start()
         if request.session is not None:
             folder, self._links = request.session, link_specs(request.addresses)
-            links = self._links
+            self._confirmed = bool(self._links)
+            links = None if request.look_on else self._links
             self.compute(
                 lambda: self._load_session(folder, links),
                 lambda found: self._take_session(storage, found),
                 # Its journal is open and its folder locked: what comes too late is put down, not forgotten.
-                dropped=lambda found: found[1].close(),
+                dropped=lambda found: None if isinstance(found, str) else found[1].close(),
             )
             return
+        self._confirmed = True
         if request.addresses:
             self._links = link_specs(request.addresses)
         elif request.server:
@@ -298,7 +306,11 @@ class Controller(QObject):
                 dropped=lambda pipeline: pipeline.close(),
             )
 
-    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline]) -> None:
+    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline] | str) -> None:
+        if isinstance(found, str):
+            self._set_running(Running.OFFLINE)
+            self.recorded_elsewhere.emit(storage.folder, found)
+            return
         part, pipeline = found
         self._take_part(part, record=False)
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
@@ -394,9 +406,13 @@ class Controller(QObject):
             self._set_running(Running.PAUSED)
             self.compute(lambda: stop_all(readers))
 
-    def go_on(self) -> None:
-        """Take the devices, in a new segment of the recording."""
+    def go_on(self, *, confirmed: bool = False) -> None:
+        """Take the devices, in a new segment of the recording; those of a recorded session once they are `confirmed`."""
         if self._recording is None or self.running is Running.STREAMING:
+            return
+        self._confirmed |= confirmed
+        if not self._confirmed:
+            self.confirmation_due.emit(tuple(link.address for link in self._links))
             return
         try:
             self._recording.go_on()
@@ -519,11 +535,17 @@ class Controller(QObject):
 
         return load_part(find_scene(scene))
 
-    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
+    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...] | None) -> tuple[Part, Pipeline] | str:
+        """Return what a folder holds, to be looked at where there are no `links`; a sentence where another records it."""
         self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
-        return resume_pipeline(folder, links)
+        from skincal.journal.lock import RecordedElsewhereError
+
+        try:
+            return look_at(folder) if links is None else resume_pipeline(folder, links)
+        except RecordedElsewhereError as error:
+            return str(error)
 
     def _say_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))
