@@ -7,7 +7,7 @@ view.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
@@ -36,7 +36,7 @@ from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
-from app.text.message import Message, keep_question
+from app.text.message import Message, connect_words, keep_question, look_words
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 Said = ParamSpec("Said")
+ADDRESSES_KEPT = 50
+"""Addresses that the operator named or agreed to: more than one has devices."""
 FIRST_SIZE = QSize(1440, 860)
 """Pixels, where the screen has them."""
 
@@ -94,6 +96,9 @@ def style_sheet(colours: Colours) -> str:
     QToolButton[choice="true"]:checked {{ color: {colours.on_accent}; background: {colours.accent}; }}
     QFrame#card {{ background: {colours.panel}; border: 1px solid {colours.line}; border-radius: 6px; }}
     QLabel[quiet="true"] {{ color: {colours.muted}; }}
+    /* Labels quote files and devices, and Qt would open what a text that looks like HTML names. */
+    QLabel {{ qproperty-textFormat: PlainText; }}
+    QLabel[rich="true"] {{ qproperty-textFormat: RichText; }}
     """
 
 
@@ -237,6 +242,8 @@ class Window(QMainWindow):
     def _connect(self) -> None:
         controller = self.controller
         controller.prepare = _prepare
+        controller.confirmation_due.connect(self._ask_first)
+        controller.recorded_elsewhere.connect(self._offer_to_look)
         controller.part_loaded.connect(self._take_part)
         controller.session_opened.connect(self._take_session)
         controller.ticked.connect(self._of_session(lambda view, tick: view.take_tick(tick)))
@@ -360,6 +367,8 @@ class Window(QMainWindow):
     def _show_keys(self) -> None:
         box = QMessageBox(QMessageBox.Icon.NoIcon, "Keys", key_words(), QMessageBox.StandardButton.Close, self)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        for label in box.findChildren(QLabel):
+            label.setProperty("rich", True)
         box.button(QMessageBox.StandardButton.Close).setFocus()
         box.open()
 
@@ -385,11 +394,51 @@ class Window(QMainWindow):
         if folder:
             self.open(OpenRequest(session=Path(folder)))
 
+    def _ask_first(self, addresses: tuple[str, ...]) -> None:
+        """Ask before devices are connected that a recorded session names: it may be a stranger's.
+
+        An address that the operator named or agreed to before is not asked about again.
+        """
+        if set(self._known_addresses()).issuperset(addresses):
+            self.controller.go_on(confirmed=True)
+            return
+        self._offer("Connect to these devices?", connect_words(addresses), "Connect", lambda: self._agree(addresses))
+
+    def _agree(self, addresses: tuple[str, ...]) -> None:
+        self._remember(addresses)
+        self.controller.go_on(confirmed=True)
+
+    def _offer(self, title: str, text: str, yes: str, do: Callable[[], object]) -> None:
+        """Ask, beside everything else, and do something where the answer is yes."""
+        box = QMessageBox(QMessageBox.Icon.NoIcon, title, "", QMessageBox.StandardButton.Cancel, self)
+        # Before the text, which would be laid out, and what it names opened, at once.
+        box.setTextFormat(Qt.TextFormat.PlainText)
+        box.setText(text)
+        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
+        box.open()
+
+    def _known_addresses(self) -> list[str]:
+        kept = self._settings.value("addresses", [])
+        # A list of one is a text to Qt, and an empty one nothing.
+        return [kept] if isinstance(kept, str) else kept if isinstance(kept, list) else []
+
+    def _remember(self, addresses: Iterable[str]) -> None:
+        self._settings.setValue("addresses", sorted({*self._known_addresses(), *addresses})[-ADDRESSES_KEPT:])
+
+    def _offer_to_look(self, folder: Path, sentence: str) -> None:
+        """Another process records the session: offer to see it as far as it is written."""
+        request = OpenRequest(session=folder, look_on=True)
+        self._offer("Being recorded", look_words(sentence), "Look on", lambda: self.open(request))
+
     def open(self, request: OpenRequest) -> None:
         """Open something in place of what is open, once it is settled what becomes of that."""
         self._before_losing(lambda: self._open(request))
 
     def _open(self, request: OpenRequest) -> None:
+        given = request.addresses
+        if given:
+            self._remember({given.wrench, given.skin, given.joints} - {""})
         self._drop_session()
         self.where.setText("")
         self.controller.open(request)

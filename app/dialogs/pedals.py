@@ -14,7 +14,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QKeyCombination, QObject, Q
 from PySide6.QtGui import QAction, QHideEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from app.panels.widgets import plain_buttons, quiet
+from app.panels.widgets import embolden, plain_buttons, quiet
 
 Key = Qt.Key
 
@@ -228,7 +228,9 @@ class PedalsDialog(QDialog):
             self.forget[pedal.name].setAccessibleName(f"forget the pedal for {pedal.title}")
             self.learn[pedal.name].clicked.connect(lambda _=False, pedal=pedal: self._ask(pedal))
             self.forget[pedal.name].clicked.connect(lambda _=False, pedal=pedal: self._forget(pedal))
-            widgets = (QLabel(f"<b>{pedal.title}</b>"), quiet(pedal.what), self.keys[pedal.name])
+            title = QLabel(pedal.title)
+            embolden(title)
+            widgets = (title, quiet(pedal.what), self.keys[pedal.name])
             for column, widget in enumerate((*widgets, self.learn[pedal.name], self.forget[pedal.name])):
                 grid.addWidget(widget, row, column)
         plain_buttons(self.buttons)

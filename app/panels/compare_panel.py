@@ -6,6 +6,7 @@ It works, and the 3D view draws the arrows, only while the panel is on the scree
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,6 +126,7 @@ class ComparePanel(QScrollArea):
         for label in (self.legend, self.summary, self.health):
             label.setWordWrap(True)
         self.legend.setTextFormat(Qt.TextFormat.RichText)
+        self.legend.setProperty("rich", True)
         self.setWhatsThis(
             "How far the places of the taxels lie apart by two ways to know them. Errors of the rig move whole modules, so a "
             "module's difference is given in two: its shift, and what is left after its best turn and shift, its shape."
@@ -271,8 +273,8 @@ class ComparePanel(QScrollArea):
             sets = [(Tint.LAYOUT if source.method is None else TINTS[source.method], source) for source in sources]
         clouds = tuple(Cloud(tint, self._places.find(source, state)) for tint, source in sets)
         # Words that belong to a sign are not parted at the end of a line.
-        dots = [f"{_sign(BLACK_DOT, tint)}&nbsp;{source_words(source).replace(' ', '&nbsp;')}" for tint, source in sets]
-        arrows = _sign(ARROW, Tint.TO) + "&nbsp;" + arrow_words((first, second), scale, named=self.all.isChecked())
+        dots = [f"{_sign(BLACK_DOT, tint)}&nbsp;{escape(source_words(source)).replace(' ', '&nbsp;')}" for tint, source in sets]
+        arrows = _sign(ARROW, Tint.TO) + "&nbsp;" + escape(arrow_words((first, second), scale, named=self.all.isChecked()))
         self.legend.setText("&nbsp;&nbsp; ".join([*dots, arrows]))
         ends = np.stack([here, here + scale * (there - here)], axis=1)
         self.comparison_changed.emit(Comparison(clouds, ends))

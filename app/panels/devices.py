@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from html import escape
+
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QScrollArea, QVBoxLayout
 
@@ -43,6 +45,7 @@ class LinkCard(QFrame):
         super().__init__()
         self.setObjectName("card")
         self.sign = QLabel()
+        self.sign.setProperty("rich", True)
         self.name = QLabel()
         embolden(self.name)
         self.rate = QLabel()
@@ -132,6 +135,7 @@ class LinkChips(QLabel):
         self.setContentsMargins(0, 0, GAP, 0)
         self.setMinimumHeight(SIGN_PX)
         self.setProperty("quiet", True)
+        self.setProperty("rich", True)
         self.setTextFormat(Qt.TextFormat.RichText)
         self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0
@@ -145,5 +149,5 @@ class LinkChips(QLabel):
         if shown == self._shown and state.now_s - self._shown_s < 4 * REFRESH_S:
             return
         self._shown, self._shown_s = shown, state.now_s
-        chips = [late, *(f"{_sign(words.look)}&nbsp;{words.short}" for words in links)]
+        chips = [late, *(f"{_sign(words.look)}&nbsp;{escape(words.short)}" for words in links)]
         self.setText("&nbsp;&nbsp; ".join(filter(None, chips)))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 from abc import abstractmethod
+from html import escape
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, Signal
@@ -172,6 +173,7 @@ class ErrorsPanel(PlotPanel):
         figures.setSpacing(0)
         for label in self.lines.values():
             label.setTextFormat(Qt.TextFormat.RichText)
+            label.setProperty("rich", True)
             # A narrow panel cuts the end off, rather than growing wider.
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             figures.addWidget(label)
@@ -220,7 +222,7 @@ class ErrorsPanel(PlotPanel):
         row = self.module_box.currentIndex()
         for method, label in self.lines.items():
             mark = f'<span style="color:{method_hue(theme_colours(), method)}">{SYMBOLS[method]}</span>'
-            words = newest_words(series, method, row).replace(" ", "&nbsp;")
+            words = escape(newest_words(series, method, row)).replace(" ", "&nbsp;")
             label.setText(f"{mark} <b>{METHOD_NAMES[method]}</b>&nbsp;&nbsp;{words}")
         if self.plot is not None:
             self.plot.draw(series, self.axis, row, quantity_words(course.source), paper=course.source is not None)

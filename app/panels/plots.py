@@ -126,6 +126,7 @@ class Curves(QWidget):
         self._half = floor
         self.header = QLabel()
         self.header.setTextFormat(Qt.TextFormat.RichText)
+        self.header.setProperty("rich", True)
         self.header.setContentsMargins(GAP, 2, GAP, 0)
         self.plot = StillPlot(f"curves of the {title.lower()}", 44, 18, 60)
         self.plot.item.setXRange(-SPAN, 0.0, padding=0.0)

@@ -6,6 +6,7 @@ import inspect
 from abc import ABCMeta, abstractmethod
 from collections.abc import Sequence
 from typing import TypeVar
+from html import escape
 
 from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QFontDatabase, QFontMetrics, QIcon, QPainter, QPaintEvent, QPalette
@@ -53,6 +54,11 @@ def digits_font(points: float) -> QFont:
     return font
 
 
+def plain_tip(text: str) -> str:
+    """Return a tooltip that shows any text as it is: Qt would open what a text that looks like HTML names."""
+    return f"<qt>{escape(text)}</qt>" if "<" in text else text
+
+
 class ElidedLabel(QWidget):
     """One line in one of the theme's colours, with an ellipsis where it does not fit; the whole of it is the tooltip."""
 
@@ -70,7 +76,7 @@ class ElidedLabel(QWidget):
         """Show another text."""
         if text != self._text:
             self._text = text
-            self.setToolTip(text)
+            self.setToolTip(plain_tip(text))
             self.setAccessibleDescription(text)
             self.update()
 

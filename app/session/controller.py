@@ -21,6 +21,7 @@ from app.session.opening import (
     find_scene,
     find_truth_of,
     link_specs,
+    look_at,
     resume_pipeline,
     rig_again,
 )
@@ -141,6 +142,10 @@ class Controller(QObject):
     """`Review`: what landmark pokes say of the rig; None where there is none any more."""
     truth_found = Signal(object)
     """`Reference`: where the taxels of a simulated rig are."""
+    recorded_elsewhere = Signal(object, str)
+    """`Path` of a session that was to be opened, and a sentence: another process records it."""
+    confirmation_due = Signal(object)
+    """Addresses that a recorded session names: `go_on(confirmed=True)` connects them."""
     stored = Signal(str)
     """Where the recording is, in words."""
 
@@ -178,6 +183,8 @@ class Controller(QObject):
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
         """Imports what shows a session; called beside the window, before a part is loaded."""
+        self._confirmed = True
+        """The links were named by the operator, or agreed to."""
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(self.tick)
@@ -193,14 +200,16 @@ class Controller(QObject):
         self._timer.start()
         if request.session is not None:
             folder, self._links = request.session, link_specs(request.addresses)
-            links = self._links
+            self._confirmed = bool(self._links)
+            links = None if request.look_on else self._links
             self.compute(
                 lambda: self._load_session(folder, links),
                 lambda found: self._take_session(storage, found),
                 # Its journal is open and its folder locked: what comes too late is put down, not forgotten.
-                dropped=lambda found: found[1].close(),
+                dropped=lambda found: None if isinstance(found, str) else found[1].close(),
             )
             return
+        self._confirmed = True
         if request.addresses:
             self._links = link_specs(request.addresses)
         elif request.server:
@@ -360,7 +369,11 @@ class Controller(QObject):
                 dropped=lambda pipeline: pipeline.close(),
             )
 
-    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline, tuple[str, ...]]) -> None:
+    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline, tuple[str, ...]] | str) -> None:
+        if isinstance(found, str):
+            self._set_running(Running.OFFLINE)
+            self.recorded_elsewhere.emit(storage.folder, found)
+            return
         part, pipeline, self._again = found
         self.simulated = bool(self._again)
         self._take_part(part, record=False)
@@ -457,13 +470,17 @@ class Controller(QObject):
             self._set_running(Running.PAUSED)
             self.compute(lambda: stop_all(readers))
 
-    def go_on(self) -> None:
-        """Take the devices, in a new segment of the recording."""
+    def go_on(self, *, confirmed: bool = False) -> None:
+        """Take the devices, in a new segment of the recording; those of a recorded session once they are `confirmed`."""
         if self._recording is None or self.running is Running.STREAMING:
             return
         if self._again and self._server is None:
             # Its links follow.
             self._start_server(self._again)
+            return
+        self._confirmed |= confirmed
+        if not (self._confirmed or self._again):
+            self.confirmation_due.emit(tuple(link.address for link in self._links))
             return
         self._connect(self._recording)
 
@@ -628,12 +645,19 @@ class Controller(QObject):
 
         return load_part(find_scene(scene))
 
-    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline, tuple[str, ...]]:
+    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...] | None) -> tuple[Part, Pipeline, tuple[str, ...]] | str:
+        """Return what a folder holds, to be looked at where there are no `links`; a sentence where another records it."""
         self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
-        part, pipeline = resume_pipeline(folder, links)
-        return part, pipeline, () if links else rig_again(folder, pipeline.session.last_poke + 1)
+        from skincal.journal.lock import RecordedElsewhereError
+
+        try:
+            part, pipeline = look_at(folder) if links is None else resume_pipeline(folder, links)
+        except RecordedElsewhereError as error:
+            return str(error)
+        again = () if links or links is None else rig_again(folder, pipeline.session.last_poke + 1)
+        return part, pipeline, again
 
     def _say_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))

@@ -50,6 +50,9 @@ class OpenRequest:
     demo: bool = False
     """To look at: the simulated operator is brisk, a newcomer is told what matters, and the verdict comes by itself."""
 
+    look_on: bool = False
+    """See the session as far as it is written, and change nothing in it: another process records it."""
+
     @property
     def temporary(self) -> bool:
         """Whether the recording goes when the window closes, unless the operator keeps it."""
@@ -147,6 +150,18 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
     pipeline.snapshot()
     return pipeline
+
+
+def look_at(folder: Path) -> tuple[Part, Pipeline]:
+    """Open a recorded session without touching it; `InputError` where the folder is no session."""
+    from skincal.session.part import lay_part
+    from skincal.session.replay import load
+
+    pipeline = load(folder)
+    pipeline.snapshot()
+    part = lay_part(pipeline.scene, pipeline.session.surface, pipeline.findings)
+    pipeline.laid = part.laid
+    return part, pipeline
 
 
 def resume_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from skincal.model.errors import plain_text
 
 REPORTING = "The report is being written; it is said when it is there."
 STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
@@ -28,6 +31,16 @@ def refused_words(failure: str) -> str:
         f"{failure} Recording is paused, and what is not on the disk is in memory only: export the calibration now, "
         "then open the session again to record on."
     )
+
+
+def connect_words(addresses: Sequence[str]) -> str:
+    """Return what is asked before devices that a recorded session names are connected for the first time."""
+    return "This session names devices that were not connected here before:\n\n" + "\n".join(map(plain_text, addresses))
+
+
+def look_words(sentence: str) -> str:
+    """Return what is asked where `sentence` says that another process records a session."""
+    return f"{sentence}\n\nIt can be looked at as far as it is written; nothing in it is changed, and nothing is recorded."
 
 
 def kept_words(folder: Path) -> str:

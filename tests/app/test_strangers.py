@@ -1,0 +1,124 @@
+"""The window and a stranger's session: every text is plain, devices are asked about, and another's recording is looked at."""
+
+import os
+
+import pytest
+from PySide6.QtCore import QSettings, Qt
+from PySide6.QtWidgets import QLabel, QMessageBox
+
+from app.panels.widgets import ElidedLabel
+from app.session.controller import Controller
+from app.session.opening import OpenRequest
+from app.state.running import Running
+from app.theme import Choice
+from app.window import Theme, Window
+from skincal.journal.writer import create_session
+from skincal.session.pipeline import Pipeline
+from skincal.streams.links import LinkSpec
+from tests.app.whole_window import Bench, Listener
+from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
+
+TRAP = '<img src="/nothing/there">'
+
+
+def test_no_label_and_no_tooltip_takes_a_text_for_html(qtbot):
+    Theme(Choice.DARK)
+    label, rich = QLabel(TRAP), QLabel("<b>ours</b>")
+    rich.setProperty("rich", True)
+    for widget in (label, rich):
+        qtbot.addWidget(widget)
+        widget.show()
+    assert label.textFormat() is Qt.TextFormat.PlainText
+    assert rich.textFormat() is Qt.TextFormat.RichText
+    elided = ElidedLabel()
+    qtbot.addWidget(elided)
+    elided.setText(TRAP)
+    assert "<img" not in elided.toolTip()
+    elided.setText("as it is")
+    assert elided.toolTip() == "as it is"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A session whose device is a stranger's, with two pokes."""
+    scene = write_scene(tmp_path / "source")
+    links = tuple(LinkSpec(link.name, f"file:{tmp_path}/{link.name}.none", link.carries, "skt") for link in LINKS)
+    pipeline = Pipeline(scene, links, None, create_session(tmp_path / "s", scene, links))
+    for item in as_chunks(some_pokes(scene, 2).samples):
+        pipeline.feed(item)
+    pipeline.close()
+    return tmp_path / "s"
+
+
+@pytest.fixture
+def bench(qtbot, tmp_path):
+    QSettings("skincal", "test").remove("addresses")
+    made = Bench(qtbot, tmp_path / "bench")
+    yield made
+    made.window.close()
+    QSettings("skincal", "test").remove("addresses")
+
+
+def asked(window):
+    """The question that is open, if there is one."""
+    return next((box for box in window.findChildren(QMessageBox) if box.isVisible()), None)
+
+
+def answer(window, words):
+    box = asked(window)
+    next(button for button in box.buttons() if button.text() == words).click()
+
+
+def test_the_devices_of_a_recorded_session_are_shown_and_asked_about_once(bench, folder):
+    bench.open(OpenRequest(session=folder))
+    bench.controller.toggle()
+    assert bench.controller.running is Running.OFFLINE
+    assert all(link.address in asked(bench.window).text() for link in bench.controller.links)
+    answer(bench.window, "Cancel")
+    assert bench.controller.running is Running.OFFLINE
+    bench.controller.toggle()
+    answer(bench.window, "Connect")
+    assert bench.controller.running is Running.STREAMING
+    bench.controller.pause()
+    bench.controller.toggle()
+    assert bench.controller.running is Running.STREAMING
+    bench.open(OpenRequest(session=folder))
+    bench.controller.toggle()
+    assert bench.controller.running is Running.STREAMING, "agreed to before"
+
+
+def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
+    settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
+    window = Window(Controller(tmp_path), Theme(Choice.DARK), settings, tmp_path, Listener())
+    qtbot.addWidget(window)
+    window._remember({"/dev/ttyUSB0", "COM3"})
+    seen = []
+    window.controller.go_on = lambda *, confirmed: seen.append(confirmed)
+    window._ask_first(("COM3", "/dev/ttyUSB0"))
+    assert seen == [True]
+    window._ask_first(("COM4",))
+    assert seen == [True]
+    window.close()
+
+
+def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tmp_path):
+    scene = write_scene(tmp_path / "source")
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
+    items = as_chunks(some_pokes(scene, 3).samples)
+    for item in items[: len(items) * 3 // 4]:
+        pipeline.feed(item)
+    before = {path.name: path.read_bytes() for path in (tmp_path / "s").iterdir() if path.is_file()}
+    bench.window.open(OpenRequest(session=tmp_path / "s"))
+    bench.until(lambda: asked(bench.window) is not None, 20_000)
+    assert f"is being recorded by process {os.getpid()}" in asked(bench.window).text()
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
+        answer(bench.window, "Look on")
+    assert len(bench.recording.pipeline.session.contacts) >= 1
+    bench.controller.go_on(confirmed=True)
+    assert bench.controller.running is Running.OFFLINE
+    assert any("only looked at" in message.text for message in bench.messages)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "s").iterdir() if path.is_file()} == before
+    for item in items[len(items) * 3 // 4 :]:
+        pipeline.feed(item)
+    pipeline.close()
+    assert not pipeline.journal_failure
