@@ -1,4 +1,4 @@
-"""The commands: `skincal solve | export | compare | report | simulate | record | import | landmarks | study`.
+"""The commands: `skincal solve | export | compare | report | simulate | devices | watch | record | import | landmarks | study`.
 
 Results go to stdout, as text or with `--json` as one JSON value; everything else goes to stderr. Exit codes: 0 done,
 2 the user's input is at fault (one sentence, no traceback), 1 ours.

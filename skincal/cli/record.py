@@ -38,7 +38,9 @@ SceneOption = Annotated[
     Path, typer.Option(help="Scene file (*.toml), or the name of one that ships: icub-forearm, flat-patch, ...")
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the new session.")]
-LinkOption = Annotated[str, typer.Option(help="Port such as /dev/ttyUSB0@460800 or COM3, socket://HOST:PORT, or a file.")]
+LinkOption = Annotated[
+    str, typer.Option(help="Port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md).")
+]
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
 OPENING_NS = 1_500_000_000
